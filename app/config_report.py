@@ -11,6 +11,7 @@ from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.mpc.config.described import schema_rows
+from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 _OF_THE_ROBOT = {
@@ -42,17 +43,18 @@ def print_schema(part: str | None = None) -> None:
 
     Raises ConfigError if there is no such part.
     """
+    plain = "" if part is None else plain_key(part)
     shown = [
         row
         for row in schema_rows()
-        if part is None or row.key == part or row.key.startswith((f"{part}.", f"{part}[]."))
+        if part is None or plain_key(row.key) == plain or plain_key(row.key).startswith((f"{plain}.", f"{plain}[]."))
     ]
     if part is not None and not shown:
-        *groups, key = part.split(".")
+        *groups, key = plain.split(".")
         unknown: dict[str, Any] = {key: None}
         for group in reversed(groups):
             unknown = {group: unknown}
-        check(ControllerConfig, unknown, "config schema")
+        check(ControllerConfig, unknown, "config schema", shown_key)
         raise ConfigError(f"config schema: unknown key '{part}'")
     rows = tuple((row.key, row.default, row.unit, row.range, row.help) for row in shown)
     table = Table("Controller configuration", ("key", "default", "unit", "range", "meaning"), rows, text_columns=5)

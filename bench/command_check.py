@@ -84,6 +84,10 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
     if config is not None:
         values |= _flat(yaml.safe_load(Path(config).read_text(encoding="utf-8")))
     values |= dict(overrides)
+    # Files have a second room, and once had another name for a radius.
+    values = {key.removeprefix("expert."): value for key, value in values.items()}
+    least = "limits.least_commanded_radius"
+    values = {"limits.min_commanded_radius" if key == least else key: value for key, value in values.items()}
 
     def pair(ending: str) -> tuple[float, float]:
         return float(values[f"limits.v{ending}"]), float(values[f"limits.omega{ending}"])
@@ -94,7 +98,7 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
         pair("_braking"),
         max(float(values["failure.max_pose_age"]), float(values.get("failure.dead_reckoning") or 0.0)),
         float(values["sample_time"]),
-        float(values.get("limits.least_commanded_radius") or 0.0),
+        float(values.get("limits.min_commanded_radius") or 0.0),
     )
 
 

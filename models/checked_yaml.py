@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -191,8 +191,8 @@ def laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, 
     return whole
 
 
-def check(schema: type[Schema], data: object, where: str) -> Schema:
-    """Check `data` against `schema`; `where` names its source in the error message.
+def check(schema: type[Schema], data: object, where: str, shown: Callable[[str], str] = str) -> Schema:
+    """Check `data` against `schema`; `where` names its source in the error message, `shown` a dotted key.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def check(schema: type[Schema], data: object, where: str) -> Schema:
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(mistakes(where, [_sentence(schema, detail) for detail in error.errors()])) from error
+        raise ConfigError(mistakes(where, [_sentence(schema, detail, shown) for detail in error.errors()])) from error
 
 
 def mistakes(where: str, sentences: Sequence[str]) -> str:
@@ -219,17 +219,17 @@ def mistakes(where: str, sentences: Sequence[str]) -> str:
     return f"{where}: {len(different)} mistakes: {'; '.join(listed)}{f' (and {more} more)' if more else ''}"
 
 
-def _sentence(schema: type[BaseModel], error: Any) -> str:  # noqa: ANN401 - pydantic's error dictionary
+def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) -> str:  # noqa: ANN401 - pydantic's
     """One readable sentence for one of pydantic's errors."""
     location = [part for part in error["loc"] if not str(part).startswith("function-")]
-    place = ".".join(plain_line(str(part), _SHOWN) for part in location)
+    place = shown(".".join(plain_line(str(part), _SHOWN) for part in location))
     kind = error["type"]
     if kind == "extra_forbidden":
-        return f"unknown key '{place}'" + suggestion(schema, location)
+        return f"unknown key '{place}'" + suggestion(schema, location, shown)
     if kind == "missing":
         return f"key '{place}' is missing"
     message = str(error["msg"]).removeprefix("Value error, ")
     found = error.get("input")
     plain = isinstance(found, (int, float, str, bool, type(None)))
-    shown = f" (found {plain_line(repr(found), _SHOWN)})" if plain else ""
-    return f"{place}: {message}{shown}" if place else message
+    value = f" (found {plain_line(repr(found), _SHOWN)})" if plain else ""
+    return f"{place}: {message}{value}" if place else message

@@ -20,6 +20,10 @@ class MissingPackageError(DiffdriveMpcError, ImportError):
     """Something was asked for that needs a package which is not installed; says how to install it."""
 
 
+class FormerNameWarning(UserWarning):
+    """A file states something under a name that it had in an earlier version; it is read all the same."""
+
+
 class ArgumentError(DiffdriveMpcError, TypeError):
     """An argument has a type that cannot be used. One line: argument, expected type, actual type, how to make it."""
 

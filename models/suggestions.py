@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -50,7 +51,7 @@ _MOST = 4
 """Suggestions at once."""
 
 
-def suggestion(schema: type[BaseModel], location: list[Any]) -> str:
+def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[str], str] = str) -> str:
     """The end of a message about an unknown key at `location`: which keys it may stand for, or which are known there.
 
     A key of that very name elsewhere and keys that the field calls so come before names that are merely spelt alike,
@@ -70,7 +71,7 @@ def suggestion(schema: type[BaseModel], location: list[Any]) -> str:
         elsewhere = {path.rsplit(".", 1)[-1]: path for path in paths}
         candidates = [elsewhere[name] for name in difflib.get_close_matches(key, elsewhere, n=1, cutoff=0.7)]
     if candidates:
-        *first, last = [f"'{path}'" for path in candidates[:_MOST]]
+        *first, last = [f"'{shown(path)}'" for path in candidates[:_MOST]]
         return f"; did you mean {', '.join(first)}{' or ' if first else ''}{last}?"
     return f"; known keys: {', '.join(known)}" if known else ""
 

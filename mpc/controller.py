@@ -436,7 +436,7 @@ class Controller:
             for key, value in (values or {}).items()
         }
         config = replace_values(self._pending.config if self._pending else self._config, changes)
-        for name in ("least_turn_radius", "least_commanded_radius"):
+        for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
                     f"limits.{name}: it can be changed while driving, but neither set nor unset; say it in the "

@@ -107,7 +107,7 @@ class MessageFormatter:
             ),
             (
                 lib.DDMPC_TURN_HELD,
-                f"the turn is held to limits.least_commanded_radius = {self._config.limits.least_commanded_radius} m",
+                f"the turn is held to limits.min_commanded_radius = {self._config.limits.min_commanded_radius} m",
             ),
             (
                 lib.DDMPC_NOT_AT_REST,

@@ -15,7 +15,7 @@ CASES = {
     "daqp": {"solver.strategy": "backend"},
     "rehearsal": {"rehearsal.enabled": True},
     "floor": {"rehearsal.enabled": True, "rehearsal.by": "floor"},
-    "dead time": {"online_dead_time.enabled": True, "online_dead_time.least_rate_v": 0.01},
+    "dead time": {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.01},
     "free space": {"free_space.enabled": True},
     "energy": {"energy.turn_costs": "fsu_bot-default", "energy.weight": 0.01},
 }

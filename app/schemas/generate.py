@@ -31,6 +31,7 @@ from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, Vehicle
+from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
@@ -181,6 +182,25 @@ def _as_it_is(schema: type[BaseModel]) -> Callable[[], Schema]:
     return schema.model_json_schema
 
 
+def _controllers() -> Schema:
+    """The two rooms of a configuration: groups that stand in both are cut in two."""
+    whole = ControllerConfig.model_json_schema()
+    groups = whole["$defs"]
+    rooms: tuple[Schema, Schema] = ({}, {})
+    for name, field in whole["properties"].items():
+        reference = field.get("$ref") or next((one["$ref"] for one in field.get("allOf", ()) if "$ref" in one), None)
+        if reference is None:
+            rooms[not is_for_users(name)][name] = field
+            continue
+        group = groups[reference.rsplit("/", 1)[-1]]
+        for room, wanted in zip(rooms, (True, False), strict=True):
+            keys = {key: of for key, of in group["properties"].items() if is_for_users(f"{name}.{key}") == wanted}
+            if keys:
+                room[name] = {**group, "properties": keys}
+    expert = {"type": "object", "title": "For experts", "additionalProperties": False, "properties": rooms[1]}
+    return {**whole, "properties": rooms[0] | {EXPERT: expert}}
+
+
 def _models() -> Schema:
     functions = (one.schema() for one in function_structures().values())
     files: list[Any] = [*(one.file for one in STRUCTURES.values()), *functions]
@@ -215,7 +235,7 @@ def _with_factors(schema: type[BaseModel]) -> Callable[[], Schema]:
 
 
 _MADE: dict[str, Callable[[], Schema]] = {
-    "controller": _as_it_is(ControllerConfig),
+    "controller": _controllers,
     "monitor": _as_it_is(Rules),
     "trajectory": _trajectories,
     "model": _models,

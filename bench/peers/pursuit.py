@@ -25,7 +25,7 @@ class PursuitGains(Gains):
     """What is tuned."""
 
     look_ahead_time: AboveZero = Field(description="look-ahead distance over speed [s]")
-    look_ahead_min: AboveZero = Field(description="its lower bound [m]")
+    min_look_ahead: AboveZero = Field(description="its lower bound [m]")
     along: NotNegative = Field(description="on the lag along the path [1/s]")
     turn: NotNegative = Field(description="on the heading error while turning on the spot [1/s]")
     least_radius: NotNegative = Field(description="on tighter arcs the speed shrinks with their radius [m]")
@@ -61,7 +61,7 @@ class PursuitLaw:
         """(2,) the point to reach in the robot's frame [m]; a path that ends or turns back is thought to go on."""
         gains, v = self._gains, sight.feed_forward[0]
         direction = np.sign(v)
-        distance = float(np.clip(gains.look_ahead_time * abs(v), gains.look_ahead_min, _FARTHEST))
+        distance = float(np.clip(gains.look_ahead_time * abs(v), gains.min_look_ahead, _FARTHEST))
         path = self._reference.sample(sight.time + _AHEAD)
         with_it = direction * path.twist[:, 0] > STANDING
         begin = int(np.argmax(with_it))

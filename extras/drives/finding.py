@@ -86,7 +86,7 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
         without = [other for other in free if other != name]
         tried = numbers.fitted({**point, name: prior}, without)
         worse = numbers.cost(tried) / numbers.cost(point) - 1.0
-        if worse < fit_settings().least_gain or not _is_known(numbers, point, free, name):
+        if worse < fit_settings().min_gain or not _is_known(numbers, point, free, name):
             point, free = tried, without
             kept.append(name)
     point = numbers.fitted(point, free)

@@ -31,7 +31,7 @@ class FitSettings(StrictModel):
     bounds: dict[str, Range]
     starts: tuple[dict[str, float], ...]
     priors: dict[str, float] = Field(description="of numbers that a log need not tell")
-    least_gain: Positive = Field(description="rise of the error power that a prior has to cost, or it is kept [-]")
+    min_gain: Positive = Field(description="rise of the error power that a prior has to cost, or it is kept [-]")
 
 
 @cache

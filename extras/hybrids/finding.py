@@ -147,7 +147,7 @@ def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
         gains.append([_log_power(linear, one, held_out) for one in found])
     scores = np.mean(gains, axis=0)
     runs, best = runs_of(linear, system, experiments), int(np.argmin(scores))
-    if scores[best] > np.log1p(-settings.least_gain):
+    if scores[best] > np.log1p(-settings.min_gain):
         return FoundHybrid(identified, silent(runs, settings), dt, None)
     found = trained(linear, runs, settings.decays[: best + 1], settings)
     return FoundHybrid(identified, found[-1], dt, settings.decays[best])

@@ -41,7 +41,7 @@ class HybridSettings(StrictModel):
     reach: float = Field(gt=1, description="distance at which it no longer counts, over that of full share [-]")
     decays: tuple[Positive, ...] = Field(min_length=1, description="penalties of squared weights, the strongest first")
     most_steps: Count = Field(description="of one search")
-    least_gain: Share = Field(description="fall of the error power of held-out blocks that it has to bring [-]")
+    min_gain: Share = Field(description="fall of the error power of held-out blocks that it has to bring [-]")
     seed: int = Field(ge=0)
 
 

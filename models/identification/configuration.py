@@ -240,14 +240,24 @@ class Configuration:
             "Fields left out keep the schema's default: diffdrive-mpc config schema",
             *(setting.line() for setting in self.general),
             "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
-            *(f"  {setting.line()}" for setting in self.limits),
+            *(f"  {setting.line()}" for setting in self._of("limits", expert=False)),
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
-        for group in ("estimator", "reentry", "failure"):
-            if self.groups[group]:
-                lines += [f"{group}:", *(f"  {setting.line()}" for setting in self.groups[group])]
+        lines += _group("failure", self._of("failure", expert=False))
+        inner = [line for group in self.groups for line in _group(group, self._of(group, expert=True))]
+        lines += ["expert:", *(f"  {line}" for line in inner)] if inner else []
         return "\n".join(lines) + "\n"
+
+    def _of(self, group: str, *, expert: bool) -> list[Setting]:
+        """The settings of a group that stand under `expert:`, or those that do not."""
+        under = identification_settings().expert
+        return [one for one in self.groups[group] if ({group, f"{group}.{one.name}"} & set(under) != set()) == expert]
+
+
+def _group(name: str, settings: Sequence[Setting]) -> list[str]:
+    """Lines of a group; none without settings."""
+    return [f"{name}:", *(f"  {setting.line()}" for setting in settings)] if settings else []
 
 
 def configure(

@@ -43,6 +43,7 @@ class IdentificationSettings(StrictModel):
     least_steps: int = Field(ge=1, le=200, description="[-]")
     most_steps: int = Field(ge=1, le=200, description="[-]")
     lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
+    expert: tuple[str, ...] = Field(description="groups and keys of a configuration that stand under `expert:` in it")
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
     warn: JudgementSettings
 

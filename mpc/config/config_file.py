@@ -13,6 +13,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
+from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
@@ -31,7 +32,8 @@ def load_config(
         path of a model, a term or turn costs inside that file is taken from the folder of the file. Or keys and values
         as such a file holds them, for instance those that `identify` found. Or a configuration.
     overrides
-        Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
+        Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; those of the second room with
+        or without ``expert.``.
 
     Raises
     ------
@@ -45,7 +47,7 @@ def load_config(
     if isinstance(source, ControllerConfig):
         return replace_values(source, overrides) if overrides else source
     if isinstance(source, Mapping):
-        return check(ControllerConfig, _replaced(source, overrides), "configuration")
+        return _checked(_replaced(side_by_side(source), overrides), "configuration")
     if not isinstance(source, (str, Path)):
         raise wrong_type(
             "configuration",
@@ -58,7 +60,8 @@ def load_config(
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
     shipped = path.parent == PARAMETERS
-    config = check(ControllerConfig, _replaced(data, overrides), path.stem if shipped else str(path))
+    where = path.stem if shipped else str(path)
+    config = _checked(_replaced(side_by_side(data, where), overrides), where)
     beside = path.parent / config.model
     if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(beside):
         config = config.model_copy(update={"model": str(beside)})
@@ -89,7 +92,7 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
     models.checked_yaml.ConfigError
         As `load_config`.
     """
-    config = check(ControllerConfig, values, f"{log}: configuration")
+    config = _checked(side_by_side(values), f"{log}: configuration")
     with only_trusted(log, trusted):
         model_path(config.model)
         if config.energy.turn_costs:
@@ -103,13 +106,17 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:
     """A copy of `config` with values replaced by dotted key, checked anew; raises ConfigError."""
-    return check(ControllerConfig, _replaced(config.model_dump(), overrides), "configuration")
+    return _checked(_replaced(config.model_dump(), overrides), "configuration")
+
+
+def _checked(values: Mapping[str, object], where: str) -> ControllerConfig:
+    return check(ControllerConfig, values, where, shown_key)
 
 
 def _replaced(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:
     replaced = dict(data)
     for key, value in (overrides or {}).items():
-        replaced = _with_value(replaced, key.split("."), value, key)
+        replaced = _with_value(replaced, plain_key(key).split("."), value, key)
     return replaced
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal, get_args, get_origin
 
 import yaml
@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
@@ -30,34 +31,55 @@ class FieldRow:
 
 
 def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
-    """Every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each item of a list."""
-    rows = []
+    """Every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each item of a list.
+
+    Those of a controller come room by room, see `rooms`.
+    """
+    rows = _rows(schema, prefix)
+    if schema is not ControllerConfig:
+        return rows
+    named = [replace(row, key=shown_key(row.key)) for row in rows]
+    return sorted(named, key=lambda row: row.key.startswith(f"{EXPERT}."))
+
+
+def _rows(schema: type[BaseModel], prefix: str) -> list[FieldRow]:
+    rows: list[FieldRow] = []
     for name, field in schema.model_fields.items():
         group = _group(field.annotation)
         if group is not None:
-            rows += schema_rows(group, f"{prefix}{name}.")
+            rows += _rows(group, f"{prefix}{name}.")
             continue
         text, unit = _help_and_unit(field)
         default = "required" if field.is_required() else _scalar(field.default)
         rows.append(FieldRow(prefix + name, default, unit, _range(field), text))
         for item in filter(None, map(_group, get_args(field.annotation))):
-            rows += schema_rows(item, f"{prefix}{name}[].")
+            rows += _rows(item, f"{prefix}{name}[].")
     return rows
 
 
 def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) -> str:
-    """A configuration with all its values as YAML, each with its meaning as a comment, and before it a note by key."""
-    return "\n".join(_yaml_lines(config, "", notes or {})) + "\n"
+    """A configuration with all its values as YAML, each with its meaning as a comment, and before it a note by key.
+
+    That of a controller has its two rooms, see `rooms`.
+    """
+    if not isinstance(config, ControllerConfig):
+        return "\n".join(_yaml_lines(config, "", notes or {}, lambda _: True)) + "\n"
+    lines = [*_yaml_lines(config, "", notes or {}, is_for_users)]
+    lines += ["", "# For experts: each of these has a default that nobody has to touch.", f"{EXPERT}:"]
+    lines += [f"  {line}" for line in _yaml_lines(config, "", notes or {}, lambda key: not is_for_users(key))]
+    return "\n".join(lines) + "\n"
 
 
-def _yaml_lines(config: BaseModel, prefix: str, notes: Mapping[str, str]) -> Iterator[str]:
+def _yaml_lines(
+    config: BaseModel, prefix: str, notes: Mapping[str, str], wanted: Callable[[str], bool]
+) -> Iterator[str]:
     indent = "  " * prefix.count(".")
     for name, field in type(config).model_fields.items():
         value, key = getattr(config, name), f"{prefix}{name}"
         if isinstance(value, BaseModel):
-            yield f"{indent}{name}:"
-            yield from _yaml_lines(value, f"{key}.", notes)
-        else:
+            inner = [*_yaml_lines(value, f"{key}.", notes, wanted)]
+            yield from [f"{indent}{name}:", *inner] if inner else []
+        elif wanted(key):
             comment = "; ".join(filter(None, (notes.get(key, ""), field.description)))
             yield f"{indent}{name}: {_scalar(value)}" + (f"  # {comment}" if comment else "")
 

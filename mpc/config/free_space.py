@@ -65,10 +65,10 @@ class FreeSpace(Group):
     unknown_is_free: bool = Field(
         True, description="drive over cells that are unknown, and beyond the grid; false: they are occupied [-]"
     )
-    most_cells: Annotated[int, Field(ge=1, le=4_000_000)] = Field(
+    max_cells: Annotated[int, Field(ge=1, le=4_000_000)] = Field(
         250_000, description="a grid with more cells is refused [-]"
     )
-    most_pieces: Annotated[int, Field(ge=1, le=20_000)] = Field(
+    max_pieces: Annotated[int, Field(ge=1, le=20_000)] = Field(
         2000, description="surroundings of more convex pieces are refused; walls of a grid are rectangles [-]"
     )
 

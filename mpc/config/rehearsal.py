@@ -27,9 +27,9 @@ class Rehearsal(Group):
     smoothing: Annotated[float, Field(ge=0.02, le=5)] = Field(
         0.1, description="time over which errors and the correction are averaged, without delay [s]"
     )
-    largest: Positive = Field(0.03, description="largest correction of the position [m]")
-    largest_heading: Positive = Field(0.1, description="largest correction of the heading [rad]")
-    largest_speed: Positive = Field(0.1, description="largest rate of the correction of the position [m/s]")
+    max_correction: Positive = Field(0.03, description="largest correction of the position [m]")
+    max_heading_correction: Positive = Field(0.1, description="largest correction of the heading [rad]")
+    max_correction_rate: Positive = Field(0.1, description="largest rate of the correction of the position [m/s]")
     floor_change: Positive = Field(
         0.1, description="change of the gains of slip, averaged over a lap, at which what was learned is forgotten [-]"
     )
@@ -51,10 +51,10 @@ class Drivable(Group):
     omega_rate: Positive = Field(0.0005, description="the same of the yaw rate, by 1 rad/s^2 [m s^2/rad]")
     end: NotNegative = Field(0.5, description="for so long the distance at the end counts: there the robot stands [s]")
     end_heading: NotNegative = Field(0.1, description="distance that a radian is worth at the end [m/rad]")
-    least: NotNegative = Field(
+    min_shift: NotNegative = Field(
         0.001, description="a reference that need not be moved further than this is tracked as it is given [m]"
     )
-    largest: Positive = Field(
+    max_shift: Positive = Field(
         0.1, description="where it would have to be moved further than this, it is tracked as it is given [m]"
     )
     iterations: Annotated[int, Field(ge=1, le=10_000)] = Field(

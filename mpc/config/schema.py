@@ -73,12 +73,12 @@ class Limits(Group):
         round(_ROBOT.limits.wheel_speed * _ROBOT.wheel_radius, 3),
         description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]",
     )
-    least_turn_radius: Positive | None = Field(
+    min_turn_radius: Positive | None = Field(
         None,
         description="soft: |omega| times this is no more than |v|, for a robot that must not turn on the spot; without "
         "it any turn will do [m]",
     )
-    least_commanded_radius: Positive | None = Field(
+    min_commanded_radius: Positive | None = Field(
         None,
         description="hard within what slew allows: |omega_ref| times this is no more than |v_ref|, for motors that "
         "have no torque for tighter turns; sharper corners of a path are cut [m]",
@@ -88,7 +88,7 @@ class Limits(Group):
     @property
     def least_radius_of_ways(self) -> float:
         """Paths that are laid here turn no tighter [m]; 0: they may turn on the spot."""
-        return max(self.least_turn_radius or 0.0, self.least_commanded_radius or 0.0)
+        return max(self.min_turn_radius or 0.0, self.min_commanded_radius or 0.0)
 
 
 class Wheels(Group):
@@ -177,8 +177,8 @@ class Estimator(Group):
     track_growth_drift: NotNegative = Field(0.0, description="random walk of that [s/rad per sqrt(s)]")
     gyro_bias_uncertainty: Positive = Field(0.003, description="bias of the gyro, at the start [rad/s]")
     gyro_bias_drift: Positive = Field(0.007, description="random walk of that bias [rad/s per sqrt(s)]")
-    least_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")
-    least_speed: Positive = Field(0.1, description="driving more slowly, gain and slip do not grow uncertain [m/s]")
+    min_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")
+    min_speed: Positive = Field(0.1, description="driving more slowly, gain and slip do not grow uncertain [m/s]")
     surprise: Annotated[float, Field(ge=4)] = Field(
         16.0,
         description="squared innovation over its variance beyond which something other than slip is at work: nothing "
@@ -187,8 +187,8 @@ class Estimator(Group):
     lasting_surprise: Positive = Field(
         0.6, description="surprise that goes on for longer is slip after all, and is learned from [s]"
     )
-    least_gain: Annotated[float, Field(gt=0, lt=1)] = Field(0.2, description="gains are never believed smaller [-]")
-    most_gain: Annotated[float, Field(gt=1)] = Field(3.0, description="gains are never believed larger [-]")
+    min_gain: Annotated[float, Field(gt=0, lt=1)] = Field(0.2, description="gains are never believed smaller [-]")
+    max_gain: Annotated[float, Field(gt=1)] = Field(3.0, description="gains are never believed larger [-]")
     position_drift: Positive = Field(0.01, description="random walk of the position beside the model [m per sqrt(s)]")
     heading_drift: Positive = Field(0.002, description="random walk of the heading beside the model [rad per sqrt(s)]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
@@ -290,8 +290,8 @@ class Reentry(Group):
         1.25, description="fastest rate of the reference's clock while it catches up, and of driving back to it [-]"
     )
     progress_ramp: Positive = Field(1.0, description="rate of change of the progress rate [1/s]")
-    look_ahead_min: Positive = Field(0.2, description="least distance along the path to where it is rejoined [m]")
-    look_ahead_max: Positive = Field(2.0, description="largest distance along the path to where it is rejoined [m]")
+    min_look_ahead: Positive = Field(0.2, description="least distance along the path to where it is rejoined [m]")
+    max_look_ahead: Positive = Field(2.0, description="largest distance along the path to where it is rejoined [m]")
     window: Annotated[float, Field(gt=0, le=60)] = Field(
         6.0, description="how far around its time the reference is searched [s]"
     )
@@ -334,17 +334,17 @@ class OnlineDeadTime(Group):
         0.12, description="hard: at most so much longer than configured [s]"
     )
     memory: Positive = Field(10.0, description="time of changing motion over which it is averaged [s]")
-    least_rate_v: Positive = Field(
+    min_rate_v: Positive = Field(
         0.15, description="nothing is learned of v while the model's v changes more slowly [m/s^2]"
     )
-    least_rate_omega: Positive = Field(
+    min_rate_omega: Positive = Field(
         0.5, description="nothing is learned of omega while it changes more slowly [rad/s^2]"
     )
-    largest_deviation: Positive = Field(0.012, description="what is less certain is not applied [s]")
-    least_difference: Positive = Field(0.01, description="difference from which it is applied [s]")
+    max_deviation: Positive = Field(0.012, description="what is less certain is not applied [s]")
+    min_difference: Positive = Field(0.01, description="difference from which it is applied [s]")
     step: Positive = Field(0.02, description="largest change at once [s]")
     pause: Positive = Field(1.0, description="time from one change to the next [s]")
-    told_from: Positive = Field(0.03, description="difference from the configured dead time that is told [s]")
+    report_from: Positive = Field(0.03, description="difference from the configured dead time that is told [s]")
 
 
 class TermConfig(Group):

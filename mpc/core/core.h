@@ -62,7 +62,7 @@ typedef struct {
     real least_slip[15], most_slip[15];         /* they are never believed beyond */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit [-], and how long it may last [samples] */
-    real least_yaw_rate, least_speed;
+    real min_yaw_rate, min_speed;
     real stamp_history;              /* oldest stamp that is taken [s] */
     real pose_variance[3];           /* where a pose states no covariance */
     real twist_variance[3];          /* wheel speed, wheel yaw rate, yaw rate */
@@ -104,8 +104,8 @@ typedef struct {
     const real *soft_upper;     /* [K] */
     const real *soft_lower;     /* [K] */
     real half_track;            /* [m] */
-    real least_turn_radius;     /* [m]; 0: none */
-    real least_commanded_radius; /* [m]; 0: none */
+    real min_turn_radius;     /* [m]; 0: none */
+    real min_commanded_radius; /* [m]; 0: none */
 
     /* solution */
     real slack;                 /* by how much the active set may exceed a limit */

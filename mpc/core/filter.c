@@ -207,8 +207,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     for (int i = 0; i < 3; i++)
         after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
     /* A gain shows only while its channel moves: without news its uncertainty must not grow. */
-    const int turning = ddmpc_fabs(twist[1]) >= k->least_yaw_rate;
-    const int driving = ddmpc_fabs(twist[0]) >= k->least_speed;
+    const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
+    const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
     const int moving[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
                                       cornering, turning, turning, driving, driving, cornering, cornering, turning};
@@ -247,7 +247,7 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
         return;
     }
     ddmpc_filter_twist(c, z, twist);
-    if (ddmpc_fabs(twist[1]) < c->constants->least_yaw_rate) {
+    if (ddmpc_fabs(twist[1]) < c->constants->min_yaw_rate) {
         memset(gain + (n + OMEGA_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + YAW_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         if (CURVED(c))

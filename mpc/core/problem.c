@@ -694,12 +694,12 @@ static void bound_softly(ddmpc_controller *c)
     linear_moves(c, c->problem.by_plan, moves, headings);
     limit_softly(c, &group, moves, headings);
     if (TURNS(c)) {
-        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, c->constants->least_turn_radius, 0, 0};
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, c->constants->min_turn_radius, 0, 0};
         limit_softly(c, &group, moves, headings);
     }
     if (COMMAND_TURNS(c)) {
         const int first = group.first + group.rows;
-        group = (soft_group){ddmpc_f_command_turn, TURN_ROWS, first, c->constants->least_commanded_radius, 1, 0};
+        group = (soft_group){ddmpc_f_command_turn, TURN_ROWS, first, c->constants->min_commanded_radius, 1, 0};
         limit_softly(c, &group, moves, headings);
     }
     group.radius = R(0.0);

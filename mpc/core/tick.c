@@ -88,7 +88,7 @@ static void clip(const ddmpc_controller *c, const real wanted[2], real share, co
  * so slew is kept, and after a command that turned no tighter there is always one. */
 static void widen(ddmpc_controller *c, real share, const real step[2], real command[2])
 {
-    const real radius = c->constants->least_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
+    const real radius = c->constants->min_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
     if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
         return;
     const real widest = v / radius, asked = command[1];
@@ -112,7 +112,7 @@ static void report_turn(ddmpc_controller *c)
 {
     const real *asked = c->problem.feed_forward;
     if (COMMAND_TURNS(c) &&
-        ddmpc_fabs(asked[1]) * c->constants->least_commanded_radius > R(1.01) * ddmpc_fabs(asked[0]) + LEAST_TURN)
+        ddmpc_fabs(asked[1]) * c->constants->min_commanded_radius > R(1.01) * ddmpc_fabs(asked[0]) + LEAST_TURN)
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 

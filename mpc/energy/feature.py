@@ -65,18 +65,18 @@ def with_least_radius(config: ControllerConfig) -> ControllerConfig:
     ConfigError
         If there are no such turn costs, or the robot has no torque for any turn.
     """
-    if not config.energy.least_radius or config.limits.least_commanded_radius is not None:
+    if not config.energy.use_min_radius or config.limits.min_commanded_radius is not None:
         return config
     costs = _load(config)
     radius = costs.least_radius()
     if math.isinf(radius):
         raise ConfigError(
-            f"energy.least_radius: by the turn costs '{costs.name}' the motors have no torque for any turn; give "
-            "limits.least_commanded_radius, or other turn costs"
+            f"energy.use_min_radius: by the turn costs '{costs.name}' the motors have no torque for any turn; give "
+            "limits.min_commanded_radius, or other turn costs"
         )
     if radius == 0.0:
         return config
-    limits = config.limits.model_copy(update={"least_commanded_radius": radius})
+    limits = config.limits.model_copy(update={"min_commanded_radius": radius})
     return config.model_copy(update={"limits": limits})
 
 

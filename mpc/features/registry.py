@@ -27,7 +27,7 @@ class Listed(NamedTuple):
 
 
 FEATURES = (
-    Listed("energy", lambda config: bool(config.energy.weight) or config.energy.least_radius),
+    Listed("energy", lambda config: bool(config.energy.weight) or config.energy.use_min_radius),
     Listed("free_space", lambda config: config.free_space.enabled),
     Listed("online_dead_time", lambda config: config.online_dead_time.enabled),
     Listed("rehearsal", lambda config: config.rehearsal.enabled),

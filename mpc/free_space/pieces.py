@@ -180,10 +180,10 @@ def pieces_of(
         add(once(grid, lambda: _of_grid(grid, config)), "occupied cells")
     if around.corridor is not None and reference is not None:
         add(*_of_corridor(around.corridor, reference))
-    if len(corners) > config.most_pieces:
+    if len(corners) > config.max_pieces:
         raise SurroundingsError(
-            f"surroundings: {len(corners)} convex pieces, at most {config.most_pieces} are taken; give a smaller "
-            "window or a coarser grid, or raise free_space.most_pieces"
+            f"surroundings: {len(corners)} convex pieces, at most {config.max_pieces} are taken; give a smaller "
+            "window or a coarser grid, or raise free_space.max_pieces"
         )
     if known is not None:
         known.clear()
@@ -225,11 +225,11 @@ def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
     """Rectangles that cover just the occupied cells."""
     if isinstance(grid, PreparedGrid):
         return list(grid.boxes)
-    cells = checked_grid(grid, config.most_cells)
+    cells = checked_grid(grid, config.max_cells)
     occupied = cells >= config.occupied_from
     if not config.unknown_is_free:
         occupied |= cells < 0
-    boxes = rectangles(occupied, config.most_pieces)
+    boxes = rectangles(occupied, config.max_pieces)
     if not config.unknown_is_free:
         rows, columns = occupied.shape
         far = int(_AROUND / grid.resolution) + 1
@@ -274,7 +274,7 @@ def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int
     if len(first) > most:
         raise SurroundingsError(
             f"grid: its occupied cells are {len(first)} rectangles, at most {most} are taken; give a smaller window "
-            "or a coarser grid, or raise free_space.most_pieces"
+            "or a coarser grid, or raise free_space.max_pieces"
         )
     return np.stack([row[first], begin[first], row[last] + 1, end[first]], axis=1).astype(np.int64)
 

@@ -145,7 +145,7 @@ def check_disc(disc: MovingDisc, name: str, *, timed: bool) -> None:
         raise SurroundingsError(f"{name}: it moves, and no time says when it was there; give surroundings a time")
 
 
-def checked_grid(grid: OccupancyGrid, most_cells: int) -> NDArray[np.int8]:
+def checked_grid(grid: OccupancyGrid, max_cells: int) -> NDArray[np.int8]:
     """The cells.
 
     Raises
@@ -156,10 +156,10 @@ def checked_grid(grid: OccupancyGrid, most_cells: int) -> NDArray[np.int8]:
     shape = np.shape(grid.cells)
     if len(shape) != 2 or 0 in shape:
         raise SurroundingsError(f"grid: cells of shape {shape}; give rows and columns")
-    if shape[0] * shape[1] > most_cells:
+    if shape[0] * shape[1] > max_cells:
         raise SurroundingsError(
-            f"grid: {shape[0]} x {shape[1]} cells, at most {most_cells:,} are taken; give a smaller window around the "
-            "robot, or raise free_space.most_cells"
+            f"grid: {shape[0]} x {shape[1]} cells, at most {max_cells:,} are taken; give a smaller window around the "
+            "robot, or raise free_space.max_cells"
         )
     resolution, origin = _numbers(grid.resolution, "grid"), _numbers(grid.origin, "grid")
     if resolution.shape != () or not 1e-3 <= float(resolution) <= 10.0:

@@ -85,7 +85,7 @@ class DeadTime:
         self.longest = replace(model, dead_time=self.upper)
         # Whole samples of dead time that are compared, 0 to here: what is longer than allowed is recognised, too.
         self._longest = int(np.ceil((self.upper.max() + _BEYOND) / dt)) + 1
-        self._least_change = self._longest * dt * np.array([settings.least_rate_v, settings.least_rate_omega])
+        self._least_change = self._longest * dt * np.array([settings.min_rate_v, settings.min_rate_omega])
         self._largest = np.array([config.estimator.max_wheel_speed, config.estimator.max_yaw_rate])
         self._keep = np.exp(-dt / settings.memory)
         self.forget()
@@ -225,8 +225,8 @@ class DeadTime:
         """(2,) by how much what was found differs from `used`, where that is certain and enough; else 0 [s]."""
         settings, found = self._settings, self.found
         difference = found.value - used
-        enough = np.maximum(settings.least_difference, 2 * found.deviation)
-        sure = (found.deviation < settings.largest_deviation) & (np.abs(difference) > enough)
+        enough = np.maximum(settings.min_difference, 2 * found.deviation)
+        sure = (found.deviation < settings.max_deviation) & (np.abs(difference) > enough)
         return np.where(sure, difference, 0.0)
 
     def advice(self) -> str:
@@ -234,7 +234,7 @@ class DeadTime:
         # A second of changing motion: what was found at the first start is not worth a person's time.
         wrong = np.where(self._sums[0, 0] * self._dt > 1.0, self._worth(self._configured), 0.0)
         said = []
-        for i in np.flatnonzero((np.abs(wrong) > self._settings.told_from) & ~self._told):
+        for i in np.flatnonzero((np.abs(wrong) > self._settings.report_from) & ~self._told):
             self._told[i] = True
             longer = "longer" if wrong[i] > 0 else "shorter"
             said.append(

@@ -80,12 +80,12 @@ class Problem:
     @property
     def _turns(self) -> int:
         """Kinds of soft limit that keep the least turn radius: to the left and to the right, if there is one."""
-        return 0 if self.config.limits.least_turn_radius is None else 2
+        return 0 if self.config.limits.min_turn_radius is None else 2
 
     @property
     def _command_turns(self) -> int:
         """The same for the least commanded radius."""
-        return 0 if self.config.limits.least_commanded_radius is None else 2
+        return 0 if self.config.limits.min_commanded_radius is None else 2
 
     @property
     def _all_turns(self) -> int:
@@ -166,7 +166,7 @@ class Problem:
         far = np.full(len(SLIPS), np.inf)
         far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : -1]
         least, most = np.array(astuple(prior)) - far, np.array(astuple(prior)) + far
-        least[1:4], most[1:4] = s.least_gain, s.most_gain
+        least[1:4], most[1:4] = s.min_gain, s.max_gain
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
@@ -180,8 +180,8 @@ class Problem:
             "wheel_yaw_ratio": wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1]),
             "surprise": s.surprise,
             "patience": round(s.lasting_surprise / model.dt),
-            "least_yaw_rate": s.least_yaw_rate,
-            "least_speed": s.least_speed,
+            "min_yaw_rate": s.min_yaw_rate,
+            "min_speed": s.min_speed,
             "least_slip": least,
             "most_slip": most,
             "stamp_history": s.history,
@@ -266,8 +266,8 @@ class Problem:
             "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
             "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
-            "least_turn_radius": limits.least_turn_radius or 0.0,
-            "least_commanded_radius": limits.least_commanded_radius or 0.0,
+            "min_turn_radius": limits.min_turn_radius or 0.0,
+            "min_commanded_radius": limits.min_commanded_radius or 0.0,
         }
 
     def _solution(self) -> Constants:

@@ -276,7 +276,7 @@ class Pursuit:
             here,
             Course(estimate.pose, float(estimate.twist[0]), float(estimate.twist[1])),
             since_start,
-            (settings.look_ahead_min, settings.look_ahead_max),
+            (settings.min_look_ahead, settings.max_look_ahead),
             self._limits(),
             self.room,
         )
@@ -304,7 +304,7 @@ class Pursuit:
             omega=settings.effort * limits.omega,
             v_acceleration=settings.v_acceleration,
             omega_acceleration=settings.omega_acceleration,
-            least_turn_radius=limits.least_radius_of_ways,
+            min_turn_radius=limits.least_radius_of_ways,
         )
 
     def _words(self, still: float) -> str:

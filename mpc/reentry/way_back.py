@@ -155,11 +155,11 @@ def rejoin(
     reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
     cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
     cost[:, (reached | cusp) & ~options.stops] = np.inf
-    if limits.least_turn_radius:
+    if limits.min_turn_radius:
         # A robot that may not turn on the spot drives the least tight way, if none is wide enough.
         turns = np.abs(options.first_turn) + np.abs(options.last_turn)
         tightest = np.abs(paths.curvature).max(axis=1)
-        cost += _TOO_TIGHT * (np.maximum(0.0, tightest * limits.least_turn_radius - 1.0) + _ON_THE_SPOT * turns)
+        cost += _TOO_TIGHT * (np.maximum(0.0, tightest * limits.min_turn_radius - 1.0) + _ON_THE_SPOT * turns)
     if room is not None:
         cost[:, ~_has_room(options, paths, room)] = np.inf
         if not np.isfinite(cost).any():

@@ -136,7 +136,7 @@ class FloorRehearsal:
             return None
         most = float(found.distance.max())
         distance = f"{1e3 * np.sqrt(np.mean(found.distance**2)):.1f} mm beside it, {1e3 * most:.1f} mm at most"
-        if bounds.least < most <= bounds.largest:
+        if bounds.min_shift < most <= bounds.max_shift:
             self.said = f"{learned}; the path nearest to the reference that can be driven is tracked: {distance}"
             return found
         self.said = f"{learned}, {_AS_GIVEN}: what can be driven lies {distance}"

@@ -208,13 +208,15 @@ class Rehearsal:
         settings, step = self._settings, self.time[1]
         moved = self._smooth(moved) * np.minimum(1.0, self.time / (2 * settings.smoothing))[:, None]
         size = np.hypot(*moved.T)[:, None]
-        moved = moved * np.minimum(1.0, settings.largest / np.maximum(size, settings.largest))
+        moved = moved * np.minimum(1.0, settings.max_correction / np.maximum(size, settings.max_correction))
         rate = float(np.hypot(*np.gradient(moved, step, axis=0).T).max())
-        moved = moved * min(1.0, settings.largest_speed / max(rate, settings.largest_speed))
+        moved = moved * min(1.0, settings.max_correction_rate / max(rate, settings.max_correction_rate))
         v = reference.sample(self.time).twist[:, 0]
         # Along the moved path; a robot that stands or turns on the spot cannot follow to the side.
         turned = np.gradient(moved[:, 1], step) * v / (v**2 + SLOW**2)
-        return np.column_stack([moved, np.clip(turned, -settings.largest_heading, settings.largest_heading)])
+        return np.column_stack(
+            [moved, np.clip(turned, -settings.max_heading_correction, settings.max_heading_correction)]
+        )
 
 
 def same_motion(one: Reference, other: Reference) -> bool:

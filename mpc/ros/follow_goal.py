@@ -138,7 +138,7 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
         omega=share * omega * limits.omega,
         v_acceleration=slew * v * limits.v_slew,
         omega_acceleration=slew * omega * limits.omega_slew,
-        least_turn_radius=limits.least_radius_of_ways,
+        min_turn_radius=limits.least_radius_of_ways,
     )
 
 

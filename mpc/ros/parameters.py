@@ -19,6 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.mpc.config.rooms import EXPERT, FORMER, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -31,14 +32,25 @@ NONE = 0.0
 """What stands for None in a parameter: ROS parameters have a type, and None has none."""
 
 
-def fields(schema: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every field of `schema` that is a parameter by its dotted key, groups resolved; lists come by file only."""
+def fields(schema: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
+    """Every field of `schema` that is a parameter by its dotted key, groups resolved; lists come by file only.
+
+    Those of a controller come room by room, see `mpc.config.rooms`.
+    """
+    found = list(_fields(schema))
+    if schema is not ControllerConfig:
+        return found
+    named = [(shown_key(key), field) for key, field in found]
+    return sorted(named, key=lambda one: one[0].startswith(f"{EXPERT}."))
+
+
+def _fields(schema: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
     for name, field in schema.model_fields.items():
         kind = field.annotation
         if get_origin(kind) is list:
             continue
         if isinstance(kind, type) and issubclass(kind, BaseModel):
-            yield from fields(kind, f"{prefix}{name}.")
+            yield from _fields(kind, f"{prefix}{name}.")
         else:
             yield prefix + name, field
 
@@ -57,12 +69,31 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
     rclpy.exceptions.ParameterException
         If an override from the command line or a parameter file has another type, or lies out of range.
     """
+    former = {} if read_only else _under_former_names(node, config)
     parameters = [
-        (key, _to_parameter(_value(config, key)), descriptor(field, read_only=read_only))
+        (key, former.get(key, _to_parameter(_value(config, key))), descriptor(field, read_only=read_only))
         for key, field in fields(type(config))
         if key not in skip
     ]
     node.declare_parameters("", parameters)
+
+
+def _under_former_names(node: Node, config: BaseModel) -> dict[str, Value]:
+    """Values that a parameter file or the command line states under names of an earlier version; each is told.
+
+    ROS passes over a parameter that nobody declares: a limit that a file states would be lost without a word.
+    """
+    if not isinstance(config, ControllerConfig):
+        return {}
+    present = {key for key, _ in fields(ControllerConfig)}
+    known = {plain_key(key): key for key in present} | {old: shown_key(new) for old, new in FORMER.items()}
+    found: dict[str, Value] = {}
+    # The overrides of a node have no public name in rclpy 7.1.
+    for name, parameter in node._parameter_overrides.items():
+        if name in known and name not in present:
+            found[known[name]] = parameter.value
+            node.get_logger().warning(f"parameter {name} is {known[name]} now; it was taken")
+    return found
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
@@ -116,17 +147,17 @@ def read(
     data: dict[str, Any] = dict(fixed or {})
     for key, field in fields(schema):
         value = (changes or {})[key] if key in (changes or {}) else node.get_parameter(key).value
-        *groups, name = key.split(".")
+        *groups, name = plain_key(key).split(".")
         level = data
         for group in groups:
             level = level.setdefault(group, {})
         level[name] = None if _optional(field) and value == NONE else value
-    return check(schema, data, "parameters")
+    return check(schema, data, "parameters", shown_key if schema is ControllerConfig else str)
 
 
 def _value(config: BaseModel, key: str) -> object:
     value: object = config
-    for name in key.split("."):
+    for name in plain_key(key).split("."):
         value = getattr(value, name)
     return value
 

@@ -161,7 +161,7 @@ class SurroundingsInput:
 
     def take_costmap(self, raw: bytes) -> None:
         """A serialised OccupancyGrid has arrived."""
-        most = self._free_space.most_cells + _OVERHEAD
+        most = self._free_space.max_cells + _OVERHEAD
         if len(raw) > most:
             self._refuse(self.costmap, too_long(len(raw), most))
             return

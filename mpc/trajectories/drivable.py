@@ -188,7 +188,7 @@ class _Problem:
         slew = np.maximum([limits.v_slew, limits.omega_slew], own)
         rim = limits.wheel_speed
         most = [limits.v, limits.omega, limits.predicted_v, limits.predicted_omega, rim, rim]
-        turns = 0 if limits.least_turn_radius is None else 2
+        turns = 0 if limits.min_turn_radius is None else 2
         lower = np.tile([*np.negative(most), *[-np.inf] * turns], N - 1)
         upper = np.tile([*most, *[0.0] * turns], N - 1)
         none = np.zeros(3 * N)
@@ -209,7 +209,7 @@ class _Problem:
         wheels, direction = ca.SX.sym("wheels", 2), ca.SX.sym("direction")
         twist, rim = body_twist(wheels, self._slip), 0.5 * self._config.wheels.track * wheels[1]
         rows = [ca.SX(ca.mtimes(self._inverse_gain, wheels)), twist, wheels[0] + rim, wheels[0] - rim]
-        radius = self._config.limits.least_turn_radius
+        radius = self._config.limits.min_turn_radius
         if radius is not None:
             rows.append(turned_tighter(twist, ca.vertcat(radius, direction)))
         return ca.Function("limited", [wheels, direction], [ca.vertcat(*rows)])

@@ -35,7 +35,7 @@ class TrajectoryLimits:
     lateral_acceleration
         Largest lateral acceleration |v omega|, which smooth timing keeps to [m/s^2]; by default that of the robot of
         the papers.
-    least_turn_radius
+    min_turn_radius
         Turns are no tighter [m]; 0 allows turning on the spot. Only the way back to a reference looks at it.
     """
 
@@ -44,13 +44,13 @@ class TrajectoryLimits:
     v_acceleration: float
     omega_acceleration: float
     lateral_acceleration: float = load_robot().reference_acceleration.lateral
-    least_turn_radius: float = 0.0
+    min_turn_radius: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that every bound is positive and finite; raises ValueError."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name == "least_turn_radius"))):
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name == "min_turn_radius"))):
                 raise ValueError(f"trajectory limit {field.name} = {value}: must be positive and finite")
 
     @classmethod
@@ -88,7 +88,7 @@ class TrajectorySettings(StrictModel):
     pieces_per_waypoint: int = Field(ge=2, description="pieces into which the path between two waypoints is cut")
     speed_excess: float = Field(ge=0, description="share by which timed poses may exceed a speed limit")
     lateral_speed: float = Field(gt=0, description="sideways speed that timed poses may show [m/s]")
-    least_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
+    min_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
     smoothing: float = Field(gt=0, description="distance from the drawn path that smooth timing may use [m]")
     smooth_piece: float = Field(gt=0, description="length of the pieces into which a smoothed path is cut [m]")
     reach_share: float = Field(gt=0, lt=1, description="share of what a robot reaches that a scaled path asks for")
@@ -98,7 +98,7 @@ class TrajectorySettings(StrictModel):
     full_pieces: int = Field(ge=1, description="pieces of a path, above which there are fewer from point to point")
     least_pieces_per_row: int = Field(ge=1, description="between two of very many timed poses")
     least_pieces_per_waypoint: int = Field(ge=1, description="between two of very many waypoints")
-    most_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
+    max_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
     most_segments: int = Field(ge=1, description="of a file")
     most_joints: int = Field(ge=1, description="different ones that smooth timing rounds")
 
@@ -108,18 +108,18 @@ class TrajectorySettings(StrictModel):
         Raises
         ------
         models.checked_yaml.ConfigError
-            If even the `least` would make more than `most_pieces`; the message begins with `where`.
+            If even the `least` would make more than `max_pieces`; the message begins with `where`.
         """
-        most = self.most_pieces // least
+        most = self.max_pieces // least
         if points > most:
             raise ConfigError(f"{where}: {points:,} points, at most {most:,}; leave some out, or split it")
         return min(usual, max(least, self.full_pieces // max(1, points - 1)))
 
     def check_pieces(self, count: float, where: str, remedy: str) -> None:
-        """Raise ConfigError where a path would be cut into more than `most_pieces`, before it is."""
-        if not count <= self.most_pieces:
+        """Raise ConfigError where a path would be cut into more than `max_pieces`, before it is."""
+        if not count <= self.max_pieces:
             raise ConfigError(
-                f"{where}: it is so long that it is cut into {count:.3g} pieces, at most {self.most_pieces:,}; {remedy}"
+                f"{where}: it is so long that it is cut into {count:.3g} pieces, at most {self.max_pieces:,}; {remedy}"
             )
 
 

@@ -160,6 +160,6 @@ def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> 
     """Least radius of a path [m]; raises ConfigError where it turns on the spot."""
     turning = [one for one in segments if one.omega]
     if any(one.v == 0.0 for one in turning):
-        name = "least_turn_radius" if limits.least_turn_radius else "least_commanded_radius"
+        name = "min_turn_radius" if limits.min_turn_radius else "min_commanded_radius"
         raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle")
     return min((abs(one.v / one.omega) for one in turning), default=math.inf)

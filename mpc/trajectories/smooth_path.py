@@ -73,9 +73,9 @@ def smooth_path(
     # A cusp shows in the heading even where the curvature is zero on both sides of it.
     tightest = np.abs(np.diff(heading)) / lengths
     at = int(np.argmax(tightest))
-    if tightest[at] * settings.least_turn_radius > 1:
+    if tightest[at] * settings.min_turn_radius > 1:
         raise ConfigError(
-            f"{where}: the path turns with a radius below {settings.least_turn_radius:g} m between waypoints."
+            f"{where}: the path turns with a radius below {settings.min_turn_radius:g} m between waypoints."
             f"{at // pieces} and waypoints.{at // pieces + 1}; add or move waypoints to round the turn"
         )
     return SmoothPath(spline(u), heading, curvature, lengths, bend, bend_change.max(axis=1))

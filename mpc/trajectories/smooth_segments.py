@@ -94,7 +94,7 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
 
 def _sense(segment: Segment) -> int:
     """1 forwards, -1 backwards, 0 for a turn on the spot, or nearly so, and for a wait."""
-    turning = abs(segment.omega) * load_settings().least_turn_radius > abs(segment.v)
+    turning = abs(segment.omega) * load_settings().min_turn_radius > abs(segment.v)
     return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
 
 

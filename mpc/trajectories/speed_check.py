@@ -111,7 +111,7 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
                 "down, raise the limit, or identify the model on this robot"
             )
     _check_spots(reference.name, times, twist, limits)
-    radius = limits.least_turn_radius
+    radius = limits.min_turn_radius
     if radius is not None:
         tighter = twist[:, 1] * radius * _LEAST_TURN_SHARE - twist[:, 0]
         worst = int(np.argmax(tighter))
@@ -119,14 +119,14 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
             v, omega = twist[worst]
             raise ValueError(
                 f"reference '{reference.name}': at {times[worst]:.2f} s it turns on a radius of {v / omega:.3g} m, "
-                f"tighter than limits.least_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
+                f"tighter than limits.min_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
                 "unset the limit"
             )
 
 
 def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
     """Refuse a reference of sizes of `twist` (n, 2) that turns on the spot where commands keep a least radius."""
-    radius = limits.least_commanded_radius
+    radius = limits.min_commanded_radius
     if radius is None:
         return
     v, omega = twist.T
@@ -136,7 +136,7 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
         if angle > _LEAST_SPOT:
             raise ValueError(
                 f"reference '{name}': at {times[first]:.2f} s it turns on the spot by {angle:.2g} rad, which "
-                f"limits.least_commanded_radius = {radius:g} forbids; give a path of curves, or unset the limit"
+                f"limits.min_commanded_radius = {radius:g} forbids; give a path of curves, or unset the limit"
             )
 
 
@@ -146,7 +146,7 @@ def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain:
     With the steady-state `gain` (2, 2) of the model the commands count that keep the reference's twist. Such a
     reference is not refused: its corners are cut.
     """
-    radius = limits.least_commanded_radius
+    radius = limits.min_commanded_radius
     if radius is None:
         return ""
     times = _instants(reference, dt)
@@ -159,7 +159,7 @@ def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain:
     worst = int(np.argmax(tighter))
     return (
         f"reference '{reference.name}': for {count * (times[1] - times[0]):.1f} s it turns tighter than "
-        f"limits.least_commanded_radius = {radius:g}, down to {v[worst] / omega[worst]:.2g} m at {times[worst]:.2f} s; "
+        f"limits.min_commanded_radius = {radius:g}, down to {v[worst] / omega[worst]:.2g} m at {times[worst]:.2f} s; "
         "its corners are cut"
     )
 

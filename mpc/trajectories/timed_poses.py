@@ -85,7 +85,7 @@ def lay_timed_poses(
 def _read(path: Path) -> FloatArray:
     """Columns t, x, y, theta of the file, (m, 4), checked for form."""
     settings = load_settings()
-    most = settings.most_pieces // settings.least_pieces_per_row
+    most = settings.max_pieces // settings.least_pieces_per_row
     try:
         with TextIOWrapper(open_input(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)

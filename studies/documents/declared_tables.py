@@ -11,6 +11,7 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.step_scalars import scalars_table
 from diffdrive_mpc.mpc.config.described import FieldRow, schema_rows
+from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from studies.documents.documents import insert
@@ -50,7 +51,7 @@ def parameter_tables() -> str:
         If a parameter has no advice, or an advice no parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
-    keys = [row.key for row in schema_rows(NodeSettings) + _controller_rows()]
+    keys = [plain_key(row.key) for row in schema_rows(NodeSettings) + _controller_rows()]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:
         if name not in known:
@@ -69,12 +70,18 @@ def configuration_tables() -> str:
     groups: dict[str, list[FieldRow]] = {}
     for row in _controller_rows():
         groups.setdefault(row.key.rpartition(".")[0], []).append(row)
-    return "\n\n".join(_table(_TITLES[group], rows, advice) for group, rows in groups.items())
+    return "\n\n".join(_table(_title(group), rows, advice) for group, rows in groups.items())
+
+
+def _title(group: str) -> str:
+    """Of the table of a group; one of the second room says so."""
+    inner = group.removeprefix(EXPERT).removeprefix(".")
+    return f"For experts: {_TITLES[inner]}" if group != inner else _TITLES[group]
 
 
 def _controller_rows() -> list[FieldRow]:
     """Keys of the configuration that are parameters: a list comes by file only, and its items with it."""
-    return [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
+    return [row for row in schema_rows(ControllerConfig) if not plain_key(row.key).startswith("terms")]
 
 
 def with_tables(name: str, page: str) -> str:
@@ -88,7 +95,8 @@ def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
 
 
 def _line(row: FieldRow, advice: dict[str, str]) -> str:
-    when = advice.get(row.key) or advice.get(row.key.partition(".")[0])
+    plain = plain_key(row.key)
+    when = advice.get(plain) or advice.get(plain.partition(".")[0])
     if when is None:
         raise ConfigError(f"{_ADVICE.name}: no advice on '{row.key}'; add when to change it")
     # A ROS parameter cannot be null.

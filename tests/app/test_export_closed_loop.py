@@ -92,8 +92,8 @@ def test_another_model_with_dead_time(tmp_path):
 
 
 def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
-    overrides = {"estimator.veer_uncertainty": 0.02, "estimator.yaw_coupling": 0.05, "limits.least_turn_radius": 0.95}
-    overrides["limits.least_commanded_radius"] = 1.2
+    overrides = {"estimator.veer_uncertainty": 0.02, "estimator.yaw_coupling": 0.05, "limits.min_turn_radius": 0.95}
+    overrides["limits.min_commanded_radius"] = 1.2
     program = export(tmp_path / "curved", "s", "double", overrides, "-O0", "-fsanitize=address,undefined")
     steps = drive_both(program, "s", overrides, 120, offset=(0.0, 0.04, 0.1))
     assert np.abs(differences(steps)).max() <= DOUBLE
@@ -107,7 +107,7 @@ def test_energy_and_its_least_radius_come_along(tmp_path):
     overrides = {
         "energy.turn_costs": "fsu_bot-carpet",
         "energy.weight": 0.01,
-        "energy.least_radius": True,
+        "energy.use_min_radius": True,
         "horizon": 12,
     }
     program = export(tmp_path / "energy", "circle", "double", overrides, "-O0")

@@ -38,7 +38,7 @@ CONFIG, MODEL = load_config("sm"), load_model("sm")
 ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
 CLASSICAL = [name for name in LAWS if not name.startswith("mppi")]
 PATHS = ("square", "s")
-PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, look_ahead_min=0.1, along=3.0, turn=3.0, least_radius=0.0)
+PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
 
 def sight(pose, reference, feed_forward, time=2.0, twist=None):
@@ -212,7 +212,7 @@ MODERATE = {
     "pursuit": {
         "lead": 0.09,
         "look_ahead_time": 0.3,
-        "look_ahead_min": 0.1,
+        "min_look_ahead": 0.1,
         "along": 3,
         "turn": 3,
         "least_radius": 0.3,

@@ -243,11 +243,11 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
         k.largest_twist_jump[i] = wild(2.0, seldom);
     }
     k.wheel_yaw_ratio = R(1.2);
-    k.least_turn_radius = s->turns ? R(0.7) : R(0.0);
-    k.least_commanded_radius = s->command_turns ? R(0.9) : R(0.0);
+    k.min_turn_radius = s->turns ? R(0.7) : R(0.0);
+    k.min_commanded_radius = s->command_turns ? R(0.9) : R(0.0);
     k.surprise = R(9.0);
     k.patience = R(10.0);
-    k.least_yaw_rate = k.least_speed = R(0.05);
+    k.min_yaw_rate = k.min_speed = R(0.05);
     k.stamp_history = (real)(0.8 * k.longest_pause);
     k.monitor = 1;
     k.enough = (real)uniform(1.0, 30.0);

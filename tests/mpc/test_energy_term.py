@@ -118,13 +118,13 @@ def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
 
 
 def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
-    asked = {"energy.turn_costs": "fsu_bot-default", "energy.least_radius": True}
+    asked = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
     controller = Controller(load_config("ssm", asked))
-    assert controller.config.limits.least_commanded_radius == COSTS["default"].least_radius() > 1.0
-    own = load_config("ssm", asked | {"limits.least_commanded_radius": 0.9})
-    assert with_least_radius(own).limits.least_commanded_radius == 0.9
+    assert controller.config.limits.min_commanded_radius == COSTS["default"].least_radius() > 1.0
+    own = load_config("ssm", asked | {"limits.min_commanded_radius": 0.9})
+    assert with_least_radius(own).limits.min_commanded_radius == 0.9
     none = load_config("ssm", asked | {"energy.turn_costs": "fsu_bot-slippery"})
-    assert with_least_radius(none).limits.least_commanded_radius is None
+    assert with_least_radius(none).limits.min_commanded_radius is None
 
 
 def test_turn_costs_lie_beside_the_configuration_that_names_them(tmp_path):
@@ -143,6 +143,6 @@ def test_mistakes_are_said_in_one_line(tmp_path):
     weak = COSTS["default"].model_dump(mode="json")
     weak["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of its drive train
     (tmp_path / "weak.yaml").write_text(yaml.safe_dump(weak))
-    config = load_config("ssm", {"energy.turn_costs": str(tmp_path / "weak.yaml"), "energy.least_radius": True})
+    config = load_config("ssm", {"energy.turn_costs": str(tmp_path / "weak.yaml"), "energy.use_min_radius": True})
     with pytest.raises(ConfigError, match="the motors have no torque for any turn"):
         Controller(config)

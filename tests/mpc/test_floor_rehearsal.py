@@ -136,7 +136,7 @@ def test_a_least_turn_radius_is_kept():
         TrajectoryLimits.of_robot(),
         name="wide",
     )
-    config = load_config("ssm", SETTINGS | {"limits.least_turn_radius": radius})
+    config = load_config("ssm", SETTINGS | {"limits.min_turn_radius": radius})
     found = planned("p4_grass", wide, config)
     v, _, omega = polynomial_twist(coefficients("p4_grass"), found.wheels[1:-1]).T
     assert (radius * np.abs(omega) <= v + 1e-6).all()
@@ -146,8 +146,8 @@ def test_a_least_turn_radius_is_kept():
     ("settings", "words"),
     [
         ({"drivable.iterations": 1}, "the solver ended with maximum iterations exceeded"),
-        ({"drivable.largest": 0.002}, "mm at most"),
-        ({"drivable.least": 0.09}, "mm at most"),
+        ({"drivable.max_shift": 0.002}, "mm at most"),
+        ({"drivable.min_shift": 0.09}, "mm at most"),
     ],
 )
 def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, words):

@@ -15,8 +15,8 @@ from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
 from diffdrive_mpc.sim import make_plant, simulate
 
 DT = 0.0202
-KEY = "limits.least_commanded_radius"
-HELD = "the turn is held to limits.least_commanded_radius"
+KEY = "limits.min_commanded_radius"
+HELD = "the turn is held to limits.min_commanded_radius"
 
 
 def excess(commands, radius):
@@ -101,7 +101,7 @@ def test_a_sharper_curve_is_cut_and_the_robot_returns_to_its_path():
     )
     config = load_config("ssm", {KEY: 0.7})
     said = sharper_than_commands(reference, config.limits, config.sample_time)
-    assert "for 2.1 s it turns tighter than limits.least_commanded_radius = 0.7, down to 0.5" in said
+    assert "for 2.1 s it turns tighter than limits.min_commanded_radius = 0.7, down to 0.5" in said
     run = driven(config, reference, name="model:ssm", sensors="perfect")
     assert excess(run.command, 0.7).max() <= 1e-12
     off = np.hypot(*(run.true_pose - reference.sample(run.time).pose)[:, :2].T)
@@ -137,11 +137,9 @@ def test_a_reference_that_turns_on_the_spot_is_refused_in_one_line():
 
 def test_it_changes_while_driving_but_is_neither_set_nor_unset():
     controller = Controller(load_config("ssm", {KEY: 1.5}))
-    assert controller.update(limits={"least_commanded_radius": 1.2}).limits.least_commanded_radius == 1.2
-    with pytest.raises(
-        ConfigError, match="limits.least_commanded_radius: it can be changed while driving, but neither"
-    ):
-        Controller(load_config("ssm")).update(limits={"least_commanded_radius": 1.2})
+    assert controller.update(limits={"min_commanded_radius": 1.2}).limits.min_commanded_radius == 1.2
+    with pytest.raises(ConfigError, match="limits.min_commanded_radius: it can be changed while driving, but neither"):
+        Controller(load_config("ssm")).update(limits={"min_commanded_radius": 1.2})
 
 
 @pytest.mark.parametrize("surface", ["default", "slippery"])

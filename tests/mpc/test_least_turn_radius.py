@@ -16,7 +16,7 @@ from diffdrive_mpc.sim import make_plant
 
 
 def with_radius(radius, **more):
-    return load_config("ssm", {"limits.least_turn_radius": radius} | more)
+    return load_config("ssm", {"limits.min_turn_radius": radius} | more)
 
 
 def circle(radius, v=0.5, turn=1.0):
@@ -76,7 +76,7 @@ def test_the_plan_keeps_the_radius_wherever_it_can():
 @pytest.mark.parametrize("name", ["square", "figure8"])
 def test_a_reference_that_turns_tighter_is_refused_in_one_line(name):
     controller = Controller(with_radius(1.5))
-    with pytest.raises(ValueError, match=r"turns on a radius of .* tighter than limits.least_turn_radius = 1.5"):
+    with pytest.raises(ValueError, match=r"turns on a radius of .* tighter than limits.min_turn_radius = 1.5"):
         controller.start(load_trajectory(name), 0.0)
 
 
@@ -87,7 +87,7 @@ def test_a_scaled_path_is_as_wide_as_the_robot_needs():
     assert excess(twist, 2.0).max() <= 1e-9
     assert excess(twist, 2.0 * 1.25).max() > 0
     Controller(config).start(reference, 0.0)
-    with pytest.raises(ConfigError, match="square: it turns on the spot, which limits.least_turn_radius forbids"):
+    with pytest.raises(ConfigError, match="square: it turns on the spot, which limits.min_turn_radius forbids"):
         scaled_to_robot("square", config, load_model("ssm"))
 
 
@@ -98,7 +98,7 @@ def test_the_way_back_turns_no_tighter(side):
     here = int(np.argmin(np.abs(window.times - 2.0)))
     pose = window.pose[here] + [0.0, side, 0.0]
     for radius in (0.0, 0.8):
-        limits = TrajectoryLimits(0.7, 1.5, 0.7, 2.0, least_turn_radius=radius)
+        limits = TrajectoryLimits(0.7, 1.5, 0.7, 2.0, min_turn_radius=radius)
         found = rejoin(reference, window, here, Course(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
         assert found is not None
         twist = found.connection.sample(np.linspace(0, found.connection.duration, 300)).twist
@@ -107,6 +107,6 @@ def test_the_way_back_turns_no_tighter(side):
 
 def test_it_changes_while_driving_but_is_neither_set_nor_unset():
     controller = Controller(with_radius(1.5))
-    assert controller.update(limits={"least_turn_radius": 1.2}).limits.least_turn_radius == 1.2
+    assert controller.update(limits={"min_turn_radius": 1.2}).limits.min_turn_radius == 1.2
     with pytest.raises(ConfigError, match="neither set nor unset"):
-        Controller(load_config("ssm")).update(limits={"least_turn_radius": 1.2})
+        Controller(load_config("ssm")).update(limits={"min_turn_radius": 1.2})

@@ -12,7 +12,7 @@ from oracle.kalman import Belief, SlipFilter
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
 # Nothing surprises it, and nothing is too slow: its corrections are those of the textbook.
-SETTINGS = Estimator(surprise=1e9, least_yaw_rate=1e-9, least_speed=1e-9)
+SETTINGS = Estimator(surprise=1e9, min_yaw_rate=1e-9, min_speed=1e-9)
 FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
 N = MODEL.order
 SIZE = N + 14
@@ -171,8 +171,8 @@ def test_gains_stay_such_as_a_robot_can_have(value):
     mean[:N] = MODEL.settled_state([0.5, 0.5])
     belief, _ = trusting.correct(Belief(mean, np.diag(np.full(SIZE, 10.0))), "yaw_rate", value, 1e-6)
     gains = belief.mean[N + 1 : N + 4]
-    assert (gains >= settings.least_gain).all()
-    assert (gains <= settings.most_gain).all()
+    assert (gains >= settings.min_gain).all()
+    assert (gains <= settings.max_gain).all()
 
 
 def test_the_angle_between_two_poses_is_the_short_way_round():

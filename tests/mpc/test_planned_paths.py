@@ -193,7 +193,7 @@ def test_a_path_that_comes_by_again_is_not_cut_short():
 
 
 def test_a_robot_that_may_not_turn_on_the_spot_does_not():
-    wide = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, least_turn_radius=0.5)
+    wide = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, min_turn_radius=0.5)
     found = laid(headed(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
     sample = sampled(found)[1]
     assert np.abs(sample.twist[np.abs(sample.twist[:, 0]) < 1e-3, 1]).max() < 0.01

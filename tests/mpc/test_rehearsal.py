@@ -84,7 +84,7 @@ def test_laps_repeat_bit_for_bit():
 
 
 def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
-    learning = controller(largest=0.002, largest_speed=0.01, largest_heading=0.004)
+    learning = controller(max_correction=0.002, max_correction_rate=0.01, max_heading_correction=0.004)
     for _ in range(4):
         lap(learning)
     found = learning.rehearsal

@@ -186,9 +186,9 @@ def test_a_limit_that_cannot_be_set_while_driving_is_refused_and_the_node_drives
     """Zero stands for none: to say again that there is none changes nothing."""
     with stack(drive=True) as s:
         s.base.run(10)
-        refused = set_over_dds(s, limits__least_turn_radius=0.8)
+        refused = set_over_dds(s, limits__min_turn_radius=0.8)
         assert not refused.successful
         assert "neither set nor unset" in refused.reason
-        assert set_over_dds(s, limits__least_turn_radius=0.0, limits__v=0.7).successful
+        assert set_over_dds(s, limits__min_turn_radius=0.0, limits__v=0.7).successful
         assert s.base.run(20)[-1, 0] > 0.1
         assert s.node._controller.config.limits.v == 0.7

@@ -99,7 +99,7 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
 def test_rows_of_the_least_commanded_radius_converge_to_ipopts_solution_while_they_press():
     """A circle that turns a tenth tighter than commands may: the plan is held, in every sample of it."""
     radius = 1.1 * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
-    overrides = {"horizon": HORIZON, "reentry.enabled": False, "limits.least_commanded_radius": radius}
+    overrides = {"horizon": HORIZON, "reentry.enabled": False, "limits.min_commanded_radius": radius}
     config = load_config("ssm", overrides | NO_SLIP | EXACT)
 
     def make():

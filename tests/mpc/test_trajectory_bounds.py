@@ -91,7 +91,7 @@ def test_too_many_points_segments_and_joints_are_refused_with_their_number() -> 
     settings = load_settings()
     with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
         lay_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
-    rows = np.zeros((settings.most_pieces // settings.least_pieces_per_row + 1, 4))
+    rows = np.zeros((settings.max_pieces // settings.least_pieces_per_row + 1, 4))
     rows[:, 0] = np.arange(len(rows))
     with pytest.raises(ConfigError, match=r"here: 500,001 points"):
         lay_timed_poses(rows, _LIMITS, name="x", where="here")
@@ -105,7 +105,7 @@ def test_too_many_points_segments_and_joints_are_refused_with_their_number() -> 
 
 def test_a_file_of_poses_is_left_as_soon_as_it_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the memory of the rows that may be, not of those that are there."""
-    fewer = load_settings().model_copy(update={"most_pieces": 2000})
+    fewer = load_settings().model_copy(update={"max_pieces": 2000})
     monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: fewer)
     file = tmp_path / "long.csv"
     file.write_text("t,x,y,theta\n" + "".join(f"{i},0,0,0\n" for i in range(200_000)), encoding="utf-8")

@@ -147,7 +147,7 @@ class SlipFilter:
         Q[:n, :n] = drive @ np.diag([s.v_input_noise**2, s.omega_input_noise**2]) @ drive.T
         # A gain shows only while its channel moves: without news its uncertainty must not grow.
         v, omega = np.abs(self.twist(z, 0.5 * model.C @ (z[:n] + after[:n])))
-        driving, turning = v >= s.least_speed, omega >= s.least_yaw_rate
+        driving, turning = v >= s.min_speed, omega >= s.min_yaw_rate
         cornering = driving and turning
         moving = [True, turning, driving, turning, cornering, turning, turning, cornering, turning, turning, True]
         Q[self.slip_places, self.slip_places] = self.drift**2 * model.dt * moving
@@ -195,10 +195,10 @@ class SlipFilter:
         K = np.linalg.solve(S, H @ P).T
         if pushed:
             K[self.slip_places] = 0.0
-        elif abs(self.twist(z)[1]) < s.least_yaw_rate:
+        elif abs(self.twist(z)[1]) < s.min_yaw_rate:
             K[self.gains[[0, 2]]] = 0.0
         mean = z + K @ innovation
-        mean[self.gains] = np.clip(mean[self.gains], s.least_gain, s.most_gain)
+        mean[self.gains] = np.clip(mean[self.gains], s.min_gain, s.max_gain)
         # Joseph's form holds for any gain.
         I_KH = np.eye(len(z)) - K @ H
         P = I_KH @ P @ I_KH.T + K @ R @ K.T

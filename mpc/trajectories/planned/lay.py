@@ -239,7 +239,7 @@ def lay_poses(
     speed, yaw_rate = twist
     standing = abs(speed) < _STANDING
     bend = 0.0 if standing else max(-_TIGHTEST, min(_TIGHTEST, yaw_rate / abs(speed)))
-    may_turn = not limits.least_turn_radius
+    may_turn = not limits.min_turn_radius
     pose = np.array([*poses[0, :2], robot[2]])
     off = 0.0
     for index, run in enumerate(runs):

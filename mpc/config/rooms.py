@@ -1,0 +1,160 @@
+"""The two rooms of a configuration: what a user sets, and under `expert:` what has a default that nobody has to touch.
+
+Files, `config show`, documents and the node's parameters have them; inside the program a configuration has its groups
+side by side, and so do records of runs.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, laid_over
+from diffdrive_mpc.models.errors import FormerNameWarning
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+
+EXPERT = "expert"
+USER = (
+    "model",
+    "sample_time",
+    "horizon",
+    "extra_dead_time",
+    "weights.along",
+    "weights.across",
+    "weights.heading",
+    "weights.v",
+    "weights.omega",
+    "weights.v_increment",
+    "weights.omega_increment",
+    "weights.terminal",
+    "limits.v",
+    "limits.omega",
+    "limits.v_slew",
+    "limits.omega_slew",
+    "limits.wheel_speed",
+    "limits.min_turn_radius",
+    "wheels",
+    "solver.strategy",
+    "solver.backend",
+    "solver.time_limit",
+    "failure.max_pose_age",
+    "failure.resume",
+    "fence",
+    "free_space.enabled",
+    "free_space.footprint",
+    "free_space.margin",
+    "energy",
+    "rehearsal.enabled",
+    "rehearsal.by",
+    "online_dead_time.enabled",
+    "terms",
+)
+"""Keys of the first room, a group for all of its keys; everything else lies under `expert:`."""
+FORMER = {
+    "limits.least_turn_radius": "limits.min_turn_radius",
+    "limits.least_commanded_radius": "limits.min_commanded_radius",
+    "energy.least_radius": "energy.use_min_radius",
+    "estimator.least_yaw_rate": "estimator.min_yaw_rate",
+    "estimator.least_speed": "estimator.min_speed",
+    "estimator.least_gain": "estimator.min_gain",
+    "estimator.most_gain": "estimator.max_gain",
+    "reentry.look_ahead_min": "reentry.min_look_ahead",
+    "reentry.look_ahead_max": "reentry.max_look_ahead",
+    "online_dead_time.least_rate_v": "online_dead_time.min_rate_v",
+    "online_dead_time.least_rate_omega": "online_dead_time.min_rate_omega",
+    "online_dead_time.largest_deviation": "online_dead_time.max_deviation",
+    "online_dead_time.least_difference": "online_dead_time.min_difference",
+    "online_dead_time.told_from": "online_dead_time.report_from",
+    "free_space.most_cells": "free_space.max_cells",
+    "free_space.most_pieces": "free_space.max_pieces",
+    "rehearsal.largest": "rehearsal.max_correction",
+    "rehearsal.largest_heading": "rehearsal.max_heading_correction",
+    "rehearsal.largest_speed": "rehearsal.max_correction_rate",
+    "drivable.least": "drivable.min_shift",
+    "drivable.largest": "drivable.max_shift",
+}
+"""Present names of keys by those that they had in earlier files."""
+
+
+def is_for_users(key: str) -> bool:
+    """Whether a dotted key stands in the first room."""
+    return any(key == one or key.startswith((f"{one}.", f"{one}[]")) for one in USER)
+
+
+def shown_key(key: str) -> str:
+    """A dotted key of `ControllerConfig` as files, parameters and messages name it."""
+    group = key.partition(".")[0].partition("[")[0]
+    if is_for_users(key) or group not in ControllerConfig.model_fields:
+        return key
+    # A name that a group of both rooms does not know stands where it was written.
+    known = key in _LEAVES or not any(one.startswith(f"{group}.") for one in USER)
+    return f"{EXPERT}.{key}" if known else key
+
+
+def plain_key(key: str) -> str:
+    """A dotted key as `ControllerConfig` has it, from one in either room or of an earlier name."""
+    inner = key.removeprefix(f"{EXPERT}.")
+    return FORMER.get(inner, inner)
+
+
+def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """Values as a file states them, in two rooms or as earlier files did, as `ControllerConfig` takes them.
+
+    With a name of the file in `where`, one FormerNameWarning says the present names of what stands as in an earlier
+    file.
+
+    Raises ConfigError if a key is stated in both rooms, or a user's key under `expert`.
+    """
+    first = {key: value for key, value in data.items() if key != EXPERT}
+    inner = data.get(EXPERT)
+    if inner is not None and not isinstance(inner, Mapping):
+        raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
+    second = dict(inner or {})
+    stated = dict(_leaves(first))
+    for key in dict(_leaves(second)):
+        if key in stated:
+            raise ConfigError(f"{where or 'configuration'}: {key} stands twice, also under '{EXPERT}'; leave one out")
+        if is_for_users(key):
+            raise ConfigError(f"{where or 'configuration'}: {EXPERT}.{key}: write it outside '{EXPERT}', as {key}")
+    moved = {key: shown_key(plain_key(key)) for key in stated if shown_key(plain_key(key)) != key}
+    moved |= {f"{EXPERT}.{key}": shown_key(FORMER[key]) for key, _ in _leaves(second) if key in FORMER}
+    if moved and where:
+        old, new = next(iter(moved.items()))
+        more = f", and {len(moved) - 1} more keys like it" if len(moved) > 1 else ""
+        message = f"{where}: {old} is {new} now{more}; `diffdrive-mpc config show` prints the file as it is written now"
+        warnings.warn(message, FormerNameWarning, stacklevel=3)
+    return _with_present_names(laid_over(first, second))
+
+
+def in_rooms(config: StrictModel) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keys and values of a configuration by room, in the order of the schema."""
+    rooms: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    for key, value in _leaves(config.model_dump()):
+        room = rooms[not is_for_users(key)]
+        *groups, name = key.split(".")
+        for group in groups:
+            room = room.setdefault(group, {})
+        room[name] = value
+    return rooms
+
+
+def _with_present_names(data: dict[str, Any]) -> dict[str, Any]:
+    for old, new in FORMER.items():
+        group, _, name = old.partition(".")
+        values = data.get(group)
+        if isinstance(values, Mapping) and name in values:
+            kept = {key: value for key, value in values.items() if key != name}
+            data[group] = {new.partition(".")[2]: values[name]} | kept
+    return data
+
+
+def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in data.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+_LEAVES = frozenset(key for key, _ in _leaves(ControllerConfig().model_dump()))
