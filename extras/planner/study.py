@@ -18,7 +18,7 @@ from diffdrive_mpc.extras.planner.settings import PlanSettings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
-from diffdrive_mpc.sim.worlds.world_file import World
+from diffdrive_mpc.sim.worlds.world import World
 
 # A way of least energy that is so many times as long as the shortest is pointed out.
 _LONG = 1.5
