@@ -14,16 +14,17 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller
     from diffdrive_mpc.mpc.estimation.estimate import Estimate
+    from diffdrive_mpc.mpc.hold import Hold
     from diffdrive_mpc.mpc.problem.terms import Term
     from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
-    from diffdrive_mpc.mpc.step_result import Hold, Mode, StepResult
+    from diffdrive_mpc.mpc.step_result import Mode, StepResult
     from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 
 _HOMES = {
     "Controller": "mpc.controller",
     "ControllerConfig": "mpc.config.schema",
     "Estimate": "mpc.estimation.estimate",
-    "Hold": "mpc.step_result",
+    "Hold": "mpc.hold",
     "Measurement": "models.interface",
     "Mode": "mpc.step_result",
     "SolverPath": "mpc.solver.report",

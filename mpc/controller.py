@@ -30,6 +30,7 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.estimate import Belief, Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepared
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
@@ -38,7 +39,7 @@ from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters,
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import Hold, StepResult
+from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
 

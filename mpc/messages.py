@@ -7,8 +7,9 @@ from typing import Any
 
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverPath, SolverStatus
-from diffdrive_mpc.mpc.step_result import Hold, Mode
+from diffdrive_mpc.mpc.step_result import Mode
 
 
 class MessageFormatter:

@@ -134,23 +134,3 @@ class StepResult:
             x, y, theta = self.estimate.pose.tolist()
             lines.append(f"estimate  {x:.3f} m {y:.3f} m {theta:.3f} rad")
         return "\n".join(lines if not self.message else [*lines, f"message   {self.message}"])
-
-
-# A reason from outside the controller not to drive.
-
-
-@dataclass(frozen=True, slots=True)
-class Hold:
-    """Asks the controller to brake and stand; the reference waits meanwhile.
-
-    Attributes
-    ----------
-    reason
-        Why, in words; it becomes part of the step's message.
-    failure
-        Whether it counts as a failure: then `failure.resume` of the configuration decides whether the robot drives on
-        by itself when the hold ends. A pause is none.
-    """
-
-    reason: str
-    failure: bool = False

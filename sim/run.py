@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from diffdrive_mpc.sim.worlds.passage import Contact, Passage
-    from diffdrive_mpc.sim.worlds.world_file import World
+    from diffdrive_mpc.sim.worlds.world import World
 
 NO_SOLVER = "none"
 """Path of a tick at which no solver ran, or of a controller without one."""

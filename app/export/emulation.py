@@ -20,7 +20,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, Stamped
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Mode
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.sim import make_plant, simulate
 
 # An exported controller on QEMU's STM32F4, in closed loop over its serial line, with its instructions counted.

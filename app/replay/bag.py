@@ -24,7 +24,7 @@ from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord, TickR
 from diffdrive_mpc.models.trust import UntrustedFileError
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.config.config_file import config_from_log
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.tabled import TabledTrajectory
 
 if TYPE_CHECKING:

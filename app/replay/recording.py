@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 
 UNKNOWN = np.full(2, np.nan)
 """A command that the log does not hold."""

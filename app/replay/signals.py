@@ -22,8 +22,8 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc import ControllerConfig, Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
-from diffdrive_mpc.mpc.trajectories.path_timing import TIMINGS
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import TIMINGS
 
 # The reference as a log holds it: its samples at the ticks, and cubics between them.
 

@@ -41,7 +41,7 @@ from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, di
 from diffdrive_mpc.sim.plants.surface import Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 from diffdrive_mpc.sim.worlds.settings import world_settings
-from diffdrive_mpc.sim.worlds.world_file import World
+from diffdrive_mpc.sim.worlds.world import World
 
 # JSON Schemas of files that say less, or other things, than the whole that they stand for.
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 import yaml
 
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.options import PluggedCommand, out_option
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
@@ -135,46 +131,3 @@ def _tables(results: LogOutcome) -> list[Table]:
         row = (number(results.measured, 1), number(results.predicted, 1), number(off, 1))
         tables.append(Table("Energy of the log", ("measured [J]", "predicted [J]", "off [%]"), (row,)))
     return tables
-
-
-# `diffdrive-mpc torque`: what a turn costs a robot, from a log of it.
-
-
-def torque(
-    *,
-    log: Annotated[Path, typer.Option(help="Log of a robot whose battery and motors are logged.")],
-    vehicle: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Its weight, lengths and torque limit (YAML).",
-            autocompletion=choices("vehicle"),
-        ),
-    ],
-    out: Annotated[Path, out_option("drive.yaml, turn-costs.yaml, report.html, torque.json, torque.md and figures/")],
-    mapping: Annotated[
-        str | None,
-        typer.Option(help="What its columns or topics are.", show_default=False, autocompletion=choices("mapping")),
-    ] = None,
-    drive: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Drive constants to begin with (YAML).",
-            show_default=False,
-            autocompletion=choices("drive"),
-        ),
-    ] = None,
-) -> None:
-    """Learn what a turn costs a robot from its log: drive constants, torque curves and slip law."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does without it
-
-    carry_out(TorqueLogStudy(log, mapping, vehicle, drive), out, jobs=1)
-
-
-TORQUE = PluggedCommand(
-    "Your robot",
-    "torque",
-    torque,
-    "Example: diffdrive-mpc torque --log drive.csv --vehicle fsu_bot --out from-log",
-)

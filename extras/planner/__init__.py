@@ -6,7 +6,7 @@ from diffdrive_mpc.models.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from diffdrive_mpc.extras.planner.clearance import PlanError
-    from diffdrive_mpc.extras.planner.command import OBJECTIVES, Objective
+    from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
     from diffdrive_mpc.extras.planner.planner import plan, plan_each
     from diffdrive_mpc.extras.planner.result import Plan
     from diffdrive_mpc.extras.planner.search import Found, Piece
@@ -28,8 +28,8 @@ __getattr__ = on_first_use(
     __name__,
     {
         "PlanError": "clearance",
-        "OBJECTIVES": "command",
-        "Objective": "command",
+        "OBJECTIVES": "inputs",
+        "Objective": "inputs",
         "plan": "planner",
         "plan_each": "planner",
         "Plan": "result",

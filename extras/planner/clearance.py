@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from diffdrive_mpc.extras.planner.command import OBJECTIVES, sharpest_radius
+from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, sharpest_radius
 from diffdrive_mpc.extras.planner.settings import PlanSettings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray

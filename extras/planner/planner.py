@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.extras.planner.clearance import Clearance, allowed_radius, checked, free_map, outline
-from diffdrive_mpc.extras.planner.command import OBJECTIVES, Objective
+from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
 from diffdrive_mpc.extras.planner.result import Plan
 from diffdrive_mpc.extras.planner.settings import PlanSettings, load_plan_settings
 from diffdrive_mpc.extras.planner.task import Task

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from diffdrive_mpc.extras.planner.clearance import Clearance
-from diffdrive_mpc.extras.planner.command import Objective
+from diffdrive_mpc.extras.planner.inputs import Objective
 from diffdrive_mpc.extras.planner.schedule import Schedule
 from diffdrive_mpc.extras.planner.settings import PlanSettings
 from diffdrive_mpc.models.interface import FloatArray

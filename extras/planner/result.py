@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diffdrive_mpc.extras.planner.command import Objective
+from diffdrive_mpc.extras.planner.inputs import Objective
 from diffdrive_mpc.extras.planner.schedule import Schedule
 from diffdrive_mpc.extras.planner.search import Found, Piece
 from diffdrive_mpc.models.interface import FloatArray

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.extras.planner.clearance import ClearanceMap
-from diffdrive_mpc.extras.planner.command import Index, Inputs, Mask
+from diffdrive_mpc.extras.planner.inputs import Index, Inputs, Mask
 from diffdrive_mpc.extras.planner.settings import SearchSettings
-from diffdrive_mpc.extras.planner.study import Words, arc_arc_arc, arc_straight, arc_straight_arc, placed
+from diffdrive_mpc.extras.planner.words import Words, arc_arc_arc, arc_straight, arc_straight_arc, placed
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 

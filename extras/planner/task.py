@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.extras.planner.clearance import Clearance, ClearanceMap, PlanError, words_of
-from diffdrive_mpc.extras.planner.command import OBJECTIVES, Objective, make_inputs, spot_rate
+from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective, make_inputs, spot_rate
 from diffdrive_mpc.extras.planner.polish import polish
 from diffdrive_mpc.extras.planner.result import POLISHED, SEARCHED, UNFINISHED, Plan, driven, made_exact, sampled
 from diffdrive_mpc.extras.planner.schedule import Schedule, laid_out

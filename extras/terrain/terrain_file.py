@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
-from diffdrive_mpc.models.file_kind import FileKind
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.slip_laws import polynomial_twist
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
 
 TERRAINS = Path(__file__).parent / "terrains"
 Row = tuple[float, float, float]
@@ -58,15 +52,3 @@ class Terrain(StrictModel):
 def load_terrain(name: str | Path) -> Terrain:
     """Read a terrain by shipped name ("vinyl", "asphalt", ...) or path; raises ConfigError on a mistake in it."""
     return load_checked(Terrain, named_file("terrain", TERRAINS, name))
-
-
-# What `models.plug_ins` finds of terrains.
-
-
-def _reader() -> type[BaseModel]:
-    return Terrain
-
-
-TERRAIN = FileKind(
-    "terrain", "extras", "shear and slip of a floor", "load_terrain", ("terrain/terrains/*.yaml",), reader=_reader
-)

@@ -10,9 +10,10 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.terms import Term
 from diffdrive_mpc.mpc.reentry import Pursuit
-from diffdrive_mpc.mpc.step_result import Hold, StepResult
+from diffdrive_mpc.mpc.step_result import StepResult
 
 
 @dataclass

@@ -13,8 +13,9 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper
 from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.terms import Term, half_space_function, parameter_places
-from diffdrive_mpc.mpc.step_result import Hold, StepResult
+from diffdrive_mpc.mpc.step_result import StepResult
 
 # The rows of free space among the soft limits: one shipped term for each, whose C comes with the core.
 

@@ -21,8 +21,9 @@ from diffdrive_mpc.mpc.free_space.guide import Guide
 from diffdrive_mpc.mpc.free_space.path_table import PathTable
 from diffdrive_mpc.mpc.free_space.pieces import Known, Pieces, PlacedFootprint, address, least_gaps, pieces_of
 from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.terms import PARAMETERS
-from diffdrive_mpc.mpc.step_result import Hold, Mode, StepResult
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 AT_REST = 0.02
 """Slower than this a robot does no harm [m/s]."""

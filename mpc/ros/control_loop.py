@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.latency import LoopTimes
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.transforms.frames import Placement
-from diffdrive_mpc.mpc.step_result import Hold, Mode, StepResult
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference, starting_at
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
-from diffdrive_mpc.mpc.trajectories.path_timing import Phase
+from diffdrive_mpc.mpc.trajectories.timing import Phase
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 

@@ -11,8 +11,8 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.path_timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_commanded, lay_segments
+from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 _FOLDER = Path(__file__).parent / "built_in"

@@ -12,9 +12,9 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.path_timing import Timing
 from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import Timing
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
 

@@ -23,7 +23,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, Stretch
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.path_timing import Phase, Timing, between, rest_to_rest
+from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
 # A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
 _STILL = 1e-100

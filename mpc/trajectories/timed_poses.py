@@ -21,8 +21,8 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.path_timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
 _MOST = {"t": 1e12, "x": 1e6, "y": 1e6, "theta": 1e6}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-    from diffdrive_mpc.mpc.trajectories.path_timing import Timing
+    from diffdrive_mpc.mpc.trajectories.timing import Timing
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,9 +11,10 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.path_timing import Timing, squared_speeds, timed
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import Timing
 
 # A thousand kilometres: further is a mistake of units, and squares of it would overflow before long.
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]

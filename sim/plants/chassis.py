@@ -17,7 +17,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 if TYPE_CHECKING:
     from diffdrive_mpc.sim.worlds.scene import Scene
-    from diffdrive_mpc.sim.worlds.world_file import World
+    from diffdrive_mpc.sim.worlds.world import World
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""

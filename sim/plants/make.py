@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.velocity_model import VelocityModel
     from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
-    from diffdrive_mpc.sim.worlds.world_file import World
+    from diffdrive_mpc.sim.worlds.world import World
 
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""

@@ -24,7 +24,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.worlds.world_file import World
+    from diffdrive_mpc.sim.worlds.world import World
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000

@@ -14,7 +14,7 @@ from diffdrive_mpc.sim.worlds.passage import Contact
 from diffdrive_mpc.sim.worlds.scene import Scene
 from diffdrive_mpc.sim.worlds.settings import world_settings
 from diffdrive_mpc.sim.worlds.sight import Eyes, Seen
-from diffdrive_mpc.sim.worlds.world_file import World
+from diffdrive_mpc.sim.worlds.world import World
 
 
 class TouchedError(RobotLostError):

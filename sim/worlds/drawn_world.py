@@ -22,7 +22,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_che
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.worlds.planner import ClearanceMap, near
 from diffdrive_mpc.sim.worlds.shapes import Post, Shapes
-from diffdrive_mpc.sim.worlds.world_file import Way, World
+from diffdrive_mpc.sim.worlds.world import Way, World
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 _CROWDED = 5

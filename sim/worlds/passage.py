@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.worlds.settings import world_settings
 from diffdrive_mpc.sim.worlds.shapes import Shapes
-from diffdrive_mpc.sim.worlds.world_file import World
+from diffdrive_mpc.sim.worlds.world import World
 
 # What the robot touched: MuJoCo's contacts put together to events.
 

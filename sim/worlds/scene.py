@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.worlds.passage import ContactLog
 from diffdrive_mpc.sim.worlds.settings import world_settings
-from diffdrive_mpc.sim.worlds.world_file import World, stands
+from diffdrive_mpc.sim.worlds.world import World, stands
 
 HULL = "hull"
 _OBSTACLE_BIT = 2

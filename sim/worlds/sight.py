@@ -19,7 +19,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.sim.worlds.settings import Sight
 from diffdrive_mpc.sim.worlds.shapes import Mover, Shapes
-from diffdrive_mpc.sim.worlds.world_file import World
+from diffdrive_mpc.sim.worlds.world import World
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 """Cells, as nav_msgs/OccupancyGrid has them."""

@@ -8,8 +8,9 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from studies.site.formulas import with_mathml
 from studies.site.reference import reference_pages
-from studies.site.repository_links import pages_outside, with_mathml, with_site_links
+from studies.site.repository_links import pages_outside, with_site_links
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

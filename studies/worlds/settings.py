@@ -19,7 +19,7 @@ from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.worlds.sight import in_view
-from diffdrive_mpc.sim.worlds.world_file import World
+from diffdrive_mpc.sim.worlds.world import World
 
 PARTS = ("drawn", "doorway", "crossing", "named")
 Count = Annotated[int, Field(ge=1, le=100_000)]

@@ -13,7 +13,7 @@ from diffdrive_mpc.app.export.emulation import REPLY_BYTES, Reply, read_reply, r
 from diffdrive_mpc.models import Measurement
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.export import Precision, export_controller
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.sim import make_plant
 
 HOST = Path(__file__).with_name("export_host.c")

@@ -13,8 +13,8 @@ from diffdrive_mpc.models import Measurement, Stamped
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import Mode, load_trajectory
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.terms import Term
-from diffdrive_mpc.mpc.step_result import Hold
 
 # Limits that the square's corners lean on.
 TIGHT = {"limits.omega": 1.0, "limits.v": 0.52, "limits.v_slew": 1.0, "limits.omega_slew": 2.5}

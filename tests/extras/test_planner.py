@@ -10,10 +10,10 @@ from planner_parts import BOT, SPEED, dense_energy, dubins, sliding, stiff
 
 from diffdrive_mpc.extras.planner import PlanError, load_plan_settings, plan, plan_each
 from diffdrive_mpc.extras.planner.clearance import Clearance, covering_discs, outline
-from diffdrive_mpc.extras.planner.command import Inputs, make_inputs, rates_of, sharpest_radius
+from diffdrive_mpc.extras.planner.inputs import Inputs, make_inputs, rates_of, sharpest_radius
 from diffdrive_mpc.extras.planner.result import driven
 from diffdrive_mpc.extras.planner.search import Search
-from diffdrive_mpc.extras.planner.study import arc_arc_arc, arc_straight, arc_straight_arc, placed
+from diffdrive_mpc.extras.planner.words import arc_arc_arc, arc_straight, arc_straight_arc, placed
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import SlipCoefficients, load_turn_costs
 from diffdrive_mpc.mpc.free_space import Footprint, MovingDisc, Surroundings

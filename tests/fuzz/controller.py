@@ -15,7 +15,7 @@ import numpy as np
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, ModelError, Stamped, Term, load_config, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth

@@ -188,7 +188,7 @@ def bare(record):
 
 
 def test_the_same_records_give_the_same_numbers():
-    record = bare(record_of(TRUE, 5, 60.0))
+    record = bare(record_of(TRUE, 5, 30.0))
     first, second = (identify_with_effects([record]) for _ in range(2))
     assert first.point == second.point
     np.testing.assert_array_equal(first.identified.parameters.covariance, second.identified.parameters.covariance)

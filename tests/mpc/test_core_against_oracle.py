@@ -15,8 +15,8 @@ from side_by_side import ACTIVE_SET, Pair, changed
 
 from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
-from diffdrive_mpc.mpc.step_result import Hold
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 from diffdrive_mpc.sim import make_plant
 

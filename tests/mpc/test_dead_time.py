@@ -11,8 +11,9 @@ from ideal_robot import IdealRobot, drive
 from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTime
-from diffdrive_mpc.mpc.step_result import Hold, Mode
+from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 

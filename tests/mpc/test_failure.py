@@ -12,8 +12,8 @@ from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc.mpc.step_result import Hold
 
 DT = 0.0202
 REFERENCE = load_trajectory("circle")

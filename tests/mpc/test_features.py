@@ -9,7 +9,7 @@ import pytest
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.mpc.features import registry
 from diffdrive_mpc.mpc.features.feature import Feature
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 
 
 class Lunch(Feature):

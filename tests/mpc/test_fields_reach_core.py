@@ -18,8 +18,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
-from diffdrive_mpc.mpc.step_result import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 

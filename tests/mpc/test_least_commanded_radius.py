@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from diffdrive_mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Measurement, Stamped
-from diffdrive_mpc.mpc.step_result import Hold
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands

@@ -14,10 +14,11 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import Hold, Mode
+from diffdrive_mpc.mpc.step_result import Mode
 from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator

@@ -19,7 +19,8 @@ from diffdrive_mpc.sim.worlds.drawn_world import drawing, drawn_world
 from diffdrive_mpc.sim.worlds.passage import outline_points
 from diffdrive_mpc.sim.worlds.shapes import Box, Mover, Polygon, Shapes, Wall, distance_to_polygon
 from diffdrive_mpc.sim.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
-from diffdrive_mpc.sim.worlds.world_file import World, load_world, world_names
+from diffdrive_mpc.sim.worlds.world import World
+from diffdrive_mpc.sim.worlds.world_file import load_world, world_names
 
 WIDTH, LENGTH = 0.38, 0.30
 """Of the robot of the papers: over its tyres, and of its body [m]."""

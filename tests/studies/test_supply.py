@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.site.repository_links import PAGE, with_table
+from studies.site.licences import PAGE, with_table
 from studies.speed.process.environment import REQUIREMENTS, pinned
 from studies.speed.process.subject import SubjectError
 

@@ -1,0 +1,22 @@
+"""A reason from outside the controller not to drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Asks the controller to brake and stand; the reference waits meanwhile.
+
+    Attributes
+    ----------
+    reason
+        Why, in words; it becomes part of the step's message.
+    failure
+        Whether it counts as a failure: then `failure.resume` of the configuration decides whether the robot drives on
+        by itself when the hold ends. A pause is none.
+    """
+
+    reason: str
+    failure: bool = False

@@ -1,0 +1,89 @@
+"""The command line as a page, from the commands themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+
+from diffdrive_mpc.app.cli import app
+
+_HEAD = """# Which commands and options are there?
+
+`diffdrive-mpc COMMAND --help` says the same as this page, which is made from the commands. Bad input ends in one line
+on stderr and exit code 2; see [what can go wrong](../failure.md#on-the-command-line).
+"""
+_EXAMPLE = re.compile(r"^Examples?:\s*", re.MULTILINE)
+
+
+def command_line_page() -> str:
+    """Every command with its arguments, options, defaults and example, as Markdown."""
+    commands = list(_commands("diffdrive-mpc", typer.main.get_command(app)))
+    rows = [f"| [`{_short(name)}`](#{_anchor(name)}) | {_first_line(command)} |" for name, command in commands]
+    parts = [_HEAD, "\n".join(["| command | what it does |", "| --- | --- |", *rows])]
+    return "\n\n".join([*parts, *(_section(name, command) for name, command in commands)]) + "\n"
+
+
+def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - typer has no common type
+    """Commands that do something, by their whole name, those of groups included."""
+    for name, child in sorted(command.commands.items()):
+        if hasattr(child, "commands"):
+            yield from _commands(f"{prefix} {name}", child)
+        else:
+            yield f"{prefix} {name}", child
+
+
+def _section(name: str, command: Any) -> str:  # noqa: ANN401
+    arguments = [one for one in command.params if not one.opts[0].startswith("-")]
+    options = [one for one in command.params if one.opts[0].startswith("-") and one.name != "help"]
+    usage = " ".join([name, *map(_metavar, arguments), *(["[OPTIONS]"] if options else [])])
+    parts = [f"## {_short(name)} {{ #{_anchor(name)} }}", f"```text\n{usage}\n```"]
+    parts.append(_text(command.help))
+    rows = [f"| `{_metavar(one)}` | | {_cell(one.help)} |" for one in arguments]
+    rows += [f"| {_names(one)} | {_default(one)} | {_cell(one.help)} |" for one in options]
+    if rows:
+        parts.append("\n".join(["| argument or option | default | meaning |", "| --- | --- | --- |", *rows]))
+    if command.epilog:
+        example = _EXAMPLE.sub("", command.epilog).strip()
+        parts.append(f"Example:\n\n```text\n{example}\n```")
+    return "\n\n".join(filter(None, parts))
+
+
+def _names(option: Any) -> str:  # noqa: ANN401
+    names = ", ".join(f"`{name}`" for name in [*option.opts, *option.secondary_opts])
+    return names if option.is_flag or not option.metavar else f"{names} `{option.metavar}`"
+
+
+def _metavar(argument: Any) -> str:  # noqa: ANN401
+    name = argument.metavar or argument.name.upper()
+    return name if argument.required else f"[{name}]"
+
+
+def _default(option: Any) -> str:  # noqa: ANN401
+    if isinstance(option.show_default, str):
+        return _cell(option.show_default)
+    plain = isinstance(option.default, str | int | float) and option.default is not False
+    return f"`{option.default}`" if option.show_default and plain else ""
+
+
+def _cell(text: str | None) -> str:
+    return " ".join(_text(text).split()).replace("|", "\\|")
+
+
+def _text(text: str | None) -> str:
+    """Help as Markdown shows it: no emphasis by asterisks and underscores that stand in it."""
+    return re.sub(r"([*_<>\[\]])", r"\\\1", text or "")
+
+
+def _first_line(command: Any) -> str:  # noqa: ANN401
+    return _cell((command.help or "").partition("\n\n")[0])
+
+
+def _anchor(name: str) -> str:
+    return _short(name).replace(" ", "-")
+
+
+def _short(name: str) -> str:
+    return name.removeprefix("diffdrive-mpc ")

@@ -1,0 +1,83 @@
+"""Table of the packages that come with this one, and their licences: `python -m studies.site.licences`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+from studies.documents.documents import insert
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "licences.md"
+MARKER = "licences"
+_OURS = "diffdrive-mpc"
+_LONGEST = 60
+
+
+def licence_table() -> str:
+    """Every package that is installed with ours, without extras: its licence as it states it, and who needs it."""
+    needed = _needed()
+    rows = [(name, licence(found), ", ".join(sorted(by))) for name, (found, by) in sorted(needed.items())]
+    lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def licence(package: Distribution) -> str:
+    """What a package says of its licence: an SPDX expression, its classifiers, or the words of its field."""
+    said = package.metadata
+    # What is not there is None in some Pythons, and an error in others.
+    if "License-Expression" in said:
+        return str(said["License-Expression"])
+    classes = [
+        line.rpartition(" :: ")[2]
+        for line in said.get_all("Classifier") or ()
+        if line.startswith("License ::") and line.count(" :: ") > 1
+    ]
+    words = (said.get_all("License") or [""])[0].strip().splitlines()
+    if words and len(words[0]) <= _LONGEST and not classes:
+        return str(words[0])
+    return ", ".join(sorted(classes)) or (f"{words[0][:_LONGEST]} ..." if words else "not stated; see its sources")
+
+
+def _needed() -> dict[str, tuple[Distribution, set[str]]]:
+    """Packages by their normal name, with those that need them, from ours on."""
+    found: dict[str, tuple[Distribution, set[str]]] = {}
+    todo = [(_OURS, distribution(_OURS), frozenset[str]())]
+    done: set[tuple[str, frozenset[str]]] = set()
+    while todo:
+        by, package, extras = todo.pop()
+        for one in _requirements(package, extras):
+            name = _normal(one.name)
+            try:
+                needed = distribution(name)
+            except PackageNotFoundError:
+                continue  # not for this processor
+            found.setdefault(name, (needed, set()))[1].add(_normal(by))
+            key = (name, frozenset(one.extras))
+            if key not in done:
+                done.add(key)
+                todo.append((name, needed, key[1]))
+    return found
+
+
+def _requirements(package: Distribution, extras: frozenset[str]) -> Iterator[Requirement]:
+    for text in package.requires or ():
+        one = Requirement(text)
+        if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in ("", *extras)):
+            yield one
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def with_table(page: str) -> str:
+    """`page` with the table as it is now."""
+    return insert(page, licence_table(), MARKER)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
