@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
@@ -74,7 +75,8 @@ class OneLineErrors(TyperGroup):
         kwargs["standalone_mode"] = False
         given = args[0] if args else kwargs.get("args")
         try:
-            with typed(sys.argv[1:] if given is None else given, self.program):
+            with typed(sys.argv[1:] if given is None else given, self.program), warnings.catch_warnings():
+                warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
@@ -103,6 +105,21 @@ class OneLineErrors(TyperGroup):
         if code == INTERRUPTED:
             _complain("aborted")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show what a file states under a former name as a note, any other warning as Python does."""
+    if category.__name__ == "FormerNameWarning":
+        typer.echo(f"note: {plain_line(str(message))}", err=True)
+    else:
+        (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
 
 
 def _singular(name: str) -> str:

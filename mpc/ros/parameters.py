@@ -89,7 +89,7 @@ def _under_former_names(node: Node, config: BaseModel) -> dict[str, Value]:
     known = {plain_key(key): key for key in present} | {old: shown_key(new) for old, new in FORMER.items()}
     found: dict[str, Value] = {}
     # The overrides of a node have no public name in rclpy 7.1.
-    for name, parameter in node._parameter_overrides.items():
+    for name, parameter in getattr(node, "_parameter_overrides", {}).items():
         if name in known and name not in present:
             found[known[name]] = parameter.value
             node.get_logger().warning(f"parameter {name} is {known[name]} now; it was taken")
@@ -236,7 +236,7 @@ class ParameterChanges:
         try:
             read(self._node, NodeSettings, changes)
             config = read(self._node, ControllerConfig, changes, self._fixed)
-            if any(not name.startswith(_WHILE_DRIVING) for name in changes):
+            if any(not plain_key(name).startswith(_WHILE_DRIVING) for name in changes):
                 Controller(config)
             controller = self._running()
             if controller is not None:
@@ -247,7 +247,7 @@ class ParameterChanges:
         return SetParametersResult(successful=True)
 
     def _is_fixed_now(self, name: str, value: object) -> bool:
-        if self._running() is None or name.startswith(_WHILE_DRIVING):
+        if self._running() is None or plain_key(name).startswith(_WHILE_DRIVING):
             return False
         return bool(self._node.get_parameter(name).value != value)
 
@@ -270,7 +270,7 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     return [
         {
             name.removeprefix(prefix): getattr(getattr(config, prefix[:-1]), name.removeprefix(prefix))
-            for name in changes
+            for name in map(plain_key, changes)
             if name.startswith(prefix)
         }
         for prefix in _WHILE_DRIVING

@@ -1,6 +1,7 @@
 """The schema as ROS parameters: all of it, with type, text and range; changes are judged before and applied after."""
 
 import sys
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -99,7 +100,7 @@ def test_every_field_is_a_parameter_with_type_text_and_range():
             assert numbers == bool(found.floating_point_range or found.integer_range), name
         horizon = described[sorted(FIELDS).index("horizon")].integer_range[0]
         assert (horizon.from_value, horizon.to_value) == (1, 200)
-        progress = described[sorted(FIELDS).index("reentry.max_progress")]
+        progress = described[sorted(FIELDS).index("expert.reentry.max_progress")]
         assert (progress.floating_point_range[0].from_value, progress.floating_point_range[0].to_value) == (1.0, 2.0)
         assert progress.additional_constraints == "greater than 1"
 
@@ -192,3 +193,25 @@ def test_a_limit_that_cannot_be_set_while_driving_is_refused_and_the_node_drives
         assert set_over_dds(s, limits__min_turn_radius=0.0, limits__v=0.7).successful
         assert s.base.run(20)[-1, 0] > 0.1
         assert s.node._controller.config.limits.v == 0.7
+
+
+def test_a_parameter_file_of_earlier_names_is_taken_and_told():
+    """ROS passes over a parameter that nobody declares: a limit that a file states would be lost without a word."""
+
+    class Node(Shelf):
+        def __init__(self, overrides):
+            super().__init__()
+            self.said = []
+            self._parameter_overrides = {name: Parameter(name, value=value) for name, value in overrides.items()}
+
+        def get_logger(self):
+            return SimpleNamespace(warning=self.said.append)
+
+    node = Node({"failure.max_position_error": 0.4, "limits.least_turn_radius": 0.7, "limits.v": 0.9})
+    declare(node, CONFIG)
+    config = read(node, ControllerConfig)
+    assert (config.failure.max_position_error, config.limits.min_turn_radius) == (0.4, 0.7)
+    assert node.said == [
+        "parameter failure.max_position_error is expert.failure.max_position_error now; it was taken",
+        "parameter limits.least_turn_radius is limits.min_turn_radius now; it was taken",
+    ]

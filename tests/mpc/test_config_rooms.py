@@ -1,0 +1,93 @@
+"""The two rooms of a configuration, and what earlier files called their keys."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+import yaml
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.errors import FormerNameWarning
+from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
+from diffdrive_mpc.mpc.config.rooms import FORMER, USER, is_for_users, plain_key, shown_key, side_by_side
+
+
+def test_every_key_stands_in_one_room_and_users_come_first():
+    keys = [row.key for row in schema_rows()]
+    users = [key for key in keys if not key.startswith("expert.")]
+    assert keys[: len(users)] == users
+    assert [key for key in users if not is_for_users(plain_key(key))] == []
+    assert all(shown_key(plain_key(key)) == key for key in keys)
+    assert all(any(key == one or key.startswith((f"{one}.", f"{one}[]")) for key in users) for one in USER)
+
+
+def test_present_names_are_keys_and_former_ones_are_not():
+    keys = {plain_key(row.key) for row in schema_rows()}
+    assert set(FORMER.values()) <= keys
+    assert not set(FORMER) & keys
+
+
+def test_an_earlier_file_is_read_with_one_line_that_says_the_present_name(tmp_path):
+    path = tmp_path / "old.yaml"
+    path.write_text("model: sm\nestimator: {least_gain: 0.3, history: 0.5}\nreentry: {look_ahead_min: 0.4}\n")
+    with pytest.warns(FormerNameWarning) as told:
+        old = load_config(path)
+    (line,) = [str(one.message) for one in told]
+    assert line.startswith(f"{path}: estimator.least_gain is expert.estimator.min_gain now, and 2 more keys like it")
+    assert (old.estimator.min_gain, old.estimator.history, old.reentry.min_look_ahead) == (0.3, 0.5, 0.4)
+    path.write_text(commented_yaml(old))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert load_config(path) == old
+
+
+def test_a_key_may_be_named_with_its_room_or_without():
+    named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
+    assert [load_config("ssm", one).estimator.history for one in named] == [0.5, 0.5]
+    assert load_config("ssm", {"estimator.most_gain": 2.0}).estimator.max_gain == 2.0
+    assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("expert: {weights: {along: 3.0}}", "expert.weights.along: write it outside 'expert', as weights.along"),
+        ("expert: 3", "expert: expected groups of keys below it"),
+        ("estimator: {history: 0.5}\nexpert: {estimator: {history: 0.4}}", "estimator.history stands twice"),
+        (
+            "expert: {estimator: {histroy: 0.5}}",
+            "unknown key 'expert.estimator.histroy'; did you mean 'expert.estimator",
+        ),
+        ("expert: {estimater: {history: 0.5}}", "unknown key 'estimater'; did you mean 'expert.estimator'?"),
+        ("weights: {acros: 3.0}", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
+        ("expert: {estimator: {history: 50}}", "expert.estimator.history: Input should be less than or equal to 5"),
+    ],
+)
+def test_a_mistake_names_the_room(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"model: ssm\n{text}\n")
+    with pytest.raises(ConfigError) as error:
+        load_config(path)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_rooms_lose_nothing():
+    config = ControllerConfig()
+    assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()
+
+
+def test_what_identify_writes_is_written_as_it_is_now():
+    from diffdrive_mpc.models.identification.configuration import Configuration, Setting
+
+    limits = tuple(Setting(name, 1.5) for name in ("v", "omega", "predicted_v", "predicted_omega", "corridor"))
+    rest = {"estimator": (Setting("heading_noise", 0.01),), "reentry": (Setting("band", 0.1),)}
+    failure = (Setting("max_position_error", 1.2),)
+    text = Configuration("mine", (Setting("model", "ssm"),), limits, (), **rest, failure=failure).text()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        flat = side_by_side(yaml.safe_load(text), "mine.yaml")
+    assert flat["limits"] == {setting.name: 1.5 for setting in limits}
+    assert (flat["reentry"], flat["failure"]) == ({"band": 0.1}, {"max_position_error": 1.2})
