@@ -20,6 +20,8 @@ from diffdrive_mpc.sim.run import NO_SOLVER
 Row = dict[str, Any]
 CLOCK = ("step_time", "solve_time", "deadline")
 """Beginnings of the columns that differ when a run is repeated."""
+FORMER_COLUMNS = {f"path_{name}_percent": f"method_{name}_percent" for name in ("unlimited", "active_set", "backend")}
+"""Columns under the names that they had before, for one release, by these names."""
 STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
 
 
@@ -31,21 +33,21 @@ class SolverShares:
     it. NaN where nothing was solved.
     """
 
-    path_unlimited_percent: float
-    path_active_set_percent: float
-    path_backend_percent: float
+    method_unlimited_percent: float
+    method_active_set_percent: float
+    method_backend_percent: float
     not_solved: int
 
     @classmethod
     def of(cls, run: Run) -> SolverShares:
         """Over the ticks of `run` that the statistics cover."""
-        paths = Counter(path for path, counted in zip(run.solver_paths, run.counted, strict=True) if counted)
-        solved = paths.total() - paths[NO_SOLVER]
+        ticks = Counter(method for method, counted in zip(run.solver_methods, run.counted, strict=True) if counted)
+        solved = ticks.total() - ticks[NO_SOLVER]
 
         def share(*methods: str) -> float:
-            return 100.0 * sum(paths[method] for method in methods) / solved if solved else math.nan
+            return 100.0 * sum(ticks[method] for method in methods) / solved if solved else math.nan
 
-        return cls(share("unlimited"), share("active_set"), share("osqp", "daqp"), paths[NO_SOLVER])
+        return cls(share("unlimited"), share("active_set"), share("osqp", "daqp"), ticks[NO_SOLVER])
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ def row_of(case: Case, run: Run) -> Row:
 def statistics_of(run: Run, *, timed: bool = True) -> Row:
     """Metrics and shares of the solver; without the columns of the clock where it was not `timed`."""
     values = asdict(run.metrics) | asdict(SolverShares.of(run))
+    values |= {former: values[name] for former, name in FORMER_COLUMNS.items()}
     return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
 
 

@@ -27,6 +27,6 @@ last = run.true_pose[-1] - run.reference_pose[-1]
 print(f"at the end {100 * last[0]:.1f} cm along x and {100 * last[1]:.1f} cm along y from where it should be")
 
 # Most ticks need no iterations: where no limit is near, the optimum is the solution of linear equations ("unlimited").
-print("ways the solver took:", dict(Counter(run.solver_paths)))
+print("ways the solver took:", dict(Counter(run.solver_methods)))
 
 # With pandas: run.to_dataframe() has the same as a table, with names like true_x_m or v_ref_m_s.

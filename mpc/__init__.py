@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.estimation.estimate import Estimate
     from diffdrive_mpc.mpc.hold import Hold
     from diffdrive_mpc.mpc.problem.terms import Term
-    from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
+    from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverReport, SolverStatus
     from diffdrive_mpc.mpc.step_result import Mode, StepResult
     from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 
@@ -27,7 +27,7 @@ _HOMES = {
     "Hold": "mpc.hold",
     "Measurement": "models.interface",
     "Mode": "mpc.step_result",
-    "SolverPath": "mpc.solver.report",
+    "SolverMethod": "mpc.solver.report",
     "SolverReport": "mpc.solver.report",
     "SolverStatus": "mpc.solver.report",
     "Stamped": "models.interface",
@@ -45,7 +45,7 @@ __all__ = [
     "Hold",
     "Measurement",
     "Mode",
-    "SolverPath",
+    "SolverMethod",
     "SolverReport",
     "SolverStatus",
     "Stamped",

@@ -129,7 +129,7 @@ class Controller:
         self._kinds = HARD_KINDS + sizes["soft"]
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
-        self._words = MessageFormatter(self._tick, config)
+        self._messages = MessageFormatter(self._tick, config)
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
         self._pursuit = Pursuit(config, self._tick.stray)
         self._pending: _Prepared | None = None
@@ -145,7 +145,7 @@ class Controller:
             self._tick,
             self._pursuit,
             self._terms,
-            is_new_tick=lambda: not self._c_result.reasons & self._words.not_a_new_tick,
+            is_new_tick=lambda: not self._c_result.reasons & self._messages.not_a_new_tick,
             is_preparing=self._is_preparing,
             change_dead_time=self._change_dead_time,
         )
@@ -237,10 +237,10 @@ class Controller:
         RuntimeError
             If there is no estimate: no step was taken, or none since the last `start` had a pose.
         """
-        found = self._tick.believed()
-        if found is None:
+        pose = self._tick.believed()
+        if pose is None:
             raise RuntimeError("nothing is believed yet: call step with a pose first")
-        return Belief(*found, self._tick.layout.slip.start)
+        return Belief(*pose, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
         """What the filter will believe if nothing is measured meanwhile.
@@ -264,10 +264,10 @@ class Controller:
         ValueError
             If the commands are not finite, or not pairs.
         """
-        given = _pairs(commands)
-        line = np.vstack([belief.sent, given])
+        pairs = _pairs(commands)
+        line = np.vstack([belief.sent, pairs])
         mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, line)
-        return replace(belief, mean=mean, covariance=covariance, sent=line[len(given) :])
+        return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
         """Say what was sent in truth, by whoever decided: it takes the place of the last K commands.
@@ -286,12 +286,12 @@ class Controller:
         ValueError
             If the commands are not finite, or not pairs.
         """
-        given = _pairs(commands)
-        if not len(given):
+        pairs = _pairs(commands)
+        if not len(pairs):
             return
-        self._tick.set_applied_commands(given)
+        self._tick.set_applied_commands(pairs)
         for feature in self._features.values():
-            feature.set_applied(given[-1])
+            feature.set_applied(pairs[-1])
 
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
@@ -550,7 +550,7 @@ class Controller:
             raise RuntimeError("no reference: call start(reference, t0) before step")
         if self._pending is not None:
             self._apply_pending(self._pending)
-        tick, pursuit, given = self._tick, self._pursuit, self._input
+        tick, pursuit, tick_input = self._tick, self._pursuit, self._input
         try:
             tick.input.fill(measurement)
         except AttributeError as error:
@@ -562,30 +562,30 @@ class Controller:
             ) from error
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
-        given.request = 0 if hold is None else 2 if hold.failure else 1
+        tick_input.request = 0 if hold is None else 2 if hold.failure else 1
         since_start = t - self._t0
         on_time = pursuit.on_time and since_start >= 0.0
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
-        given.reference_time = pursuit.advance(since_start) if moved else since_start
-        given.on_time = on_time
-        pending = self._step(self._c, t, given)
+        tick_input.reference_time = pursuit.advance(since_start) if moved else since_start
+        tick_input.on_time = on_time
+        pending = self._step(self._c, t, tick_input)
         message = ""
         if pending == _NEEDS_TARGET:
             if not moved:
-                given.reference_time = pursuit.advance(since_start)
-            pending, message = self._choose_target(since_start, given.reference_time)
+                tick_input.reference_time = pursuit.advance(since_start)
+            pending, message = self._choose_target(since_start, tick_input.reference_time)
         elif on_time:
             c = self._c_result
-            if not c.reasons & self._words.not_a_new_tick:
+            if not c.reasons & self._messages.not_a_new_tick:
                 self._blocked_for = 0.0
                 pursuit.passed(since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
         elif moved:
             self._blocked_for = 0.0
         refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
-            asked = time.perf_counter()
+            backend_began = time.perf_counter()
             refused = self._ask_backend()
-            solve_time += time.perf_counter() - asked
+            solve_time += time.perf_counter() - backend_began
         result = self._build(hold, message, (started, solve_time), refused=refused)
         for feature in self._features.values():
             result = feature.after_step(t, measurement, result)
@@ -617,7 +617,7 @@ class Controller:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
         self._predicted = prepared.predicted
         self._tick.configure(prepared.constants, prepared.sizes)
-        self._words.configure(prepared.config)
+        self._messages.configure(prepared.config)
         self._pursuit.configure(prepared.config)
         self._host.config, self._host.model = prepared.config, prepared.predicted.model
         for feature in self._features.values():
@@ -667,20 +667,20 @@ class Controller:
         layout = self._tick.layout
         block = layout.copy()
         c_report = c.solver
-        status = SolverStatus.REFUSED if refused else self._words.statuses[c_report.status]
+        status = SolverStatus.REFUSED if refused else self._messages.statuses[c_report.status]
         report = SolverReport(
             status,
-            self._words.path(c_report.path),
+            self._messages.method(c_report.path),
             c_report.iterations,
             c_report.primal_residual,
             c_report.dual_residual,
             bool(c_report.soft_limits),
         )
         if c.reasons or c.notes or message:
-            message = self._words.sentence(hold, status, message)
+            message = self._messages.sentence(hold, status, message)
         return StepResult(
             layout.take(block, "command"),
-            self._words.modes[c.mode],
+            self._messages.modes[c.mode],
             message,
             report,
             pursuit.progress,
@@ -690,7 +690,7 @@ class Controller:
             time.perf_counter() - times[0],
             times[1],
             (layout, block) if c.has_plan else None,
-            self._words.unused(c.reasons) if c.reasons else (),
+            self._messages.unused(c.reasons) if c.reasons else (),
         )
 
 
@@ -710,7 +710,7 @@ def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
 
 def _pairs(commands: ArrayLike) -> FloatArray:
     """Commands (K, 2); raises ValueError where they are something else."""
-    given = np.asarray(commands, dtype=float)
-    if given.ndim != 2 or given.shape[1] != 2 or not np.isfinite(given).all():
-        raise ValueError(f"commands of shape {given.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s]")
-    return given
+    pairs = np.asarray(commands, dtype=float)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or not np.isfinite(pairs).all():
+        raise ValueError(f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s]")
+    return pairs

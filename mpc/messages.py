@@ -8,7 +8,7 @@ from typing import Any
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.solver.report import SolverPath, SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 
@@ -47,16 +47,16 @@ class MessageFormatter:
     def configure(self, config: ControllerConfig) -> None:
         """Speak of the limits of `config` from now on."""
         self._config = config
-        self._paths: dict[int, str] = {
-            self._lib.DDMPC_NO_WAY: SolverPath.NONE,
-            self._lib.DDMPC_UNLIMITED: SolverPath.UNLIMITED,
-            self._lib.DDMPC_ACTIVE_SET: SolverPath.ACTIVE_SET,
+        self._methods: dict[int, str] = {
+            self._lib.DDMPC_NO_WAY: SolverMethod.NONE,
+            self._lib.DDMPC_UNLIMITED: SolverMethod.UNLIMITED,
+            self._lib.DDMPC_ACTIVE_SET: SolverMethod.ACTIVE_SET,
             self._lib.DDMPC_BACKEND: config.solver.backend,
         }
 
-    def path(self, number: int) -> str:
-        """The way with this number."""
-        return self._paths[number]
+    def method(self, number: int) -> str:
+        """Return the solver's method with this number."""
+        return self._methods[number]
 
     def sentence(self, hold: Hold | None, status: SolverStatus, target: str) -> str:
         """Why the tick went as it did; `target` says what is out of the ordinary of what is tracked."""

@@ -128,7 +128,7 @@ class StepResult:
         lines = [
             f"command   {v:+.3f} m/s {omega:+.3f} rad/s",
             f"mode      {self.mode}",
-            f"solver    {self.solver.status} ({self.solver.path}, {self.solver.iterations} iterations)",
+            f"solver    {self.solver.status} ({self.solver.method}, {self.solver.iterations} iterations)",
         ]
         if self.estimate is not None:
             x, y, theta = self.estimate.pose.tolist()

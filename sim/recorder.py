@@ -89,7 +89,7 @@ class Recorder:
             messages=tuple(words.message for words in self._said),
             measurements=tuple(self._measurements),
             solver_statuses=tuple(words.solver_status for words in self._said),
-            solver_paths=tuple(words.solver_path for words in self._said),
+            solver_methods=tuple(words.solver_path for words in self._said),
             estimates=self._estimates[driven],
             estimate_deviations=self._deviations[driven],
             plans=_stacked(self._plans),
@@ -120,7 +120,7 @@ class _Said(NamedTuple):
         solver = step.solver
         if solver is None:
             return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
-        return cls(str(step.mode), step.message, str(solver.status), str(solver.path), scalar_row(step))
+        return cls(str(step.mode), step.message, str(solver.status), str(solver.method), scalar_row(step))
 
 
 def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:

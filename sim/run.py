@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -68,8 +69,8 @@ class Run(ReadOnlyArrays):
         Why the run ended before its time, in one line; empty where it did not.
     solver_statuses
         How the controller's solver ended at each tick, in words; empty texts for a controller without a solver.
-    solver_paths
-        Which way the solver took at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
+    solver_methods
+        Which method the solver took at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
     solve_time, solver_iterations
         (n,) how much of the step went into stating and solving the problem [s], and iterations of the solver; NaN where
         nothing was solved.
@@ -117,7 +118,7 @@ class Run(ReadOnlyArrays):
     disturbance: tuple[float, float] | None = None
     ended: str = ""
     solver_statuses: tuple[str, ...] = ()
-    solver_paths: tuple[str, ...] = ()
+    solver_methods: tuple[str, ...] = ()
     solve_time: FloatArray = field(default_factory=lambda: np.empty(0))
     solver_iterations: FloatArray = field(default_factory=lambda: np.empty(0))
     estimates: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
@@ -139,7 +140,7 @@ class Run(ReadOnlyArrays):
         count = len(self.time)
         nothing = {
             "solver_statuses": ("",) * count,
-            "solver_paths": (NO_SOLVER,) * count,
+            "solver_methods": (NO_SOLVER,) * count,
             "solve_time": np.full(count, np.nan),
             "solver_iterations": np.full(count, np.nan),
             "estimates": np.full((count, 5), np.nan),
@@ -150,6 +151,12 @@ class Run(ReadOnlyArrays):
         }
         vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
         super().__post_init__()
+
+    @property
+    def solver_paths(self) -> tuple[str, ...]:
+        """Return `solver_methods`, which they were called before; it warns."""
+        warnings.warn("Run.solver_paths is Run.solver_methods now", DeprecationWarning, stacklevel=2)
+        return self.solver_methods
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -259,7 +266,7 @@ class Run(ReadOnlyArrays):
         texts = {
             "mode": self.modes,
             "solver_status": self.solver_statuses,
-            "solver_path": self.solver_paths,
+            "solver_path": self.solver_methods,
             "message": self.messages,
         }
         from diffdrive_mpc.sim.told import told_columns  # noqa: PLC0415 - who asks for no columns needs none

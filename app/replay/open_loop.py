@@ -30,7 +30,7 @@ class Replayed:
         Its configuration.
     command
         (n, 2) v [m/s], omega [rad/s] that it would have sent.
-    modes, messages, solver_paths, unused
+    modes, messages, solver_methods, unused
         What it said; of sensors that it did not use their names, with commas between.
     estimate, deviation
         (n, 5) x [m], y [m], theta [rad], v [m/s], omega [rad/s] that it believed, and standard deviations; NaN without.
@@ -52,7 +52,7 @@ class Replayed:
     command: FloatArray
     modes: tuple[str, ...]
     messages: tuple[str, ...]
-    solver_paths: tuple[str, ...]
+    solver_methods: tuple[str, ...]
     unused: tuple[str, ...]
     estimate: FloatArray
     deviation: FloatArray
@@ -128,7 +128,7 @@ def _gathered(config: ControllerConfig, recording: Recording, steps: list[StepRe
         np.array([step.command for step in steps]),
         tuple(str(step.mode) for step in steps),
         tuple(step.message for step in steps),
-        tuple(str(step.solver.path) for step in steps),
+        tuple(str(step.solver.method) for step in steps),
         tuple(", ".join(step.unused_sensors) for step in steps),
         np.array([nothing if e is None else np.append(e.pose, e.twist) for e in estimates]),
         np.array([nothing if e is None else np.append(e.pose_deviation, e.twist_deviation) for e in estimates]),

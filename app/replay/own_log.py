@@ -172,7 +172,7 @@ def replay_columns(
         "recorded_mode": [tick.mode for tick in recording.ticks],
         "mode": replayed.modes,
         "recorded_solver_path": [tick.solver_path for tick in recording.ticks],
-        "solver_path": replayed.solver_paths,
+        "solver_path": replayed.solver_methods,
         "unused_sensors": replayed.unused,
         "message": replayed.messages,
     }

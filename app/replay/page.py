@@ -158,8 +158,8 @@ def _run(
         modes=tuple(tick.mode for tick in ticks) if recorded else tuple(replayed.modes[k] for k in kept),
         messages=tuple(tick.message for tick in ticks) if recorded else tuple(replayed.messages[k] for k in kept),
         measurements=tuple(tick.measurement for tick in ticks),
-        solver_paths=tuple(
-            (tick.solver_path if recorded else replayed.solver_paths[k]) or NO_SOLVER
+        solver_methods=tuple(
+            (tick.solver_path if recorded else replayed.solver_methods[k]) or NO_SOLVER
             for tick, k in zip(ticks, kept, strict=True)
         ),
         estimates=replayed.estimate[kept],

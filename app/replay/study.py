@@ -260,7 +260,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             verdict_table(results.said),
             command_table(results.pairs),
             share_table("Modes", modes | {who: list(one.modes) for who, one in replays.items()}, counted),
-            share_table("Solver paths", paths | {who: list(one.solver_paths) for who, one in replays.items()}, counted),
+            share_table("Solver paths", paths | {who: list(one.solver_methods) for who, one in replays.items()}, counted),
             sensor_table(results.sensors),
             time_table(replays, counted),
             message_table(recording, replayed, counted),

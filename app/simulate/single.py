@@ -171,7 +171,7 @@ def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
     times = metrics.step_time_p50_s, metrics.step_time_p99_s, metrics.step_time_max_s
     shown = ", ".join(f"{name} {1e3 * time:.2f} ms" for name, time in zip(("p50", "p99", "max"), times, strict=True))
     yield f"step time: {shown}; {metrics.deadline_misses} steps above {1e3 * run.sample_time:.1f} ms"
-    ticks = Counter(itertools.compress(run.solver_paths, run.counted))
+    ticks = Counter(itertools.compress(run.solver_methods, run.counted))
     shares = ", ".join(
         f"{_METHODS.get(name, name)} {100 * count / metrics.steps:.1f} %" for name, count in ticks.most_common()
     )

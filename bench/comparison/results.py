@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.experiment import joined, mean
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
-from diffdrive_mpc.bench.run_row import CLOCK, STATISTICS, Row, SolverShares
+from diffdrive_mpc.bench.run_row import CLOCK, FORMER_COLUMNS, STATISTICS, Row, SolverShares
 from diffdrive_mpc.bench.timing import UNDISTURBED, TimingPass
 from diffdrive_mpc.bench.turns import AGAIN, BLOCK
 from diffdrive_mpc.sim import Metrics
@@ -85,7 +85,7 @@ class ComparisonResults:
         return {name: part for name, part in rows.items() if part}
 
 
-_STATISTICS = tuple(of.name for kind in (Metrics, SolverShares) for of in fields(kind))
+_STATISTICS = (*(of.name for kind in (Metrics, SolverShares) for of in fields(kind)), *FORMER_COLUMNS)
 _RECOVERY = tuple(of.name for of in fields(Recovery))
 
 

@@ -69,7 +69,7 @@ def run_series(
         "columns": columns,
         "layers": [*layers, *(["limits"] if limits else []), *(["plan"] if plans else [])],
         "strip": spans(run, _troubles(run)),
-        "paths": spans(run, run.solver_paths),
+        "paths": spans(run, run.solver_methods),
         "modes": spans(run, run.modes),
         "messages": _messages(run),
         "plans": plans,
@@ -147,7 +147,7 @@ def _more_columns(run: Run, kept: NDArray[np.intp], points: int) -> dict[str, ob
 def _troubles(run: Run) -> list[str]:
     """At each tick the mode where the controller did without a fresh plan or had finished, else the solver's path."""
     telling = {*FALLBACK_MODES, "FINISHED"}
-    return [mode if mode in telling else path for mode, path in zip(run.modes, run.solver_paths, strict=True)]
+    return [mode if mode in telling else path for mode, path in zip(run.modes, run.solver_methods, strict=True)]
 
 
 def _messages(run: Run) -> list[tuple[float, str]]:

@@ -127,7 +127,7 @@ def _at_limit(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
 
 
 def _on_backend(run: Run, of: Remedies) -> str:
-    share = SolverShares.of(run).path_backend_percent
+    share = SolverShares.of(run).method_backend_percent
     return f"A backend had to solve {share:.0f} % of the ticks." if share > of.share_on_backend else ""
 
 

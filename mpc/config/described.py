@@ -98,8 +98,8 @@ def _group(kind: object) -> type[BaseModel] | None:
 
 def _help_and_unit(field: FieldInfo) -> tuple[str, str]:
     """Split "what it is [unit]"; without brackets at the end there is no unit."""
-    found = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", field.description or "", flags=re.DOTALL)
-    return (found[1], found[2]) if found else (field.description or "", "")
+    match = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", field.description or "", flags=re.DOTALL)
+    return (match[1], match[2]) if match else (field.description or "", "")
 
 
 def _range(field: FieldInfo) -> str:

@@ -74,9 +74,9 @@ class FreeSpace(Group):
 
     @field_validator("footprint", mode="before")
     @classmethod
-    def _written(cls, given: object) -> object:
+    def _written(cls, value: object) -> object:
         """A list means the same as its text."""
-        return json.dumps(given) if isinstance(given, list) else given
+        return json.dumps(value) if isinstance(value, list) else value
 
     @model_validator(mode="after")
     def _has_a_footprint(self) -> Self:
@@ -94,9 +94,9 @@ class FreeSpace(Group):
             If `footprint` is no list of pairs.
         """
         try:
-            found = json.loads(self.footprint)
+            listed = json.loads(self.footprint)
         except (ValueError, RecursionError) as error:
             raise ValueError("footprint: give its corners as [[x, y], [x, y], ...]") from error
-        if not (isinstance(found, list) and all(isinstance(one, list) and len(one) == 2 for one in found)):
+        if not (isinstance(listed, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in listed)):
             raise ValueError("footprint: give its corners as [[x, y], [x, y], ...]")
-        return found
+        return listed

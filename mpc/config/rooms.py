@@ -79,7 +79,7 @@ FORMER = {
 
 def is_for_users(key: str) -> bool:
     """Whether a dotted key stands in the first room."""
-    return any(key == one or key.startswith((f"{one}.", f"{one}[]")) for one in USER)
+    return any(key == user_key or key.startswith((f"{user_key}.", f"{user_key}[]")) for user_key in USER)
 
 
 def shown_key(key: str) -> str:
@@ -88,7 +88,7 @@ def shown_key(key: str) -> str:
     if is_for_users(key) or group not in ControllerConfig.model_fields:
         return key
     # A name that a group of both rooms does not know stands where it was written.
-    known = key in _LEAVES or not any(one.startswith(f"{group}.") for one in USER)
+    known = key in _LEAVES or not any(user_key.startswith(f"{group}.") for user_key in USER)
     return f"{EXPERT}.{key}" if known else key
 
 

@@ -174,12 +174,12 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
     for function in functions:
         generator.add(_as_computed(function))
     text = generator.dump()
-    for found in _WORK.finditer(text):
-        if (found["iw"], found["w"]) != ("0", "0"):
+    for match in _WORK.finditer(text):
+        if (match["iw"], match["w"]) != ("0", "0"):
             raise ConfigError(
-                f"{found['name']}: its C needs memory of its own; write it without calls of other functions"
+                f"{match['name']}: its C needs memory of its own; write it without calls of other functions"
             )
-    bodies = {found["name"]: _plain(found["name"], found["body"], names) for found in _BODY.finditer(text)}
+    bodies = {match["name"]: _plain(match["name"], match["body"], names) for match in _BODY.finditer(text)}
     for function in functions:
         if function.name() not in bodies:
             version = ca.CasadiMeta.version()

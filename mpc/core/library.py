@@ -146,8 +146,8 @@ def constant_fields(sizes: Mapping[str, int], values: Constants) -> Iterator[Fie
 
 
 def _shaped(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
-    given: ArrayLike = value  # type: ignore[assignment]
-    array = np.ascontiguousarray(given, dtype=float)
+    array_like: ArrayLike = value  # type: ignore[assignment]
+    array = np.ascontiguousarray(array_like, dtype=float)
     if array.shape != shape:
         raise ValueError(f"ddmpc_constants.{name} has shape {array.shape}, core.h says {shape}")
     return array

@@ -138,16 +138,16 @@ class Tick:
 
     def set_applied_commands(self, commands: FloatArray) -> None:
         """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
-        given = np.ascontiguousarray(commands, dtype=float)
-        self.lib.ddmpc_overrule(self.c, self._address("const real *", given), len(given))
+        pairs = np.ascontiguousarray(commands, dtype=float)
+        self.lib.ddmpc_overrule(self.c, self._address("const real *", pairs), len(pairs))
 
     def believed(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """The filter's belief at the newest tick: mean (Z,), covariance (Z, Z), commands (W, 2) sent before; copies."""
         size = self._sizes["states"] + self._sizes["slips"] + 4
         mean, covariance, sent = np.zeros(size), np.zeros((size, size)), np.zeros((self._sizes["window"], 2))
         arrays = (mean, covariance, sent)
-        found = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))
-        return arrays if found else None
+        is_known = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))
+        return arrays if is_known else None
 
     def predict_belief(
         self, mean: FloatArray, covariance: FloatArray, commands: FloatArray
@@ -294,14 +294,14 @@ def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whate
         # Quick, and right for nothing but so many doubles in a row.
         memory[:] = value
     except (TypeError, ValueError):
-        found = numbers(value, count)
-        memory[:] = (np.full(count, np.nan) if found is None else found).data
+        values = numbers(value, count)
+        memory[:] = (np.full(count, np.nan) if values is None else values).data
 
 
 def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - whatever arrives
     """`value` as a flat array of `count` numbers, or None where it is none."""
     try:
-        found = np.asarray(value, dtype=float).ravel()
+        flat = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
         return None
-    return np.ascontiguousarray(found) if len(found) == count else None
+    return np.ascontiguousarray(flat) if len(flat) == count else None

@@ -96,8 +96,8 @@ class Estimate:
     @property
     def innovations(self) -> Mapping[str, float]:
         """By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-]."""
-        found = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
-        return {sensor: value for sensor, value in found if not np.isnan(value)}
+        pairs = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
+        return {sensor: value for sensor, value in pairs if not np.isnan(value)}
 
 
 # All that the filter believes at one tick, covariances between its parts included.
@@ -147,9 +147,9 @@ class Belief:
     @property
     def slip_covariance(self) -> FloatArray:
         """(15, 15) covariance of the slip in the order of `SLIPS`, zero for what the filter does not have."""
-        found, size = np.zeros((len(SLIPS), len(SLIPS))), self.slips.stop - self.slips.start
-        found[:size, :size] = self.covariance[self.slips, self.slips]
-        return found
+        covariance, size = np.zeros((len(SLIPS), len(SLIPS))), self.slips.stop - self.slips.start
+        covariance[:size, :size] = self.covariance[self.slips, self.slips]
+        return covariance
 
     @property
     def polynomial_covariance(self) -> FloatArray:

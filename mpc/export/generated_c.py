@@ -71,20 +71,20 @@ def trajectory_texts(reference: Reference, spacing: float) -> dict[str, str]:
     ValueError
         If the reference is somewhere not finite.
     """
-    found = _closed_form(reference, spacing)
+    closed_form = _closed_form(reference, spacing)
     name = f"ddmpc_{_identifier(reference.name)}"
     members = [
         ("breaks", "breaks"),
         ("table", "table"),
-        ("pieces", str(found.table.shape[1])),
-        ("cubic", str(int(len(found.table) == 16))),
+        ("pieces", str(closed_form.table.shape[1])),
+        ("cubic", str(int(len(closed_form.table) == 16))),
         ("duration", _number(reference.duration)),
-        ("motion", _written(found.motion.tolist())),
+        ("motion", _written(closed_form.motion.tolist())),
     ]
     parts = [
         '#include "trajectory.h"',
-        _table("ddmpc_time", "breaks", found.breaks),
-        _table("real", "table", found.table.ravel()),
+        _table("ddmpc_time", "breaks", closed_form.breaks),
+        _table("real", "table", closed_form.table.ravel()),
         f"const ddmpc_trajectory {name} = {{\n{_members(members)}\n}};",
         "",
     ]
@@ -98,9 +98,9 @@ def trajectory_texts(reference: Reference, spacing: float) -> dict[str, str]:
 
 
 def _closed_form(reference: Reference, spacing: float) -> NativeTrajectory:
-    found = getattr(reference, "native", None)
-    if isinstance(found, NativeTrajectory):
-        return found
+    native = getattr(reference, "native", None)
+    if isinstance(native, NativeTrajectory):
+        return native
     times = np.linspace(0.0, reference.duration, max(2, int(np.ceil(reference.duration / spacing - 1e-9)) + 1))
     sample = reference.sample(times)
     finite = np.isfinite(np.hstack([sample.pose, sample.twist])).all(axis=1)

@@ -35,10 +35,10 @@ class BentReference:
         With the offset l to the left and the curvature k, along the travel s = 1 or -1: the point moves at
         v sqrt((1 - s l k)^2 + l'^2), in the direction atan2(s l', 1 - s l k) from the heading.
         """
-        given = self.reference.sample(times)
+        plain = self.reference.sample(times)
         if not self.guide.bent:
-            return given
-        pose, twist, arc = given
+            return plain
+        pose, twist, arc = plain
         table = self.guide.table
         offset, slope, bend = _cubic(self.guide.offset, self.guide.slope, table.spacing, arc)
         travel, moves = np.where(twist[:, 0] < 0.0, -1.0, 1.0), np.abs(twist[:, 0]) > STANDING

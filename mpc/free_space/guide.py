@@ -145,7 +145,7 @@ class Guide:
         # A centre of curvature is not reached.
         most = np.minimum(most, 0.7 / np.maximum(np.abs(table.curvature[stations]), 1e-6))
         before = np.ascontiguousarray(self.offset[stations])
-        found = np.zeros(len(stations))
+        offsets = np.zeros(len(stations))
         cost = np.empty(len(stations) * (2 * cells + 1) * _SLOPES)
         known, origin = np.empty(cost.size), np.zeros(cost.size, dtype=np.intc)
         ffi, lib = load_core()
@@ -173,12 +173,12 @@ class Guide:
             address(cost, "real *"),
             address(known, "real *"),
             address(origin, "int *"),
-            address(found, "real *"),
+            address(offsets, "real *"),
         )
         if reached < 2:
             return
         nodes = np.arange(kept, stations[reached - 1] + 1)
-        wanted = np.interp(nodes, stations[:reached], found[:reached])
+        wanted = np.interp(nodes, stations[:reached], offsets[:reached])
         self._take_smooth(kept, wanted, pieces, keeps)
 
     def _take_smooth(self, kept: int, wanted: FloatArray, pieces: Pieces, keeps: float) -> None:
@@ -214,9 +214,9 @@ class Guide:
             heading = np.unwrap(self.poses(window)[:, 2])
             bend = np.abs(np.gradient(heading, self.table.spacing)) if len(heading) > 1 else np.zeros(1)
             bend = np.maximum(bend, 1e-6)
-            given = np.maximum(np.abs(self.table.curvature[window]), 1e-6)
+            curvature = np.maximum(np.abs(self.table.curvature[window]), 1e-6)
             by_bend = np.minimum(turn / bend, np.sqrt(lateral / bend))
-            speeds = np.where(bend > 1.2 * given, np.minimum(speeds, by_bend), speeds)
+            speeds = np.where(bend > 1.2 * curvature, np.minimum(speeds, by_bend), speeds)
         return np.asarray(speeds)
 
     def speed_now(self, arc: float, ends: float) -> float:

@@ -152,18 +152,18 @@ def pieces_of(
     velocity: list[tuple[float, float]] = []
     names: list[str] = []
 
-    def add(found: Sequence[FloatArray], name: str) -> None:
-        corners.extend(found)
-        widening.extend([0.0] * len(found))
-        velocity.extend([(0.0, 0.0)] * len(found))
-        names.extend([name] * len(found))
+    def add(added: Sequence[FloatArray], name: str) -> None:
+        corners.extend(added)
+        widening.extend([0.0] * len(added))
+        velocity.extend([(0.0, 0.0)] * len(added))
+        names.extend([name] * len(added))
 
     before, now = dict(known or {}), Known()
 
-    def once(given: object, make: Callable[[], list[FloatArray]]) -> list[FloatArray]:
-        found = before.get(id(given))
-        now[id(given)] = found if found is not None and found[0] is given else (given, make())
-        return now[id(given)][1]
+    def once(source: object, make: Callable[[], list[FloatArray]]) -> list[FloatArray]:
+        kept = before.get(id(source))
+        now[id(source)] = kept if kept is not None and kept[0] is source else (source, make())
+        return now[id(source)][1]
 
     for index, polygon in enumerate(around.polygons):
         name = f"polygon {index}"

@@ -185,9 +185,9 @@ class DeadTime:
         if not (n > least).any():
             return
         value, deviation = self.found.value.copy(), self.found.deviation.copy()
-        one, x, xx, y, xy, yy = self._sums
+        weight, x, xx, y, xy, yy = self._sums
         with np.errstate(invalid="ignore", divide="ignore"):
-            spread, common, power = xx - x * x / one, xy - x * y / one, yy - y * y / one
+            spread, common, power = xx - x * x / weight, xy - x * y / weight, yy - y * y / weight
             misfits, gains = power - common**2 / spread, common / spread
         for channel in np.flatnonzero(n > least):
             J = misfits[:, channel]
@@ -223,25 +223,25 @@ class DeadTime:
 
     def _worth(self, used: FloatArray) -> FloatArray:
         """(2,) by how much what was found differs from `used`, where that is certain and enough; else 0 [s]."""
-        settings, found = self._settings, self.found
-        difference = found.value - used
-        enough = np.maximum(settings.min_difference, 2 * found.deviation)
-        sure = (found.deviation < settings.max_deviation) & (np.abs(difference) > enough)
+        settings, estimate = self._settings, self.found
+        difference = estimate.value - used
+        enough = np.maximum(settings.min_difference, 2 * estimate.deviation)
+        sure = (estimate.deviation < settings.max_deviation) & (np.abs(difference) > enough)
         return np.where(sure, difference, 0.0)
 
     def advice(self) -> str:
         """Once for each channel: that the configured dead time looks wrong; empty if there is nothing to say."""
         # A second of changing motion: what was found at the first start is not worth a person's time.
         wrong = np.where(self._sums[0, 0] * self._dt > 1.0, self._worth(self._configured), 0.0)
-        said = []
+        sentences = []
         for i in np.flatnonzero((np.abs(wrong) > self._settings.report_from) & ~self._told):
             self._told[i] = True
             longer = "longer" if wrong[i] > 0 else "shorter"
-            said.append(
+            sentences.append(
                 f"dead time of {CHANNELS[i]} looks {1e3 * abs(wrong[i]):.0f} ms {longer} than configured, "
                 f"{self.found.value[i]:.3f} s in all: change extra_dead_time.{CHANNELS[i]} by that"
             )
-        return "; ".join(said)
+        return "; ".join(sentences)
 
 
 def online_dead_time(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> DeadTime:

@@ -22,7 +22,7 @@ from diffdrive_mpc.mpc.problem.terms import Term
 
 
 def chosen_model(
-    config: ControllerConfig, given: VelocityModel | NonlinearModel | str | Path | None
+    config: ControllerConfig, stated: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
     """The model to predict with, extra dead time included where it is the configuration's.
 
@@ -35,17 +35,17 @@ def chosen_model(
     """
     extra = config.extra_dead_time
     model: VelocityModel | NonlinearModel
-    if given is None:
+    if stated is None:
         model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
-    elif isinstance(given, (str, Path)):
-        model = load_model(given)
-    elif isinstance(given, (VelocityModel, NonlinearModel)):
-        model = given
+    elif isinstance(stated, (str, Path)):
+        model = load_model(stated)
+    elif isinstance(stated, (VelocityModel, NonlinearModel)):
+        model = stated
     else:
         raise wrong_type(
             "model",
             "a velocity model, or its name or path",
-            given,
+            stated,
             "a system of python-control becomes one with VelocityModel.from_control(system, dead_time=(0.0, 0.0))",
         )
     if config.compensation.dead_time:

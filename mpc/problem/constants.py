@@ -205,9 +205,9 @@ class Problem:
         }
 
     def _prediction(self) -> Constants:
-        N, found, n, W = self.config.horizon, self.prediction, self.model.order, self.sizes["window"]
+        N, prediction, n, W = self.config.horizon, self.prediction, self.model.order, self.sizes["window"]
         width = padded(2 * N)
-        if found is None:
+        if prediction is None:
             empty = {
                 "from_state": (N + 1, 2, n),
                 "from_past": (N + 1, 2, W, 2),
@@ -218,18 +218,18 @@ class Problem:
                 "heading_hessian": (2 * N, 2 * N),
             }
             return {name: np.zeros(shape) for name, shape in empty.items()}
-        weighted_heading = self._pose_weights()[:, 2:] * found.heading_from_plan[1:]
+        weighted_heading = self._pose_weights()[:, 2:] * prediction.heading_from_plan[1:]
         return {
-            "from_state": found.from_state.reshape(N + 1, 2, -1),
+            "from_state": prediction.from_state.reshape(N + 1, 2, -1),
             # Nothing comes from commands that are older than the model's memory.
             "from_past": np.pad(
-                found.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
+                prediction.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
             ),
-            "response": found.from_plan[:, :2].reshape(N + 1, 2, 2).transpose(1, 2, 0),
-            "twist_row": [_longest_row(found.from_plan[channel::2]) for channel in (0, 1)],
-            "mean_row": [_longest_row(found.mean_from_plan[channel::2]) for channel in (0, 1)],
-            "heading_row": _longest_row(found.heading_from_plan),
-            "heading_hessian": found.heading_from_plan[1:].T @ weighted_heading,
+            "response": prediction.from_plan[:, :2].reshape(N + 1, 2, 2).transpose(1, 2, 0),
+            "twist_row": [_longest_row(prediction.from_plan[channel::2]) for channel in (0, 1)],
+            "mean_row": [_longest_row(prediction.mean_from_plan[channel::2]) for channel in (0, 1)],
+            "heading_row": _longest_row(prediction.heading_from_plan),
+            "heading_hessian": prediction.heading_from_plan[1:].T @ weighted_heading,
         }
 
     def _pose_weights(self) -> FloatArray:

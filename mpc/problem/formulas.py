@@ -61,8 +61,8 @@ _ROUNDS = 3
 
 def _named(slip: ca.SX) -> SimpleNamespace:
     """Slip by its names; what a shorter column does not hold is zero."""
-    given = ca.vertsplit(slip)
-    return SimpleNamespace(**dict(zip(SLIPS, [*given, *[ca.SX(0)] * (len(SLIPS) - len(given))], strict=True)))
+    parts = ca.vertsplit(slip)
+    return SimpleNamespace(**dict(zip(SLIPS, [*parts, *[ca.SX(0)] * (len(SLIPS) - len(parts))], strict=True)))
 
 
 def _flat_twist(wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
@@ -306,7 +306,7 @@ def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
 
 def formula(name: str) -> ca.Function:
     """The formula `ddmpc_f_NAME`, to evaluate with numbers; with more columns it answers for each of them."""
-    return {one.name(): one for one in formulas()}[f"ddmpc_f_{name}"]
+    return {function.name(): function for function in formulas()}[f"ddmpc_f_{name}"]
 
 
 def term_symbols(parameters: int) -> dict[str, ca.SX]:
@@ -349,7 +349,7 @@ def _plain(name: str, formula: _Formula, *outputs: str, shapes: _Shapes | None =
 
 def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
     inputs = term_symbols(parameters)
-    return term(name, inputs, formula(**{given: inputs[given] for given in signature(formula).parameters}))
+    return term(name, inputs, formula(**{argument: inputs[argument] for argument in signature(formula).parameters}))
 
 
 def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:

@@ -130,7 +130,7 @@ class Slip:
         return np.array([self.v_offset, 0.0])
 
 
-SLIPS: tuple[str, ...] = tuple(one.name for one in fields(Slip))
+SLIPS: tuple[str, ...] = tuple(field.name for field in fields(Slip))
 """Names of what slip consists of, in the order of the filter's state."""
 PRIORS: tuple[str, ...] = tuple(name.removesuffix("_x").removesuffix("_y") for name in SLIPS)
 """Whose uncertainty and drift in the configuration they have: the slide has a direction, and its uncertainty none."""

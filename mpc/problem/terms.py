@@ -97,12 +97,12 @@ class Term:
         bounds.flags.writeable = False
         object.__setattr__(self, "bounds", bounds)
 
-    def _limits(self, name: str, given: Limits, none: float) -> FloatArray:
+    def _limits(self, name: str, limits: Limits, none: float) -> FloatArray:
         """(m,) one side of the limits."""
         where = f"term '{self.name}'"
-        if given is not None and not self.soft:
+        if limits is not None and not self.soft:
             raise ConfigError(f"{where}: {name} is for kind soft; a residual has no limits, leave it out")
-        rows = [given] * self.rows if given is None else [given] if isinstance(given, float | int) else list(given)
+        rows = [limits] * self.rows if limits is None else [limits] if isinstance(limits, float | int) else list(limits)
         if len(rows) != self.rows:
             raise ConfigError(f"{where}: {name} has {len(rows)} numbers, its value has {self.rows}; give one for each")
         if not all(row is None or _is_number(row) for row in rows):
@@ -136,7 +136,7 @@ def checked_terms(terms: object) -> tuple[Term, ...]:
     raise wrong_type("terms", "a list of Term", odd, remedy)
 
 
-def all_terms(configs: Sequence[TermConfig], given: Sequence[Term]) -> tuple[Term, ...]:
+def all_terms(configs: Sequence[TermConfig], own: Sequence[Term]) -> tuple[Term, ...]:
     """Terms that a configuration names, whose files are run, and those given in Python, in this order.
 
     Raises
@@ -145,14 +145,14 @@ def all_terms(configs: Sequence[TermConfig], given: Sequence[Term]) -> tuple[Ter
         If a file cannot be run, has no such function, or that is none of (pose, twist, command, ...); if two terms have
         one name, or all of them together more rows of soft limits than a controller holds.
     """
-    terms = (*(_load(config) for config in configs), *given)
-    for name, count in Counter(one.name for one in terms).items():
+    terms = (*(_load(config) for config in configs), *own)
+    for name, count in Counter(entry.name for entry in terms).items():
         if count > 1:
             raise ConfigError(f"term '{name}': {count} terms have this name; give each a name of its own")
-    soft = [one for one in terms if one.soft]
-    rows = sum(one.rows for one in soft)
+    soft = [entry for entry in terms if entry.soft]
+    rows = sum(entry.rows for entry in soft)
     if rows > MOST_SOFT_ROWS:
-        each = ", ".join(f"{one.name} {one.rows}" for one in soft)
+        each = ", ".join(f"{entry.name} {entry.rows}" for entry in soft)
         raise ConfigError(
             f"terms with soft limits have {rows} rows together ({each}), at most {MOST_SOFT_ROWS} are held; leave some "
             "out, or make them residuals"
@@ -197,12 +197,12 @@ def checked_parameters(
 def _load(config: TermConfig) -> Term:
     path, name = Path(config.file), config.name or config.function
     module = _run(path)
-    found = {key: value for key, value in module.items() if isinstance(value, ca.Function)}
-    if config.function not in found:
-        there = f"there are: {', '.join(found)}" if found else "it defines none"
+    functions = {key: value for key, value in module.items() if isinstance(value, ca.Function)}
+    if config.function not in functions:
+        there = f"there are: {', '.join(functions)}" if functions else "it defines none"
         raise ConfigError(f"{path}: term '{name}': no casadi.Function '{config.function}' in that file; {there}")
     try:
-        return Term(name, found[config.function], config.kind, config.upper, config.lower, tuple(config.parameters))
+        return Term(name, functions[config.function], config.kind, config.upper, config.lower, tuple(config.parameters))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 

@@ -44,8 +44,8 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
     """
     place = _checked_function(function, name, "term", place)
     known = (*TERM_INPUTS, "parameters")
-    given = _columns_in(function, place)
-    for given_name, length in given.items():
+    columns = _columns_in(function, place)
+    for given_name, length in columns.items():
         if given_name not in known:
             near = difflib.get_close_matches(given_name, known, 1) or known
             raise ConfigError(f"{place}: unknown input '{given_name}'; name it {' or '.join(near)}")
@@ -54,8 +54,8 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
                 f"{place}: input '{given_name}' has {length} entries, but it has {TERM_INPUTS[given_name]}"
             )
     _column_out(function, place)
-    inputs = term_symbols(given.get("parameters", 0))
-    return term(name, inputs, _value(function, [inputs[given_name] for given_name in given], place))
+    inputs = term_symbols(columns.get("parameters", 0))
+    return term(name, inputs, _value(function, [inputs[given_name] for given_name in columns], place))
 
 
 def user_step(function: ca.Function, name: str) -> ca.Function:
@@ -80,14 +80,14 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
         As `user_term`; and if the state changes its length, or the window holds half a command.
     """
     place = _checked_function(function, name, "step")
-    given = _columns_in(function, place)
-    if set(given) != {"x", "window"}:
-        raise ConfigError(f"{place}: its inputs are {', '.join(given)}; name them x and window")
-    if given["window"] == 0 or given["window"] % 2:
-        raise ConfigError(f"{place}: window has {given['window']} entries; give it two for each command")
-    if _column_out(function, place) != given["x"]:
-        raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {given['x']}")
-    symbols = {given_name: ca.SX.sym(given_name, length) for given_name, length in given.items()}
+    columns = _columns_in(function, place)
+    if set(columns) != {"x", "window"}:
+        raise ConfigError(f"{place}: its inputs are {', '.join(columns)}; name them x and window")
+    if columns["window"] == 0 or columns["window"] % 2:
+        raise ConfigError(f"{place}: window has {columns['window']} entries; give it two for each command")
+    if _column_out(function, place) != columns["x"]:
+        raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {columns['x']}")
+    symbols = {given_name: ca.SX.sym(given_name, length) for given_name, length in columns.items()}
     inputs = {"x": symbols["x"], "window": symbols["window"]}
     after = _value(function, list(symbols.values()), place)
     gradients = {f"by_{given_name}": ca.jacobian(after, symbol) for given_name, symbol in inputs.items()}
@@ -125,15 +125,15 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
     return differentiated(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
 
 
-def _checked_function(function: ca.Function, name: str, what: str, place: str | None = None) -> str:
+def _checked_function(function: ca.Function, name: str, kind: str, place: str | None = None) -> str:
     """The words that name the place, if `function` is one and `name` a name in C."""
     if not isinstance(function, ca.Function):
         raise ConfigError(
-            f"{place or f'{what} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"
+            f"{place or f'{kind} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"
         )
     if not _C_NAME.fullmatch(name):
-        raise ConfigError(f"{what} '{name}': letters, digits and underscores only")
-    place = place or f"{what} {function.name()}"
+        raise ConfigError(f"{kind} '{name}': letters, digits and underscores only")
+    place = place or f"{kind} {function.name()}"
     if function.has_free():
         raise ConfigError(f"{place}: it depends on {', '.join(map(str, function.get_free()))}; make it an input")
     return place

@@ -188,13 +188,13 @@ class Pursuit:
         sample = followed.sample(time + ahead)
         off, v = self._stray(sample)
         if off.outside:
-            found = self._return(reference, time, since_start, estimate)
-            if isinstance(found, TooFar | Standing):
+            way_back = self._return(reference, time, since_start, estimate)
+            if isinstance(way_back, TooFar | Standing):
                 no_way = "no way: nothing free leads back to the path; waits"
-                return Target(found, since_start, no_way) if isinstance(found, Standing) else found
-            if found is not None:
-                self._way_back = followed = found
-                time = found.begins
+                return Target(way_back, since_start, no_way) if isinstance(way_back, Standing) else way_back
+            if way_back is not None:
+                self._way_back = followed = way_back
+                time = way_back.begins
                 self._clock.set(since_start - time, 1.0)
                 sample = followed.sample(time + ahead)
                 off, v = self._stray(sample)
@@ -270,7 +270,7 @@ class Pursuit:
         displaced = self._displaced(moved)
         if self._way_back is None and not (beside or aside or displaced):
             return None
-        found = rejoin(
+        path = rejoin(
             reference,
             window,
             here,
@@ -280,14 +280,14 @@ class Pursuit:
             self._limits(),
             self.room,
         )
-        if found is None:
+        if path is None:
             return Standing(estimate.pose)
         if beside or not (aside or displaced):
             reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:
             reason = f"turned by {turned:.1f} rad" if aside else f"carried {moved:+.2f} m along the path"
-        self._reason = f"{reason}: rejoining {found.ahead:.2f} m ahead"
-        return found
+        self._reason = f"{reason}: rejoining {path.ahead:.2f} m ahead"
+        return path
 
     def _fastest_rate(self) -> float:
         """Progress rate at which the reference stays inside the limits of the command."""

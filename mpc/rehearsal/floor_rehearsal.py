@@ -88,12 +88,12 @@ class FloorRehearsal:
             self._error_as_given = np.inf
         self._reference = reference
         self._begin_lap(t0)
-        found = self._prepared(reference) if self.laps else None
-        if found is None:
+        drivable = self._prepared(reference) if self.laps else None
+        if drivable is None:
             return reference
-        beside, heading = found.pose - found.given.pose, found.given.pose[:, 2]
-        self.time, self.correction = found.times, np.column_stack([*ahead_and_left(beside, heading), beside[:, 2]])
-        return found.as_reference(reference.name, self.config.rehearsal.smoothing)
+        beside, heading = drivable.pose - drivable.given.pose, drivable.given.pose[:, 2]
+        self.time, self.correction = drivable.times, np.column_stack([*ahead_and_left(beside, heading), beside[:, 2]])
+        return drivable.as_reference(reference.name, self.config.rehearsal.smoothing)
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Learn from the tick at `t` [s]; returns `result`, at the first tick with what was prepared in its message."""
@@ -130,14 +130,14 @@ class FloorRehearsal:
         """The motion to track instead of `reference`, if there is one; says what was found."""
         bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
         try:
-            found = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
+            drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
         except NotDrivableError as error:
             self.said = f"{learned}, {_AS_GIVEN}: {error}"
             return None
-        most = float(found.distance.max())
-        distance = f"{1e3 * np.sqrt(np.mean(found.distance**2)):.1f} mm beside it, {1e3 * most:.1f} mm at most"
+        most = float(drivable.distance.max())
+        distance = f"{1e3 * np.sqrt(np.mean(drivable.distance**2)):.1f} mm beside it, {1e3 * most:.1f} mm at most"
         if bounds.min_shift < most <= bounds.max_shift:
             self.said = f"{learned}; the path nearest to the reference that can be driven is tracked: {distance}"
-            return found
+            return drivable
         self.said = f"{learned}, {_AS_GIVEN}: what can be driven lies {distance}"
         return None

@@ -126,9 +126,9 @@ class Rehearsal:
                     lap.poses.append(np.array([pose.time - self._t0, *np.asarray(pose.value, dtype=float)]))
         return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
 
-    def _is_near(self, believed: FloatArray, seen: ArrayLike) -> bool:
+    def _is_near(self, believed: FloatArray, measured: ArrayLike) -> bool:
         """Whether a pose is no outlier, which the estimator rejects, too; False where it is not finite."""
-        distance = np.asarray(seen, dtype=float) - believed
+        distance = np.asarray(measured, dtype=float) - believed
         return bool(np.hypot(*distance[:2]) < self._most_jump) and bool(np.isfinite(distance).all())
 
     def _learn(self, reference: Reference) -> None:
@@ -185,19 +185,22 @@ class Rehearsal:
         expected = reference.sample(self.time).pose
         v, omega = (np.interp(self.time, motion[:, 0], motion[:, 4 + i]) for i in (0, 1))
         poses = poses[(poses[:, 0] >= 0) & (poses[:, 0] <= self.time[-1])]
-        at, seen = poses[:, 0], poses[:, 1:]
+        at, measured = poses[:, 0], poses[:, 1:]
         near = np.interp(at, self.time, expected[:, 2])
-        theta = self._undrifted(omega, at, near + wrap_angle(seen[:, 2] - near))
-        moved = [self._undrifted(v * np.cos(theta), at, seen[:, 0]), self._undrifted(v * np.sin(theta), at, seen[:, 1])]
+        theta = self._undrifted(omega, at, near + wrap_angle(measured[:, 2] - near))
+        moved = [
+            self._undrifted(v * np.cos(theta), at, measured[:, 0]),
+            self._undrifted(v * np.sin(theta), at, measured[:, 1]),
+        ]
         return np.column_stack(ahead_and_left(np.column_stack(moved) - expected[:, :2], expected[:, 2]))
 
-    def _undrifted(self, rate: FloatArray, at: FloatArray, seen: FloatArray) -> FloatArray:
+    def _undrifted(self, rate: FloatArray, at: FloatArray, measured: FloatArray) -> FloatArray:
         """The integral of `rate` (n,), moved onto what was `seen` (m,) at the times `at` (m,)."""
         step = float(self.time[1])
         shape = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step)])
         place = np.clip(np.rint(at / step).astype(int), 0, len(shape) - 1)
         sums = np.zeros((len(shape), 2))
-        np.add.at(sums, place, np.column_stack([seen - np.interp(at, self.time, shape), np.ones_like(at)]))
+        np.add.at(sums, place, np.column_stack([measured - np.interp(at, self.time, shape), np.ones_like(at)]))
         # Far enough to reach a pose anywhere: its weight is small, but it is the only one.
         width = self._settings.smoothing / step
         distance, count = gaussian_filter1d(sums, width, axis=0, mode="constant", truncate=30.0).T
@@ -219,19 +222,19 @@ class Rehearsal:
         )
 
 
-def same_motion(one: Reference, other: Reference) -> bool:
+def same_motion(first: Reference, second: Reference) -> bool:
     """Whether both are the same motion, be it in another place."""
-    times = np.linspace(0.0, one.duration, max(int(one.duration / _INSTANT), 1) + 1)
-    return abs(one.duration - other.duration) < _SAME and bool(
-        np.allclose(one.sample(times).twist, other.sample(times).twist, rtol=0.0, atol=_SAME)
+    times = np.linspace(0.0, first.duration, max(int(first.duration / _INSTANT), 1) + 1)
+    return abs(first.duration - second.duration) < _SAME and bool(
+        np.allclose(first.sample(times).twist, second.sample(times).twist, rtol=0.0, atol=_SAME)
     )
 
 
 def corrected(reference: Reference, time: FloatArray, correction: FloatArray) -> SplineTrajectory:
     """`reference` moved by `correction` (n, 3) along and across itself [m] and turned [rad] at the times (n,) [s]."""
-    given = reference.sample(time)
-    heading, (v, omega) = given.pose[:, 2], given.twist.T
+    plain = reference.sample(time)
+    heading, (v, omega) = plain.pose[:, 2], plain.twist.T
     change = np.column_stack([*ahead_and_left(correction, -heading), correction[:, 2]])
     rate = np.column_stack([v * np.cos(heading), v * np.sin(heading), omega])
     rate += np.gradient(change, time[1] - time[0], axis=0)
-    return SplineTrajectory.through(reference.name, time, given.pose + change, rate)
+    return SplineTrajectory.through(reference.name, time, plain.pose + change, rate)

@@ -320,14 +320,14 @@ class ControlLoop:
             return self._standing()
         self._follow_frame()
         self._asked += 1
-        asked = Asked(self._asked, t, self.inbox.measurement(), self._hold(t))
-        result = self._controller.step(t, asked.measurement, asked.hold)
+        request = Asked(self._asked, t, self.inbox.measurement(), self._hold(t))
+        result = self._controller.step(t, request.measurement, request.hold)
         self._was_reset = False
         self.fallbacks += result.mode in (Mode.REUSED_PLAN, Mode.BRAKING)
         if self.state is LoopState.DRIVING and result.blocked_for >= self._settings.blocked_timeout:
             self.pause(f"blocked for {result.blocked_for:.1f} s; clear the way and call start")
             self.blocked = True
-        return Tick(result.command, self.state, result.message, result, asked)
+        return Tick(result.command, self.state, result.message, result, request)
 
     def _begin_next(self, t: float) -> None:
         assert self._next is not None

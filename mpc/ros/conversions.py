@@ -51,16 +51,16 @@ def yaw_of(q: Quaternion) -> float:
 
 def planar_pose(pose: Pose) -> tuple[float, float, float]:
     """x, y [m], yaw [rad]; raises MessageError if they are no finite numbers."""
-    found = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
-    if not all(map(math.isfinite, found)):
+    pose_2d = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
+    if not all(map(math.isfinite, pose_2d)):
         raise MessageError("its pose is not finite")
-    return found
+    return pose_2d
 
 
-def check_frame(found: str, expected: str, parameter: str, what: str = "frame_id") -> None:
+def check_frame(frame: str, expected: str, parameter: str, field: str = "frame_id") -> None:
     """Raise MessageError unless the frames agree; `parameter` is where the expected one is set."""
-    if found != expected:
-        raise MessageError(f"its {what} is '{found}', expected '{expected}' (parameter {parameter})")
+    if frame != expected:
+        raise MessageError(f"its {field} is '{frame}', expected '{expected}' (parameter {parameter})")
 
 
 def seconds(time: int, epoch: int) -> float:
@@ -188,7 +188,7 @@ def subscribe_bounded(
 def message_type(package: str, name: str) -> type[Any] | None:
     """The type `package`.msg.`name`; None where it is not installed."""
     try:
-        found: type[Any] = getattr(import_module(f"{package}.msg"), name)
+        message_class: type[Any] = getattr(import_module(f"{package}.msg"), name)
     except ImportError:
         return None
-    return found
+    return message_class

@@ -127,7 +127,7 @@ def _watches(topics: Sequence[TopicWatch], now: float) -> dict[str, str]:
 def _result(result: StepResult) -> dict[str, str]:
     values = {
         "mode": str(result.mode),
-        "solver": f"{result.solver.status}, by {result.solver.path}, {result.solver.iterations} iterations",
+        "solver": f"{result.solver.status}, by {result.solver.method}, {result.solver.iterations} iterations",
         "sensors not used": ", ".join(result.unused_sensors) or "none",
     }
     scalars = step_scalars()
@@ -141,5 +141,7 @@ def _result(result: StepResult) -> dict[str, str]:
 
 
 def _milliseconds(durations: Durations) -> str:
-    found = durations.percentiles()
-    return " / ".join("-" if math.isnan(v) else f"{1e3 * v:.2f}" for v in (found.p50, found.p99, found.max))
+    percentiles = durations.percentiles()
+    return " / ".join(
+        "-" if math.isnan(v) else f"{1e3 * v:.2f}" for v in (percentiles.p50, percentiles.p99, percentiles.max)
+    )

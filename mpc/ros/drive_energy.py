@@ -139,9 +139,9 @@ class DriveEnergy:
         except MessageError as error:
             self.battery.refuse(str(error))
             return
-        given = -current if self._settings.battery_discharge_negative else current
-        self._reading = voltage, given
-        self._measured.take(time, voltage * given)
+        drawn = -current if self._settings.battery_discharge_negative else current
+        self._reading = voltage, drawn
+        self._measured.take(time, voltage * drawn)
 
     def tick(self, command: ArrayLike, drive: Begun | None) -> Mapping[str, Cell]:
         """A command (2,) has been sent in this drive; what of a row the battery has told since the last tick.

@@ -231,11 +231,11 @@ class Following:
 
     def _ask(self, goal: Goal) -> None:
         loop, config = self._loop, self._config()
-        found = loop.whereabouts()
-        if found is None:
+        whereabouts = loop.whereabouts()
+        if whereabouts is None:
             self._refuse(goal, Code.TF_ERROR, loop.missing() or "the robot's pose is not known yet")
             return
-        robot, twist = found
+        robot, twist = whereabouts
         goal.asked_at = loop.inbox.now
         limits = path_limits(config, self._gain(), self._settings)
         self._lay(

@@ -152,6 +152,6 @@ class Inbox:
 
     def measurement(self) -> Measurement:
         """What arrived since the last call."""
-        found = Measurement(pose=self._pose, wheel_twist=self._twist, yaw_rate=self._yaw_rate)
+        measurement = Measurement(pose=self._pose, wheel_twist=self._twist, yaw_rate=self._yaw_rate)
         self._pose = self._twist = self._yaw_rate = None
-        return found
+        return measurement

@@ -316,14 +316,16 @@ class TrackingNode(LifecycleNode):
         """What hears of surroundings; None where no topic of them is used."""
         if not (settings.use_costmap or settings.use_obstacles):
             return None
-        seen = SurroundingsInput(settings, controller, self._inbox, self._aside, self.get_logger().warning)
+        surroundings = SurroundingsInput(settings, controller, self._inbox, self._aside, self.get_logger().warning)
         if settings.use_costmap:
-            self._inputs.append(self.create_subscription(OccupancyGrid, "costmap", seen.take_costmap, 1, raw=True))
+            self._inputs.append(
+                self.create_subscription(OccupancyGrid, "costmap", surroundings.take_costmap, 1, raw=True)
+            )
         if settings.use_obstacles:
-            take, sensors = seen.take_obstacles, qos_profile_sensor_data
+            take, sensors = surroundings.take_obstacles, qos_profile_sensor_data
             self._inputs.append(self.create_subscription(PointCloud2, "obstacles", take, sensors, raw=True))
         self._aside.prepare(nothing)
-        return seen
+        return surroundings
 
     def _now(self) -> int:
         """The node's time [ns]."""
@@ -380,10 +382,10 @@ class TrackingNode(LifecycleNode):
 
     def _objection(self, others: Others) -> str:
         """Why the robot must not be driven beside `others`; empty where it may."""
-        found = drive_too(others, self._rivals.topic)
-        if not found and others.foreign and self._settings.exclusive_cmd_vel:
-            found = f"{publish_too(others, self._rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
-        return found
+        objection = drive_too(others, self._rivals.topic)
+        if not objection and others.foreign and self._settings.exclusive_cmd_vel:
+            objection = f"{publish_too(others, self._rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
+        return objection
 
     def _look_around(self) -> None:
         """Tell the loop who else publishes commands, which makes it brake or is named, and who does not hear it."""
@@ -521,9 +523,9 @@ class TrackingNode(LifecycleNode):
         if self._loop is not None and any(self.count_publishers(topic) for topic in _REFERENCES):
             self._aside.prepare(nothing)
         time = self.get_clock().now().nanoseconds
-        seen = () if self._surroundings is None else self._surroundings.topics
+        topics = () if self._surroundings is None else self._surroundings.topics
         message = diagnostics(
-            self.get_name(), time, self._label, self._loop, self._recording, self._bond, seen, self._energy
+            self.get_name(), time, self._label, self._loop, self._recording, self._bond, topics, self._energy
         )
         self._diagnostics.publish(message)
         if self._recording is not None:
@@ -548,11 +550,11 @@ class TrackingNode(LifecycleNode):
         """Kept here, too: whoever stopped the robot did not mean until the next activation."""
         self._held = bool(request.data)
         if self._loop is None:
-            said = "is held once it is active" if self._held else "is not held"
+            answer = "is held once it is active" if self._held else "is not held"
         else:
-            said = self._loop.hold(on=self._held)
-        response.success, response.message = True, said
-        self.get_logger().info(f"hold: {said}")
+            answer = self._loop.hold(on=self._held)
+        response.success, response.message = True, answer
+        self.get_logger().info(f"hold: {answer}")
         return response
 
     def _reads(self, read_reference: Callable[[bytes, Limits], StatedReference]) -> Callable[[bytes], None]:
@@ -566,7 +568,7 @@ class TrackingNode(LifecycleNode):
             else:
                 loop, limits = self._loop, self._controller.config.limits
                 self._aside.submit(
-                    "reference", read_reference, (raw, limits), lambda found: self._offer(loop, found), self._refuse
+                    "reference", read_reference, (raw, limits), lambda stated: self._offer(loop, stated), self._refuse
                 )
 
         return take
@@ -574,16 +576,16 @@ class TrackingNode(LifecycleNode):
     def _refuse(self, reason: str) -> None:
         self.get_logger().error(f"reference refused: {reason}")
 
-    def _offer(self, loop: ControlLoop, found: StatedReference) -> None:
+    def _offer(self, loop: ControlLoop, stated: StatedReference) -> None:
         """Pass a reference on if it can be used; else say why not and go on as before."""
         try:
             if loop is not self._loop:
                 raise RefusedError("the node was deactivated while it was read")
-            loop.offer(found.reference, self._placement(found.frame, found.stamp))
+            loop.offer(stated.reference, self._placement(stated.frame, stated.stamp))
         except ValueError as error:
             self._refuse(str(error))
         else:
-            self.get_logger().info(f"reference accepted: {found.reference.duration:.1f} s")
+            self.get_logger().info(f"reference accepted: {stated.reference.duration:.1f} s")
 
     def _placement(self, frame: str, stamp: int) -> Placement | None:
         """Where a reference lies that is stated in `frame` at `stamp` [ns]; raises ValueError where that is unknown."""

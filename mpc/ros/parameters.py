@@ -37,11 +37,11 @@ def fields(schema: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
 
     Those of a controller come room by room, see `mpc.config.rooms`.
     """
-    found = list(_fields(schema))
+    declared = list(_fields(schema))
     if schema is not ControllerConfig:
-        return found
-    named = [(shown_key(key), field) for key, field in found]
-    return sorted(named, key=lambda one: one[0].startswith(f"{EXPERT}."))
+        return declared
+    named = [(shown_key(key), field) for key, field in declared]
+    return sorted(named, key=lambda entry: entry[0].startswith(f"{EXPERT}."))
 
 
 def _fields(schema: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
@@ -87,13 +87,13 @@ def _under_former_names(node: Node, config: BaseModel) -> dict[str, Value]:
         return {}
     present = {key for key, _ in fields(ControllerConfig)}
     known = {plain_key(key): key for key in present} | {old: shown_key(new) for old, new in FORMER.items()}
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     # The overrides of a node have no public name in rclpy 7.1.
     for name, parameter in getattr(node, "_parameter_overrides", {}).items():
         if name in known and name not in present:
-            found[known[name]] = parameter.value
+            values[known[name]] = parameter.value
             node.get_logger().warning(f"parameter {name} is {known[name]} now; it was taken")
-    return found
+    return values
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
@@ -107,13 +107,13 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
         words.append(f"one of {', '.join(get_args(field.annotation))}")
     if _optional(field):
         words, low = [*words, f"{NONE:g}: none"], NONE
-    found = ParameterDescriptor(
+    described = ParameterDescriptor(
         description=field.description or "", additional_constraints=", ".join(words), read_only=read_only
     )
     if low is None and high is None:
-        return found
+        return described
     if _kind(field) is int:
-        found.integer_range = [
+        described.integer_range = [
             IntegerRange(
                 from_value=-_LARGEST_INTEGER if low is None else int(low),
                 to_value=_LARGEST_INTEGER if high is None else int(high),
@@ -121,12 +121,12 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
         ]
     else:
         largest = sys.float_info.max
-        found.floating_point_range = [
+        described.floating_point_range = [
             FloatingPointRange(
                 from_value=-largest if low is None else float(low), to_value=largest if high is None else float(high)
             )
         ]
-    return found
+    return described
 
 
 def read(
@@ -329,9 +329,9 @@ def refuse_what_is_not_allowed(node: LifecycleNode) -> None:
         # As rclpy: a label goes before the number.
         if any(wanted.label == each.label if wanted.label else wanted.id == each.id for each in allowed):
             return change(request, response)
-        asked = f"'{wanted.label}'" if wanted.label else str(wanted.id)
+        requested = f"'{wanted.label}'" if wanted.label else str(wanted.id)
         choice = ", ".join(f"{each.label} ({each.id})" for each in allowed) or "none"
-        node.get_logger().warning(f"transition {asked} refused: the node is {state.label}; allowed: {choice}")
+        node.get_logger().warning(f"transition {requested} refused: the node is {state.label}; allowed: {choice}")
         response.success = False
         return response
 

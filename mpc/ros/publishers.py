@@ -163,15 +163,15 @@ def publishers_of(node: Node, subscription: Subscription) -> str:
     """Return topic, type and reliability that `subscription` asks for, and who publishes on that topic."""
     topic, kind = subscription.topic_name, _type_name(subscription.msg_type)
     infos = node.get_publishers_info_by_topic(topic)
-    asked = f"{topic}, {kind}, {_reliability(subscription.qos_profile)}"
+    wanted = f"{topic}, {kind}, {_reliability(subscription.qos_profile)}"
     if not infos:
-        return f"{asked}: nobody publishes there; is the base running, and the topic remapped (-r name:=/base/name)?"
+        return f"{wanted}: nobody publishes there; is the base running, and the topic remapped (-r name:=/base/name)?"
     words = "; ".join(
         f"{_names([info])} publishes {info.topic_type}, {_reliability(info.qos_profile)}"
         + ("" if info.topic_type == kind else ", which is another type")
         for info in infos
     )
-    return f"{asked}: {words}"
+    return f"{wanted}: {words}"
 
 
 def _type_name(kind: type[Any]) -> str:

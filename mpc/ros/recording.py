@@ -95,10 +95,10 @@ class Recording:
     @_harmless
     def tick(self, tick: Tick, time: int, inbox: Inbox, heard: Mapping[str, Cell]) -> None:
         """Record one tick, which began at `time` [ns], with what else of its row was `heard`."""
-        asked, result = tick.asked, tick.result
+        request, result = tick.asked, tick.result
         row: dict[str, Cell] = {
             **(_standing(tick) if result is None else decided_cells(result)),
-            "t_s": inbox.now if asked is None else asked.time,
+            "t_s": inbox.now if request is None else request.time,
             **heard,
         }
         if result is not None and result.reference is not None:
@@ -107,7 +107,7 @@ class Recording:
             "tick",
             time,
             row,
-            measurement=None if asked is None else asked.measurement,
+            measurement=None if request is None else request.measurement,
             plan=None if result is None else result.plan,
             period=self._period,
             diagnose=False,
@@ -158,14 +158,14 @@ def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
     except PackageNotFoundError:
         release = "not installed"
     plain = config.model_dump(mode="json")
-    told = {
+    record = {
         "version": release,
         "recorded_by": "node",
         "model": Path(config.model).stem,
         "trajectory": settings.trajectory,
     }
     return {
-        "case": told | {"trajectory": settings.trajectory},
+        "case": record | {"trajectory": settings.trajectory},
         "node": {"yaml": yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False)},
         "configuration": {"yaml": yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)},
         "model": {"yaml": model_path(config.model).read_text(encoding="utf-8")},
@@ -191,8 +191,8 @@ class TickRecords:
 
     def lines(self, begun: Begun, tick: Tick) -> list[tuple[str, str]]:
         """What is to be said of a tick of the drive `begun`: a line and its topic, that of a new drive first."""
-        found = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
-        return [(topic, record.line()) for topic, record in found if record is not None]
+        records = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
+        return [(topic, record.line()) for topic, record in records if record is not None]
 
     def drive(self, begun: Begun) -> DriveRecord | None:
         """The drive under way where that is another one than at the last call, or its configuration has changed."""
@@ -208,12 +208,12 @@ class TickRecords:
 
     def tick(self, tick: Tick) -> TickRecord | None:
         """The record of a tick at which the controller was asked; it belongs to the drive of the last `drive`."""
-        asked, result = tick.asked, tick.result
-        if asked is None or result is None:
+        request, result = tick.asked, tick.result
+        if request is None or result is None:
             return None
-        hold = None if asked.hold is None else (asked.hold.reason, asked.hold.failure)
-        said = (str(result.mode), result.message, str(result.solver.path), result.step_time)
-        return TickRecord(asked.number, asked.time, self._number, asked.measurement, hold, result.command, *said)
+        hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
+        cells = (str(result.mode), result.message, str(result.solver.method), result.step_time)
+        return TickRecord(request.number, request.time, self._number, request.measurement, hold, result.command, *cells)
 
 
 def _model_text(model: str) -> str:

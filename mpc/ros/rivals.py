@@ -57,14 +57,14 @@ class Rivals:
         """
         if self._claim is None:
             self._claim = self._node.create_publisher(Empty, f"{self.topic}/{_CLAIM}", 1)
-        found = self.others()
+        rivals = self.others()
         began = time.monotonic()
-        while (not found.project and time.monotonic() - self._born < wait) or (
-            _NAMELESS in found.project and time.monotonic() - began < _CHRISTENING
+        while (not rivals.project and time.monotonic() - self._born < wait) or (
+            _NAMELESS in rivals.project and time.monotonic() - began < _CHRISTENING
         ):
             time.sleep(_POLL)
-            found = self.others()
-        return found
+            rivals = self.others()
+        return rivals
 
     def release(self) -> None:
         """Let others have it."""
@@ -82,10 +82,10 @@ class Rivals:
         return Others(tuple(project), tuple(foreign))
 
     def _beside_own(self, topic: str) -> list[str]:
-        found = self._node.get_publishers_info_by_topic(topic)
+        publishers = self._node.get_publishers_info_by_topic(topic)
         names = sorted(
             _NAMELESS if _UNKNOWN in each.node_name else f"{each.node_namespace.rstrip('/')}/{each.node_name}"
-            for each in found
+            for each in publishers
         )
         own = self._node.get_fully_qualified_name()
         # One of that name is this node; a second one is another.

@@ -182,14 +182,14 @@ class SurroundingsInput:
             "obstacles", read_obstacles, (raw,), self._see_discs, lambda why: self._refuse(self.obstacles, why)
         )
 
-    def _see_grid(self, found: SeenGrid) -> None:
-        if self._accept(self.costmap, found.frame, found.stamp):
-            self._grid = found.grid
+    def _see_grid(self, grid: SeenGrid) -> None:
+        if self._accept(self.costmap, grid.frame, grid.stamp):
+            self._grid = grid.grid
             self._tell(self.costmap)
 
-    def _see_discs(self, found: SeenDiscs) -> None:
-        if self._accept(self.obstacles, found.frame, found.stamp):
-            self._discs = found.discs
+    def _see_discs(self, discs: SeenDiscs) -> None:
+        if self._accept(self.obstacles, discs.frame, discs.stamp):
+            self._discs = discs.discs
             self._tell(self.obstacles)
 
     def _accept(self, watch: TopicWatch, frame: str, stamp: int) -> bool:

@@ -80,11 +80,11 @@ class Program:
 
     def broken(self, plan: FloatArray, margin: float) -> Kinds:
         """Kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
-        tick, found = self._tick, np.zeros(self._count, dtype=np.intc)
+        tick, rows = self._tick, np.zeros(self._count, dtype=np.intc)
         plan = np.ascontiguousarray(plan)
         cast = tick.ffi.cast
-        tick.lib.ddmpc_broken(tick.c, cast("const real *", plan.ctypes.data), margin, cast("int *", found.ctypes.data))
-        return tuple(np.flatnonzero(found).tolist())
+        tick.lib.ddmpc_broken(tick.c, cast("const real *", plan.ctypes.data), margin, cast("int *", rows.ctypes.data))
+        return tuple(np.flatnonzero(rows).tolist())
 
 
 class Solved(NamedTuple):

@@ -59,13 +59,13 @@ class DaqpBackend:
         if solved is None:
             return Solved(guess, np.zeros((self._count, self._steps)), status)
         plan, pressing, iterations = solved
-        found = np.zeros((self._count, self._steps))
-        found[chosen] = pressing.reshape(-1, self._steps)
+        duals = np.zeros((self._count, self._steps))
+        duals[chosen] = pressing.reshape(-1, self._steps)
         dual = program.H @ plan + program.g + rows.T @ pressing
         values = rows @ plan
         excess = np.maximum(values - program.upper[chosen].reshape(-1), program.lower[chosen].reshape(-1) - values)
         worst = float(np.max(excess[~soft], initial=0.0))
-        return Solved(plan, found, status, iterations, max(worst, 0.0), float(np.abs(dual).max()))
+        return Solved(plan, duals, status, iterations, max(worst, 0.0), float(np.abs(dual).max()))
 
     def _run(
         self, program: Program, rows: FloatArray, kinds: list[int], soft: FloatArray, near: FloatArray

@@ -147,10 +147,10 @@ class _Workspace:
         return np.concatenate([pressing, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
 
     def _multipliers(self, dual: FloatArray) -> FloatArray:
-        found = np.zeros((self._count, self._steps))
+        multipliers = np.zeros((self._count, self._steps))
         pressing = dual[: self._rows]
-        found[self._kinds] = np.where(np.abs(pressing) < _NO_PRESSURE, 0.0, pressing).reshape(-1, self._steps)
-        return found
+        multipliers[self._kinds] = np.where(np.abs(pressing) < _NO_PRESSURE, 0.0, pressing).reshape(-1, self._steps)
+        return multipliers
 
 
 def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:

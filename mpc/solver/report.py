@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -26,27 +27,27 @@ class SolverStatus(StrEnum):
         return self in (SolverStatus.SOLVED, SolverStatus.SOLVED_INACCURATELY)
 
 
-class SolverPath(StrEnum):
-    """The way that led to the plan of a tick; where a backend was asked, the way is its name in the configuration."""
+class SolverMethod(StrEnum):
+    """The method that gave the plan of a tick; a backend has its name in the configuration instead."""
 
     NONE = "none"
     """Nothing was solved."""
     UNLIMITED = "unlimited"
-    """No limit presses: the minimiser without limits keeps them all. One factorisation."""
+    """No limit is active: the minimiser without limits keeps them all. One factorisation."""
     ACTIVE_SET = "active_set"
-    """The limits that press were found and proven by their multipliers."""
+    """The active limits were identified, and proven by their multipliers."""
 
 
 @dataclass(frozen=True)
 class SolverReport:
-    """Status, way, effort and accuracy of one tick's solution.
+    """Status, method, effort and accuracy of one tick's solution.
 
     Attributes
     ----------
     status
         The outcome; only a `usable` one may move the robot.
-    path
-        The way that was taken: "none", "unlimited", "active_set", or the name of the backend that was asked.
+    method
+        "none", "unlimited", "active_set", or the name of the backend that was asked.
     iterations
         Iterations over all solves of the tick: of the backend, or systems of the active set; 0 where the minimiser
         without limits keeps them all and so is the exact solution.
@@ -58,8 +59,14 @@ class SolverReport:
     """
 
     status: SolverStatus
-    path: str = SolverPath.NONE
+    method: str = SolverMethod.NONE
     iterations: int = 0
     primal_residual: float = float("nan")
     dual_residual: float = float("nan")
     soft_limits: bool = False
+
+    @property
+    def path(self) -> str:
+        """Return `method`, which it was called before; it warns."""
+        warnings.warn("SolverReport.path is SolverReport.method now", DeprecationWarning, stacklevel=2)
+        return self.method

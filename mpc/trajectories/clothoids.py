@@ -97,9 +97,9 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
         return Joint(before, after, reach, _fit(before, after, reach))
 
     def excess(reach: float) -> float:
-        found = made(reach)
-        length = sum(part.length for part in found.parts)
-        return float(distances(along(found.parts, _LOOKS * length)[0], found).max()) - distance
+        candidate = made(reach)
+        length = sum(part.length for part in candidate.parts)
+        return float(distances(along(candidate.parts, _LOOKS * length)[0], candidate).max()) - distance
 
     if excess(most) <= 0:
         return made(most)
@@ -115,11 +115,11 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
     def parts(unknown: FloatArray) -> tuple[Clothoid, ...]:
         knots = (before, unknown[0] / reach, unknown[1] / reach, after)
         lengths = _PARTS * unknown[2] * reach
-        return tuple(Clothoid(*one) for one in zip(lengths.tolist(), knots[:-1], knots[1:], strict=True))
+        return tuple(Clothoid(*row) for row in zip(lengths.tolist(), knots[:-1], knots[1:], strict=True))
 
     def gap(unknown: FloatArray) -> FloatArray:
-        found = parts(unknown)
-        poses, _ = along(found, np.concatenate([[0.0], np.cumsum([one.length for one in found])]))
+        clothoids = parts(unknown)
+        poses, _ = along(clothoids, np.concatenate([[0.0], np.cumsum([clothoid.length for clothoid in clothoids])]))
         return np.asarray((poses[-1] - target) / (reach, reach, 1.0))
 
     guess = np.array([(before - overshoot) * reach, (after + overshoot) * reach, 2.0])

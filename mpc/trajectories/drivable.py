@@ -86,7 +86,7 @@ class Drivable:
         at_ends = ca.Function("ends", [y, pose, acceleration], [rate, ahead])
         step = self.times[1]
         speeding = np.gradient(self.wheels[:, 0], step)
-        rates, turned = (np.array(one).T for one in at_ends(self.wheels.T, self.pose.T, speeding[None]))
+        rates, turned = (np.array(column).T for column in at_ends(self.wheels.T, self.pose.T, speeding[None]))
         smooth = gaussian_filter1d(turned[:, 0], smoothing / step, mode="nearest")
         # Where it begins the reference is the given one's pose: a fence is laid from there.
         smooth *= np.minimum(1.0, self.times / (2 * smoothing))
@@ -119,10 +119,10 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
     if count < 2:
         raise NotDrivableError(f"{reference.duration:g} s leave nothing to plan")
     times = np.linspace(0.0, reference.duration, count + 1)
-    given, floor = reference.sample(times), replace(slip, v_offset=0.0)
+    sample, floor = reference.sample(times), replace(slip, v_offset=0.0)
     # Seen from its start: far from the origin of a map nothing is lost to rounding.
-    origin = np.array([*given.pose[0, :2], 0.0])
-    problem = _Problem(given._replace(pose=given.pose - origin), floor, config, np.asarray(inverse_gain), times[1])
+    origin = np.array([*sample.pose[0, :2], 0.0])
+    problem = _Problem(sample._replace(pose=sample.pose - origin), floor, config, np.asarray(inverse_gain), times[1])
     options: dict[str, Any] = {
         "print_time": 0,
         "ipopt.print_level": 0,
@@ -132,13 +132,13 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
         "ipopt.max_iter": config.drivable.iterations,
     }
     solver = ca.nlpsol("drivable", "ipopt", problem.program(), options)
-    found = np.array(solver(**problem.bounds(), x0=problem.guess)["x"]).ravel()
+    solution = np.array(solver(**problem.bounds(), x0=problem.guess)["x"]).ravel()
     status = solver.stats()["return_status"]
-    if status not in _DRIVEN or not np.isfinite(found).all():
+    if status not in _DRIVEN or not np.isfinite(solution).all():
         raise NotDrivableError(f"the solver ended with {status.replace('_', ' ').lower()}")
-    pose = np.vstack([given.pose[:1], found[: 3 * count].reshape(-1, 3) + origin])
-    wheels = np.vstack([problem.wheels[:1], found[3 * count :].reshape(-1, 2), problem.wheels[-1:]])
-    return Drivable(given, times, pose, wheels, floor)
+    pose = np.vstack([sample.pose[:1], solution[: 3 * count].reshape(-1, 3) + origin])
+    wheels = np.vstack([problem.wheels[:1], solution[3 * count :].reshape(-1, 2), problem.wheels[-1:]])
+    return Drivable(sample, times, pose, wheels, floor)
 
 
 def _column(slip: Slip) -> ca.SX:
@@ -149,13 +149,13 @@ class _Problem:
     """The program above for one reference and floor; unknown are poses 1 to N, and y at 1 to N - 1."""
 
     def __init__(
-        self, given: ReferenceSample, slip: Slip, config: ControllerConfig, inverse_gain: FloatArray, step: float
+        self, sample: ReferenceSample, slip: Slip, config: ControllerConfig, inverse_gain: FloatArray, step: float
     ) -> None:
-        self._given, self._config, self._step, self._slip = given, config, step, _column(slip)
-        self._inverse_gain, self._count = inverse_gain, len(given.pose) - 1
+        self._given, self._config, self._step, self._slip = sample, config, step, _column(slip)
+        self._inverse_gain, self._count = inverse_gain, len(sample.pose) - 1
         pose, twist = ca.SX.sym("pose", 3), ca.SX.sym("twist", 2)
         undone = ca.Function("undone", [pose, twist], [wheel_twist(twist, self._slip), aim(pose, twist, self._slip)[3]])
-        wheels, aims = undone(given.pose.T, given.twist.T)
+        wheels, aims = undone(sample.pose.T, sample.twist.T)
         self.wheels, self._aims = np.array(wheels).T, np.array(aims).ravel()
 
     @property

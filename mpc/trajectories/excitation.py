@@ -69,7 +69,7 @@ def slip_excitation(
             f"side {side} m: at {speed} m/s for {hold} s a robot that stays {margin} m inside cannot drive there; give "
             f"{2 * (margin + 0.5 * speed * hold):.1f} m or more, or a lower speed"
         )
-    information, found = 1e-3 * np.eye(3), list[Segment]()
+    information, chosen = 1e-3 * np.eye(3), list[Segment]()
     scale = np.array([speed, yaw_rate, speed * yaw_rate])
     for _ in range(max(1, round(seconds / hold))):
         best, most = None, -math.inf
@@ -79,7 +79,7 @@ def slip_excitation(
                 continue
             z = np.array([twist[0], twist[1], twist[0] * twist[1]]) / scale
             gain = 1 + hold * float(z @ np.linalg.solve(information, z))
-            if found and np.sign(twist[0]) != np.sign(found[-1].v):
+            if chosen and np.sign(twist[0]) != np.sign(chosen[-1].v):
                 gain /= _REVERSAL
             if gain > most:
                 best, most = (twist, end, z), gain
@@ -87,14 +87,14 @@ def slip_excitation(
             raise ValueError(f"side {side} m: no way on at {pose[0]:.1f}, {pose[1]:.1f} m; give a larger one")
         twist, pose, z = best
         information = information + hold * np.outer(z, z)
-        found.append(Segment(v=float(twist[0]), omega=float(twist[1]), duration=hold))
-    return found
+        chosen.append(Segment(v=float(twist[0]), omega=float(twist[1]), duration=hold))
+    return chosen
 
 
 def told_apart(segments: Sequence[Segment]) -> float:
     """Largest correlation between the terms v, omega and v omega over a drive, without its sign: 1 hides one."""
-    terms = np.array([[one.v, one.omega, one.v * one.omega] for one in segments])
-    weights = np.array([one.duration for one in segments])
+    terms = np.array([[segment.v, segment.omega, segment.v * segment.omega] for segment in segments])
+    weights = np.array([segment.duration for segment in segments])
     products = (terms * weights[:, None]).T @ terms
     size = np.sqrt(np.maximum(np.diag(products), 1e-12))
     return float(np.abs(products / np.outer(size, size) - np.eye(3)).max())
@@ -106,7 +106,7 @@ def write_excitation(path: str | Path, segments: Sequence[Segment]) -> None:
         "name": "slip excitation",
         "start": [0.0, 0.0, math.pi / 4],
         "timing": "smooth",
-        "segments": [{key: round(value, 4) for key, value in one.model_dump().items()} for one in segments],
+        "segments": [{key: round(value, 4) for key, value in segment.model_dump().items()} for segment in segments],
     }
     with whole_file(path) as draft:
         draft.write_text(yaml.safe_dump(drive, sort_keys=False, default_flow_style=None), encoding="utf-8")

@@ -57,7 +57,7 @@ def load_trajectory(
             name_or_path,
             "make it of arrays with Trajectory.from_arrays(t, x, y) or Trajectory.from_waypoints(points)",
         )
-    way = next((one for one in TIMINGS if one == timing), None)
+    way = next((known for known in TIMINGS if known == timing), None)
     if timing is not None and way is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
     if isinstance(limits, ControllerConfig):

@@ -141,12 +141,12 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
         "steps": _Steps(room, seconds, limits),
         "multi-sine": _Sines(room, seconds, limits),
     }
-    found = {name: _best(family, worth, seed) for name, family in families.items()}
-    values = {name: worth(twists) for name, twists in found.items()}
+    candidates = {name: _best(family, worth, seed) for name, family in families.items()}
+    values = {name: worth(twists) for name, twists in candidates.items()}
     best = max(values, key=lambda name: values[name])
     if not math.isfinite(values[best]):
         raise ConfigError("no drive tells all of the model's parameters; give more time, room or speed")
-    return ModelDrive(best, found[best], values)
+    return ModelDrive(best, candidates[best], values)
 
 
 def drives_tried() -> int:

@@ -52,10 +52,10 @@ class MovedReference:
     @cached_property
     def native(self) -> NativeTrajectory | None:
         """The same in the compiled core, where that can sample the original."""
-        found = getattr(self.original, "native", None)
-        if not isinstance(found, NativeTrajectory) or any(found.struct.motion):
+        native = getattr(self.original, "native", None)
+        if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
-        return found.moved(self.motion)
+        return native.moved(self.motion)
 
     def __getstate__(self) -> dict[str, object]:
         """Without the memory of C."""
@@ -63,14 +63,14 @@ class MovedReference:
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; twist and arc length are the original's."""
-        found = self.original.sample(times)
+        sample = self.original.sample(times)
         x, y, theta = self.motion
         cos, sin = np.cos(theta), np.sin(theta)
-        pose = np.empty_like(found.pose)
-        pose[:, 0] = x + cos * found.pose[:, 0] - sin * found.pose[:, 1]
-        pose[:, 1] = y + sin * found.pose[:, 0] + cos * found.pose[:, 1]
-        pose[:, 2] = theta + found.pose[:, 2]
-        return found._replace(pose=pose)
+        pose = np.empty_like(sample.pose)
+        pose[:, 0] = x + cos * sample.pose[:, 0] - sin * sample.pose[:, 1]
+        pose[:, 1] = y + sin * sample.pose[:, 0] + cos * sample.pose[:, 1]
+        pose[:, 2] = theta + sample.pose[:, 2]
+        return sample._replace(pose=pose)
 
 
 def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
@@ -127,18 +127,19 @@ def scaled_to_robot(
     # Shares of commands and wheels that each segment would take, were it as long as in the file.
     taken = [
         max(
-            length * abs(one.v) / (v_gain * limits.v),
-            abs(one.omega) / (omega_gain * limits.omega),
-            (length * abs(one.v) / v_gain + 0.5 * config.wheels.track * abs(one.omega) / omega_gain)
+            length * abs(segment.v) / (v_gain * limits.v),
+            abs(segment.omega) / (omega_gain * limits.omega),
+            (length * abs(segment.v) / v_gain + 0.5 * config.wheels.track * abs(segment.omega) / omega_gain)
             / limits.wheel_speed,
         )
-        for one in segments
+        for segment in segments
     ]
     slower = max(taken) / settings.reach_share
     scaled = [
-        Segment(v=one.v * length / slower, omega=one.omega / slower, duration=one.duration * slower) for one in segments
+        Segment(v=segment.v * length / slower, omega=segment.omega / slower, duration=segment.duration * slower)
+        for segment in segments
     ]
-    fastest = [max(abs(getattr(one, name)) for one in scaled) for name in ("v", "omega")]
+    fastest = [max(abs(getattr(segment, name)) for segment in scaled) for name in ("v", "omega")]
     usual, slew = load_robot().reference_acceleration, settings.slew_share
     left = slew * (1.0 - settings.reach_share)
     bounds = TrajectoryLimits(
@@ -158,8 +159,8 @@ def scaled_to_robot(
 
 def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:
     """Least radius of a path [m]; raises ConfigError where it turns on the spot."""
-    turning = [one for one in segments if one.omega]
-    if any(one.v == 0.0 for one in turning):
+    turning = [segment for segment in segments if segment.omega]
+    if any(segment.v == 0.0 for segment in turning):
         name = "min_turn_radius" if limits.min_turn_radius else "min_commanded_radius"
         raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle")
-    return min((abs(one.v / one.omega) for one in turning), default=math.inf)
+    return min((abs(segment.v / segment.omega) for segment in turning), default=math.inf)

@@ -91,9 +91,9 @@ class NativeReference:
     """
 
     def __init__(self, reference: Reference) -> None:
-        found = _native(reference)
-        self.complete = found is not None
-        self._trajectory = found or _rest(reference)
+        native = _native(reference)
+        self.complete = native is not None
+        self._trajectory = native or _rest(reference)
         ffi, lib = load_core()
         self.struct = ffi.new(
             "ddmpc_reference *",
@@ -107,8 +107,8 @@ class NativeReference:
 
 def _native(reference: Reference) -> NativeTrajectory | None:
     """What samples it in C, where there is such a thing."""
-    found = getattr(reference, "native", None)
-    return found if isinstance(found, NativeTrajectory) else None
+    own = getattr(reference, "native", None)
+    return own if isinstance(own, NativeTrajectory) else None
 
 
 def _rest(reference: Reference) -> NativeTrajectory:

@@ -35,13 +35,13 @@ class RandomSplines(StrictModel):
         while True:
             heading = np.append(0.0, np.cumsum(random.uniform(-self.turn, self.turn, self.legs - 1)))
             steps = random.uniform(*self.leg, self.legs)[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
-            found = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+            points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
             try:
-                path = smooth_path(found, f"seed {seed}")
+                path = smooth_path(points, f"seed {seed}")
             except ConfigError:  # a turn that is nearly a cusp
                 continue
             if path.bend.max() * self.turn_radius <= 1:
-                return found
+                return points
 
 
 @cache

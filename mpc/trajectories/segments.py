@@ -134,11 +134,11 @@ def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
     return runs
 
 
-def _joins(one: Segment, other: Segment) -> bool:
+def _joins(first: Segment, second: Segment) -> bool:
     """Whether forward and yaw motion stay in the same proportion from `one` to `other`."""
     # Only rounding of omega / v is forgiven: the yaw rate may then jump by no more than that.
     return all(
-        math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(one.direction, other.direction, strict=True)
+        math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
     )
 
 

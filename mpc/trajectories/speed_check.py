@@ -43,11 +43,11 @@ class CheckedReference:
             self._checked("arc_length", sample.arc_length, (count,)),
         )
 
-    def _checked(self, what: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    def _checked(self, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
         array = np.asarray(values, dtype=float)
         if array.shape != shape:
             raise ValueError(
-                f"reference '{self.name}': {what} of sample(times) has shape {array.shape} for {shape[0]} times; "
+                f"reference '{self.name}': {name} of sample(times) has shape {array.shape} for {shape[0]} times; "
                 f"expected {shape}"
             )
         return array
@@ -172,7 +172,7 @@ def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
     # From before the start to after the end, where it rests.
     times = np.concatenate([[-dt], _instants(reference, dt), [reference.duration + dt]])
     steps = np.abs(np.diff(reference.sample(times).twist, axis=0)).max(axis=0)
-    said = [
+    sentences = [
         f"{name} steps by up to {step:.3g} {unit}, for which limits.{name}_slew takes {step / slew:.2g} s"
         for name, unit, step, slew in (
             ("v", "m/s", steps[0], limits.v_slew),
@@ -180,7 +180,7 @@ def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
         )
         if step > slew * (times[2] - times[1]) * (1 + 1e-6)
     ]
-    return f"reference '{reference.name}': {'; '.join(said)}" if said else ""
+    return f"reference '{reference.name}': {'; '.join(sentences)}" if sentences else ""
 
 
 def starts_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:

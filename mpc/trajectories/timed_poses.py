@@ -237,8 +237,8 @@ def trajectory_from_waypoints(
 def _checked(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:
     """Columns (n,) of one length, whose times increase."""
     optional = ("theta", "v", "omega")
-    given = {name: values for name, values in columns.items() if values is not None or name not in optional}
-    arrays = {name: _from_arrays_numbers(where, name, values) for name, values in given.items()}
+    present = {name: values for name, values in columns.items() if values is not None or name not in optional}
+    arrays = {name: _from_arrays_numbers(where, name, values) for name, values in present.items()}
     count = len(arrays["t"]) if arrays["t"].ndim else 0
     for name, column in arrays.items():
         if column.ndim != 1:

@@ -62,7 +62,7 @@ def test_a_log_of_a_run_replays_to_the_same_commands_from_the_file_alone(name, t
     again = replay(recording, config, recording.references, as_recorded=False)
     assert np.array_equal(recording.command, run.command)
     assert np.abs(again.command - run.command).max() < 1e-9
-    assert again.modes == run.modes and again.solver_paths == run.solver_paths
+    assert again.modes == run.modes and again.solver_methods == run.solver_methods
     assert not recording.approximated
     # With the trajectory itself nothing is left but the same bits.
     exact = replay(recording, config, (load_trajectory(CASES[name].trajectory, config),), as_recorded=False)

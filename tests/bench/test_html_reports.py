@@ -233,7 +233,7 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: Outcome) -> None:
     fast = np.full((count, 2), [config.limits.v, 0.0])
     away = replace(
         run, modes=modes, measurements=blind, command=fast, ended="it was lost", messages=("why",) * count,
-        true_pose=run.true_pose + 9.0, solver_paths=("osqp",) * count,
+        true_pose=run.true_pose + 9.0, solver_methods=("osqp",) * count,
     )  # fmt: skip
     found = run_warnings(away.with_step_time(times), config, "SSM")
     told = " ".join(one.what for one in found)

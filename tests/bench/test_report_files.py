@@ -79,6 +79,9 @@ FIELDS = {
     "behind_max_s": float,
     "motor_work_j": type(None),  # a velocity model has no motors
     "energy_j": type(None),
+    "method_unlimited_percent": float,
+    "method_active_set_percent": float,
+    "method_backend_percent": float,
     "path_unlimited_percent": float,
     "path_active_set_percent": float,
     "path_backend_percent": float,
@@ -129,17 +132,17 @@ def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
 def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: Outcome) -> None:
     ticks = len(outcome.run.time)
     ways = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
-    run = replace(outcome.run, solver_paths=ways)
+    run = replace(outcome.run, solver_methods=ways)
     solved = np.count_nonzero(run.counted) - 5
     values = json_row(Outcome(outcome.case, run).row, ["scenario"])
-    assert values["path_backend_percent"] == pytest.approx(100 * 20 / solved)
-    assert values["path_active_set_percent"] == pytest.approx(100 * 20 / solved)
-    assert values["path_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
+    assert values["method_backend_percent"] == pytest.approx(100 * 20 / solved)
+    assert values["method_active_set_percent"] == pytest.approx(100 * 20 / solved)
+    assert values["method_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
     assert values["not_solved"] == 5
     (cells,) = solver_table(rows_of(Outcome(outcome.case, run))).rows
     assert cells[1:5] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
-    peer = json_row(Outcome(outcome.case, replace(outcome.run, solver_paths=("none",) * ticks)).row, ["scenario"])
-    assert (peer["path_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
+    peer = json_row(Outcome(outcome.case, replace(outcome.run, solver_methods=("none",) * ticks)).row, ["scenario"])
+    assert (peer["method_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
 
 def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:

@@ -135,7 +135,7 @@ def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(ba
     asked, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assume(report.status is SolverStatus.SOLVED)
     assert asked.plan == pytest.approx(whole.plan, abs=1e-5)
-    assert report.path == backend
+    assert report.method == backend
 
 
 @every_backend
@@ -189,7 +189,7 @@ def test_beyond_its_iterations_the_active_set_leaves_it_to_the_backend(most):
         drives[iterations] = simulate(
             Controller(changed), make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
         )
-    ways, many = (np.array(drives[iterations].solver_paths) for iterations in (most, 500))
+    ways, many = (np.array(drives[iterations].solver_methods) for iterations in (most, 500))
     assert "daqp" not in many
     pressed = many == "active_set"
     assert pressed.sum() > 20
@@ -211,7 +211,7 @@ def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
     for _ in range(120):
         step = controller.step(plant.time, plant.measure())
         plant.advance(step.command)
-        if step.solver.path == "active_set":
+        if step.solver.method == "active_set":
             asked, report = ask(exact, controller.program, backend, 1e-9)
             assert report.status is SolverStatus.SOLVED
             assert asked.plan == pytest.approx(step.planned_commands.reshape(-1), abs=2e-5)

@@ -15,6 +15,7 @@ from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
 
 from diffdrive_mpc import DiffdriveMpcError, MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.sim import Run, simulate
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
@@ -31,7 +32,7 @@ class Belief:
 @dataclass(frozen=True)
 class Solver:
     status: str = "solved"
-    path: str = "unlimited"
+    method: str = "unlimited"
     iterations: int = 3
 
 
@@ -70,9 +71,9 @@ def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run)
     assert np.isnan(run.estimates[0]).all() and np.isnan(run.estimate_deviations[0]).all()
     np.testing.assert_array_equal(run.estimates[3], 3 + np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
     np.testing.assert_array_equal(run.estimate_deviations[3], 3 + np.array([0.6, 0.7, 0.8, 0.9, 1.0]))
-    assert run.solver_paths[:3] == ("none", "unlimited", "none")
+    assert run.solver_methods[:3] == ("none", "unlimited", "none")
     assert run.solver_statuses[:3] == ("", "solved", "")
-    assert len(run.solver_paths) == len(run.solver_statuses) == len(run.time)
+    assert len(run.solver_methods) == len(run.solver_statuses) == len(run.time)
     np.testing.assert_array_equal(run.solver_iterations[:3], [np.nan, 3.0, np.nan])
     assert (run.solve_time == 4e-4).all() and run.metrics.solve_time_max_s == 4e-4
     assert (run.metrics.iterations_mean, run.metrics.iterations_max) == (3.0, 3.0)
@@ -83,7 +84,7 @@ def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
         n = len(quiet.time)
         assert quiet.estimates.shape == quiet.estimate_deviations.shape == (n, 5)
         assert np.isnan(quiet.estimates).all()
-        assert quiet.solver_paths == ("none",) * n
+        assert quiet.solver_methods == ("none",) * n
         assert quiet.solver_statuses == ("",) * n
         assert {len(column) for column in quiet.columns.values()} == {n}
 
@@ -178,3 +179,12 @@ def test_a_recovery_prints_as_a_table() -> None:
         "rate of v_ref, RMS [m/s^2]            0",
         "rate of omega_ref, RMS [rad/s^2]      0",
     ]
+
+
+def test_former_names_of_the_solver_s_method_warn() -> None:
+    report = SolverReport(SolverStatus.SOLVED, "unlimited")
+    with pytest.warns(DeprecationWarning, match=r"SolverReport\.path is SolverReport\.method now"):
+        assert report.path == "unlimited"
+    run = run_along(Telling(), CIRCLE)
+    with pytest.warns(DeprecationWarning, match=r"Run\.solver_paths is Run\.solver_methods now"):
+        assert run.solver_paths == run.solver_methods

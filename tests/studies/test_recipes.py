@@ -49,4 +49,4 @@ def test_the_backend_is_asked(monkeypatch):
     monkeypatch.setattr(controller, "load_backend", lambda name: given["ClippingBackend"])
     driven = Controller(load_config("sm", {"solver.strategy": "backend"}))
     run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
-    assert run.metrics.completed and run.solver_paths.count("daqp") > 100
+    assert run.metrics.completed and run.solver_methods.count("daqp") > 100

@@ -112,7 +112,7 @@ def decided_cells(step: ControlStep) -> dict[str, Cell]:
         "mode": str(step.mode),
         "message": step.message,
         "solver_status": "" if solver is None else str(solver.status),
-        "solver_path": "none" if solver is None else str(solver.path),
+        "solver_path": "none" if solver is None else str(solver.method),
         "step_time_s": step.step_time,
         "solve_time_s": step.solve_time,
     }

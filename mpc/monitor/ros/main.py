@@ -36,10 +36,10 @@ def run(arguments: Sequence[str], settings: MonitorSettings | None = None) -> No
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names
         words = " ".join(str(error).split())
         raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
-    told: list[int] = []
+    signals: list[int] = []
 
     def note(number: int, _: FrameType | None) -> None:
-        told.append(number)
+        signals.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, note)
@@ -51,7 +51,7 @@ def run(arguments: Sequence[str], settings: MonitorSettings | None = None) -> No
             raise ValueError(str(error)) from error
         executor.add_node(node)
         try:
-            while not told:
+            while not signals:
                 executor.spin_once(timeout_sec=_LONGEST_WAIT)
         except ExternalShutdownException:
             pass

@@ -189,7 +189,7 @@ class MonitorNode(Node):
     def _take_reference(self, message: Message) -> None:
         settings = self._settings
         frame = settings.map_frame if settings.use_pose_topic else settings.odom_frame
-        points = [(seconds(one.header.stamp), *planar(one.pose)) for one in message.poses]
+        points = [(seconds(point.header.stamp), *planar(point.pose)) for point in message.poses]
         if message.header.frame_id != frame:
             self._ignore("a reference", message.header.frame_id)
             points = [(math.nan, 0.0, 0.0, 0.0)]  # is none, and stops the robot
@@ -248,5 +248,5 @@ class MonitorNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def _ignore(self, what: str, frame: str) -> None:
-        self.get_logger().warning(f"{what} in frame '{frame}' is not used", throttle_duration_sec=1.0)
+    def _ignore(self, topic: str, frame: str) -> None:
+        self.get_logger().warning(f"{topic} in frame '{frame}' is not used", throttle_duration_sec=1.0)

@@ -85,17 +85,17 @@ class TransformBuffer:
             If it is no rigid motion, of no use, older than what is kept, or from the future; then nothing changes.
         """
         parent, child = parent.removeprefix("/"), child.removeprefix("/")
-        what = f"'{parent}' -> '{child}'"
+        link = f"'{parent}' -> '{child}'"
         if not parent or not child or parent == child:
-            raise TransformError(f"{what} names no two frames")
+            raise TransformError(f"{link} names no two frames")
         norm = math.hypot(*transform[3:])
         if not (all(map(math.isfinite, transform)) and abs(norm - 1.0) <= _NORM_TOLERANCE):
-            raise TransformError(f"{what} is not finite, or its rotation no unit quaternion")
+            raise TransformError(f"{link} is not finite, or its rotation no unit quaternion")
         if not static and stamp - now > AHEAD:
-            raise TransformError(f"{what} is {(stamp - now) / _SECOND:.1f} s in the future: are the clocks in step?")
+            raise TransformError(f"{link} is {(stamp - now) / _SECOND:.1f} s in the future: are the clocks in step?")
         placed = self._frames.get(child)
         if placed is None and len(self._frames) >= MOST_FRAMES:
-            raise TransformError(f"{what} is one frame too many: {MOST_FRAMES} are kept")
+            raise TransformError(f"{link} is one frame too many: {MOST_FRAMES} are kept")
         # Told again in another way it is a change; where that goes to and fro, somebody disputes it.
         if placed is None or (placed.parent, placed.static) != (parent, static):
             changes = [] if placed is None else [*(at for at in placed.changes if abs(now - at) <= KEPT), now]
@@ -108,7 +108,7 @@ class TransformBuffer:
             placed.stamps, placed.history = [], {0: unit}
             return
         if placed.stamps and stamp < placed.stamps[-1] - KEPT:
-            raise TransformError(f"{what} is {(placed.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
+            raise TransformError(f"{link} is {(placed.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
         if stamp not in placed.history:
             insort(placed.stamps, stamp)
         placed.history[stamp] = unit
@@ -143,13 +143,13 @@ class TransformBuffer:
                 moving.append((placed.stamps[-1], name))
         newest, oldest = min(moving, default=(None, ""))
         stamp = newest if time is None else time
-        found = IDENTITY
+        transform = IDENTITY
         for name in down[: down.index(common)]:
-            found = self._at(name, stamp).after(found)
-        back, found = found.inverse(), IDENTITY
+            transform = self._at(name, stamp).after(transform)
+        back, transform = transform.inverse(), IDENTITY
         for name in up[: up.index(common)]:
-            found = self._at(name, stamp).after(found)
-        return Found(back.after(found), stamp if moving else None, oldest)
+            transform = self._at(name, stamp).after(transform)
+        return Found(back.after(transform), stamp if moving else None, oldest)
 
     def passes(self, source: str, target: str, frame: str) -> bool:
         """Whether the chain from `source` to `target` goes through `frame`, or begins there."""
@@ -162,15 +162,15 @@ class TransformBuffer:
         return list(self._upwards(frame))
 
     def _upwards(self, frame: str) -> Iterator[str]:
-        seen = []
-        while frame not in seen:
-            seen.append(frame)
+        visited = []
+        while frame not in visited:
+            visited.append(frame)
             yield frame
             placed = self._frames.get(frame)
             if placed is None:
                 return
             frame = placed.parent
-        raise TransformError(f"frames loop: {' -> '.join([*seen[seen.index(frame) :], frame])}")
+        raise TransformError(f"frames loop: {' -> '.join([*visited[visited.index(frame) :], frame])}")
 
     def _apart(self, target: str, source: str) -> str:
         known = {*self._frames, *(placed.parent for placed in self._frames.values())}

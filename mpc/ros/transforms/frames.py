@@ -63,10 +63,10 @@ class Frames:
         TransformError
             If there is none.
         """
-        found = self.buffer.lookup(self.control, self._base, self._clock())
-        if found.stamp is None:
+        transform = self.buffer.lookup(self.control, self._base, self._clock())
+        if transform.stamp is None:
             raise TransformError(f"'{self.control}' -> '{self._base}' is static: a robot that drives moves in it")
-        return found.transform.planar, found.stamp
+        return transform.transform.planar, transform.stamp
 
     def oldest(self) -> str:
         """Which frame of the robot's chain was heard of the longest ago; empty where there is no chain."""
@@ -119,8 +119,8 @@ class Placement:
         self._frames, self.frame, self._timeout, self._clock = frames, frame, timeout, clock
         self._fixed: FloatArray | None = None
         if frames.buffer.passes(frame, frames.control, base) or frame == base:
-            found = frames.buffer.lookup(frames.control, frame, clock(), stamp or None)
-            self._fixed = found.transform.planar
+            transform = frames.buffer.lookup(frames.control, frame, clock(), stamp or None)
+            self._fixed = transform.transform.planar
         else:
             self.motion()
 
@@ -135,11 +135,11 @@ class Placement:
         if self._fixed is not None:
             return self._fixed
         now = self._clock()
-        found = self._frames.buffer.lookup(self._frames.control, self.frame, now)
-        age = 0.0 if found.stamp is None else (now - found.stamp) / _SECOND
+        transform = self._frames.buffer.lookup(self._frames.control, self.frame, now)
+        age = 0.0 if transform.stamp is None else (now - transform.stamp) / _SECOND
         if age > self._timeout:
             raise TransformError(
                 f"where '{self.frame}' lies in '{self._frames.control}' was last said {age:.2f} s ago, the limit is "
-                f"{self._timeout:g} s (frame '{found.oldest}')"
+                f"{self._timeout:g} s (frame '{transform.oldest}')"
             )
-        return found.transform.planar
+        return transform.transform.planar

@@ -112,16 +112,16 @@ def _stated(poses: FloatArray, agree: FloatArray, robot: FloatArray) -> bool:
 def _steady(senses: FloatArray, lengths: FloatArray, least: float) -> FloatArray:
     """Senses (m,) of which each lasts for `least` [m]; where a pose says nothing, the one before holds."""
     known = np.flatnonzero(senses)
-    found = (
+    steady = (
         np.ones_like(senses)
         if not known.size
         else senses[known[np.searchsorted(known[1:], np.arange(senses.size), side="right")]]
     )
-    edges = [0, *(np.flatnonzero(np.diff(found)) + 1).tolist(), found.size]
+    edges = [0, *(np.flatnonzero(np.diff(steady)) + 1).tolist(), steady.size]
     for begin, end in pairwise(edges):
         if lengths[begin:end].sum() < least:
-            found[begin:end] = found[begin - 1] if begin else found[min(end, found.size - 1)]
-    return np.asarray(found)
+            steady[begin:end] = steady[begin - 1] if begin else steady[min(end, steady.size - 1)]
+    return np.asarray(steady)
 
 
 def _without_hairpins(run: Run) -> list[Run]:
