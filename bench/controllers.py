@@ -128,7 +128,8 @@ def load_reference(case: Case) -> Trajectory:
         segments = load_segments(case.trajectory)
         faster = case.top_speed / max(abs(one.v) for one in segments)
         scaled = [
-            Segment(v=one.v * faster, omega=one.omega * faster, duration=one.duration / faster) for one in segments
+            Segment(v=segment.v * faster, omega=segment.omega * faster, duration=segment.duration / faster)
+            for segment in segments
         ]
         name = f"{case.trajectory} at {case.top_speed:g} m/s"
         return lay_segments(scaled, TrajectoryLimits.of_controller(config.limits), name=name)

@@ -99,8 +99,8 @@ def draw_world(axes: Axes, world: World) -> None:
         axes.add_patch(Patch(corners, facecolor=_STANDS, edgecolor="none"))
     for x, y, radius in shapes.discs:
         axes.add_patch(Circle((x, y), radius, facecolor=_STANDS, edgecolor="none"))
-    for one in world.movers:
-        place, step = one.position(one.time), one.velocity
-        axes.add_patch(Circle(tuple(place), one.radius, facecolor=_MOVES, alpha=0.6))
+    for mover in world.movers:
+        place, step = mover.position(mover.time), mover.velocity
+        axes.add_patch(Circle(tuple(place), mover.radius, facecolor=_MOVES, alpha=0.6))
         axes.annotate("", tuple(place + step), tuple(place - step), arrowprops={"arrowstyle": "->", "color": _MOVES})
     axes.autoscale_view()

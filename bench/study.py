@@ -79,12 +79,14 @@ class Report:
     @property
     def drawings(self) -> dict[str, Draw]:
         """What draws each file in the folder of figures."""
-        return {name: one if callable(one) else partial(_draw_charts, one) for name, one in self.figures.items()}
+        return {
+            name: figure if callable(figure) else partial(_draw_charts, figure) for name, figure in self.figures.items()
+        }
 
     @property
     def charts(self) -> list[Chart | GridMap]:
         """All charts in order."""
-        return [chart for one in self.figures.values() if not callable(one) for chart in one]
+        return [chart for figure in self.figures.values() if not callable(figure) for chart in figure]
 
 
 class Study(ABC, Generic[P, R]):
@@ -183,7 +185,7 @@ def write_report(
 
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
     """The report as a page: its own views, its charts, and unless it does without them the pictures in `figures`."""
-    drawn = [name for name, one in report.figures.items() if callable(one) and report.shown.pictures]
+    drawn = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
     pictures = [Picture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
     views = (*report.shown.views, *report.charts, *pictures)

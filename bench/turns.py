@@ -141,7 +141,7 @@ class _Track:
         for first, turns in self.blocks.items():
             good = self.clean(first, best)
             # Where there are too few, disturbed ones stand in; they stay marked as such.
-            chosen = (good + [one for one in turns if one not in good])[: self.repetitions]
+            chosen = (good + [turn for turn in turns if turn not in good])[: self.repetitions]
             for row, one in enumerate(chosen):
                 place = slice(first, first + len(one.times))
                 times[row, place], clean[row, place] = one.times, row < len(good)
@@ -191,7 +191,7 @@ def take_turns(
                 break
             _go_round([track for track in group if track.end(best, block)], best, block, core)
             best = min(
-                [best, *(one.effort.pace for track in group for turns in track.blocks.values() for one in turns)]
+                [best, *(turn.effort.pace for track in group for turns in track.blocks.values() for turn in turns)]
             )
             for _ in group if again == 0 else []:
                 on_replay()

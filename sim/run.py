@@ -317,9 +317,9 @@ class Run(ReadOnlyArrays):
         times = [
             np.asarray(one, dtype=float) for one in (step_time, self.solve_time if solve_time is None else solve_time)
         ]
-        for one in times:
-            if one.shape != self.time.shape:
-                raise ValueError(f"{one.shape} step times for a run of {len(self.time)} ticks")
+        for time in times:
+            if time.shape != self.time.shape:
+                raise ValueError(f"{time.shape} step times for a run of {len(self.time)} ticks")
         timed = replace(self, step_time=times[0], solve_time=times[1])
         vars(timed)["errors"] = self.errors  # the motion is the same: keep what was worked out
         return timed

@@ -12,5 +12,5 @@ from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measured_cells
 
 def told_columns(measurements: Sequence[Measurement], count: int) -> dict[str, FloatArray]:
     """Columns (count,) by the names of `TOLD`, NaN where nothing was said; `measurements` may be empty."""
-    rows = [measured_cells(one) for one in measurements] or [{}] * count
+    rows = [measured_cells(measurement) for measurement in measurements] or [{}] * count
     return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in TOLD}

@@ -87,7 +87,7 @@ def from_records(name: str, records: tuple[Record, ...], limits: tuple[float, fl
     pose = _joined([np.asarray(record.pose) for record in records])
     fresh = _joined([np.where(np.c_[record.fresh_pose], np.asarray(record.pose), np.nan) for record in records])
     wheels = [record.wheel_speeds for record in records]
-    known = [one for one in wheels if one is not None]
+    known = [wheel for wheel in wheels if wheel is not None]
     return Playback(
         time=_times(records),
         pose=pose,

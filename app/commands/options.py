@@ -89,7 +89,11 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
 
     def extended(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)
-        own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+        own = [
+            parameter
+            for parameter in signature.parameters.values()
+            if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
         first = [one for one in own if one.kind is not inspect.Parameter.KEYWORD_ONLY]
         rest = own[len(first) :]
         command.__signature__ = signature.replace(parameters=[*first, *added, *rest])  # type: ignore[attr-defined]

@@ -171,10 +171,11 @@ def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float)
 
     segments = slip_excitation(side, seconds, speed, yaw_rate)
     write_excitation(out, segments)
-    told = told_apart(segments)
+    correlation = told_apart(segments)
     typer.echo(
-        f"{out}: {len(segments)} twists, {sum(one.duration for one in segments):.0f} s without the time to change "
-        f"between them. Terms in v, omega and v omega: the two least apart correlate by {told:.2f} (1: not apart)."
+        f"{out}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without the time to "
+        "change between them. Terms in v, omega and v omega: the two least apart correlate by "
+        f"{correlation:.2f} (1: not apart)."
     )
 
 

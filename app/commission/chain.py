@@ -110,7 +110,7 @@ def identify_all(folder: Path, logs: Logs) -> Gate:
     (folder / FIRST_CIRCLE).write_text(first_circle(config, found.model).text(), encoding="utf-8")
     drives = trial_drives(found, config)
     doubts = trial_doubts(drives)
-    worst = max(one.lateral_share for one in drives)
+    worst = max(drive.lateral_share for drive in drives)
     if doubts or worst > commission_settings().gates.lateral_share:
         return Gate(False, f"{gate.sentence}, but its configuration does not drive: {doubts[0] if doubts else worst}")
     return Gate(True, f"{gate.sentence}; with its configuration {len(drives)} trial drives stay on their paths")

@@ -205,7 +205,7 @@ def commission_page(
     seconds
         How long the command took.
     """
-    whole = all(one.passed for one in steps.values()) and (out / RESULT / CONFIG_FILE).is_file()
+    whole = all(step.passed for step in steps.values()) and (out / RESULT / CONFIG_FILE).is_file()
     runs = _on_the_twin(asked, out) if whole else {}
     table = steps_table(steps, asked.tuned)
     shown = Shown(
@@ -224,7 +224,7 @@ def commission_page(
 def _sentence(steps: Mapping[str, Done], whole: bool) -> str:
     if whole:
         return f"All {len(steps)} steps passed: model, configuration, twin and proof are in the folder “{RESULT}”."
-    stopped = [name for name, one in steps.items() if not one.passed]
+    stopped = [name for name, step in steps.items() if not step.passed]
     return (
         f"It stopped at the step “{stopped[0]}”." if stopped else f"{len(steps)} steps are done, all of which passed."
     )
@@ -233,7 +233,7 @@ def _sentence(steps: Mapping[str, Done], whole: bool) -> str:
 def _key_figures(
     steps: Mapping[str, Done], runs: Mapping[str, Run], found: Comparison | None, whole: bool
 ) -> list[KeyFigure]:
-    passed, cost = sum(one.passed for one in steps.values()), sum(one.processor_s for one in steps.values())
+    passed, cost = sum(step.passed for step in steps.values()), sum(one.processor_s for one in steps.values())
     made = [
         KeyFigure("steps passed", f"{passed} of {len(steps)}", "each gates the next", "good" if whole else "bad"),
         KeyFigure("processor time", f"{cost:.0f} s", "of all steps"),
@@ -281,7 +281,7 @@ def _compared(found: Comparison) -> Chart:
 
 
 def _cost(steps: Mapping[str, Done]) -> Chart:
-    names, cost = list(steps), [round(one.processor_s, 1) for one in steps.values()]
+    names, cost = list(steps), [round(step.processor_s, 1) for step in steps.values()]
     axes = Axis("step", "category"), Axis("processor time [s]")
     return Chart("What each step cost", *axes, [Series("processor time", names, cost, 0, "bars")])
 
@@ -293,9 +293,9 @@ def _proof(out: Path) -> list[View]:
 
 def _warnings(steps: Mapping[str, Done], out: Path, runs: Mapping[str, Run]) -> list[Warned]:
     found = [
-        Warned(f"{name}: {one.sentence}.", f"what the step printed is in {name}/said.txt; mend it and call again")
-        for name, one in steps.items()
-        if not one.passed
+        Warned(f"{name}: {step.sentence}.", f"what the step printed is in {name}/said.txt; mend it and call again")
+        for name, step in steps.items()
+        if not step.passed
     ]
     config = load_config(out / RESULT / CONFIG_FILE) if runs else None
     return found + [one for path, run in runs.items() for one in run_warnings(run, config, f"{path} on the twin")]

@@ -63,7 +63,7 @@ def identification_page(
         How long it took.
     """
     report, trials = found.report, drives or ()
-    names, paths = (tuple(dict.fromkeys(getattr(one, of) for one in trials)) for of in ("plant", "path"))
+    names, paths = (tuple(dict.fromkeys(getattr(trial, of) for trial in trials)) for of in ("plant", "path"))
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
         summary=[*report.in_short(), *([found.refusal] if found.refusal else [])],
@@ -91,7 +91,9 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
         made.append(
             KeyFigure(f"{channel} follows after", f"{late + lag:.0f} ms", f"dead time {late:.0f}, lag {lag:.0f} ms")
         )
-    verdicts = [one.verdict for one in report.doubts] + [one.verdict for one in report.data.findings if one.verdict]
+    verdicts = [doubt.verdict for doubt in report.doubts] + [
+        finding.verdict for finding in report.data.findings if finding.verdict
+    ]
     matter = sum(verdict is not None and verdict.matters for verdict in verdicts)
     made.append(
         KeyFigure(
@@ -119,14 +121,14 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
     plants = list(dict.fromkeys(one.plant for one in drives))
     runs = [
         run_series(
-            one.run,
-            f"{one.path} on {one.plant}",
+            drive.run,
+            f"{drive.path} on {drive.plant}",
             points=_RUN_POINTS,
-            labels={"stand-in": one.plant, "path": one.path},
-            style=plants.index(one.plant),
+            labels={"stand-in": drive.plant, "path": drive.path},
+            style=plants.index(drive.plant),
             every_layer=False,
         )
-        for one in drives
+        for drive in drives
     ]
     note = "Trial drives with the configuration that was written, on paths scaled to the robot. Point at either view."
     return [Runs(runs, note)]
@@ -139,7 +141,7 @@ def _pictures(folder: Path) -> list[View]:
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
     """Of log, estimate and drives; those that matter for driving first."""
-    findings = [one for one in report.data.findings if one.severity != "note"]
+    findings = [finding for finding in report.data.findings if finding.severity != "note"]
     told = [(one.verdict, str(one), one.kind) for one in findings]
     told += [(one.verdict, str(one), one.kind) for one in (*report.doubts, *trial_doubts(drives))]
     told.sort(key=lambda one: one[0] is None or not one[0].matters)

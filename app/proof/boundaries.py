@@ -76,7 +76,7 @@ def find_boundaries(
     Between what held and what did not everything is taken to be monotone; what lies beyond is not looked at.
     """
     boundaries = [Boundary(factor, search) for factor, search in searches.items()]
-    while asked := [(one, value) for one in boundaries if (value := one.next_value) is not None]:
+    while asked := [(boundary, value) for boundary in boundaries if (value := boundary.next_value) is not None]:
         runs = [_with(probe, one.factor, value).with_seed(seed) for one, value in asked for seed in seeds]
         driven = {one.definition: one for one in drive(runs)}
         for index, (one, value) in enumerate(asked):

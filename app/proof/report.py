@@ -196,9 +196,9 @@ def _by_factor(driven: Sequence[Driven]) -> list[Table]:
         if 1 < len(groups) <= max(len(driven) / 2, 2):
             columns = {
                 "runs": lambda runs: str(len(runs)),
-                "completed": lambda runs: str(sum(one.row["completed"] is True for one in runs)),
+                "completed": lambda runs: str(sum(run.row["completed"] is True for run in runs)),
                 "in the band": lambda runs: str(sum(map(holds, runs))),
-                "braked": lambda runs: str(sum(one.row.get("stopped") is True for one in runs)),
+                "braked": lambda runs: str(sum(run.row.get("stopped") is True for run in runs)),
                 "time behind [s]": lambda runs: number(_mean(runs, "behind_max_s"), 2),
                 "position RMSE, mean [mm]": lambda runs: millis(_or_nan(np.mean, errors(runs))),
                 "worst [mm]": lambda runs: millis(_or_nan(np.max, errors(runs))),
@@ -244,7 +244,7 @@ def _worst(files: Mapping[str, Driven]) -> Table:
             "largest lateral [mm]": lambda one: millis(one.number("lateral_max_m")),
             "what was said most": words,
         },
-        [((name, _brief(one.definition)), one) for name, one in files.items()],
+        [((name, _brief(file.definition)), file) for name, file in files.items()],
         "Each is a file: `diffdrive-mpc simulate --from-run FILE` drives it again; where it names files of yours, with "
         "`--trust-terms FOLDER`.",
     )
@@ -300,7 +300,7 @@ def shown(config: str, driven: Sequence[Driven], boundaries: Sequence[Boundary],
     scenarios = tuple(dict.fromkeys(str(one.definition.columns["scenario"]) for one in driven))
     of = Outcomes.of(driven)
     toggles = [Toggle("scenario", scenarios, scenarios, styled=True)] if len(scenarios) > 1 else []
-    views = [_by_path(driven, scenarios), *(_boundary(one, seeds) for one in boundaries)]
+    views = [_by_path(driven, scenarios), *(_boundary(boundary, seeds) for boundary in boundaries)]
     return Shown(
         summary=[
             f"{of.completed.count} of {of.completed.of} runs came to their end, {of.in_band.count} of them never "
@@ -399,8 +399,8 @@ def _warnings(driven: Sequence[Driven], boundaries: Sequence[Boundary]) -> list[
     if beyond:
         words = f"{beyond} completed runs were further than {band} from the path at some time."
         found.append(Warned(words, f"leave that much room beside the path, or drive slower; {_WORDS_AGAIN}"))
-    for one in boundaries:
-        if one.held is None:
-            words = f"{one.factor}: not even {one.search.holds:g} holds, which should."
+    for boundary in boundaries:
+        if boundary.held is None:
+            words = f"{boundary.factor}: not even {boundary.search.holds:g} holds, which should."
             found.append(Warned(words, "look at the maps for what else is at its limit there"))
     return found

@@ -137,7 +137,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             content={
                 "rates": plain(Outcomes.of(results.driven)),
                 "position_rmse_m": plain(estimates),
-                "boundaries": [_boundary_row(one) for one in results.boundaries],
+                "boundaries": [_boundary_row(boundary) for boundary in results.boundaries],
             },
             facts=[f"{Path(self._config).name}: {self._proof.description}.", *facts(results.driven, results.others)],
             notes=[f"Errors: {STATISTICS}."],

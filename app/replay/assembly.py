@@ -52,7 +52,7 @@ def assembled(
     """
     moving = np.flatnonzero((np.abs(np.nan_to_num(command)) > _TINY).any(axis=1))
     first = int(moving[0]) if len(moving) else 0
-    newest = {name: np.searchsorted(one.arrival, time, side="right") - 1 for name, one in readings.items()}
+    newest = {name: np.searchsorted(reading.arrival, time, side="right") - 1 for name, reading in readings.items()}
     ticks = []
     for k in range(first, len(time)):
         given = {

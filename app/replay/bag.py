@@ -233,7 +233,7 @@ def _from_topics(reader: Reader, path: Path, topics: Topics, sample_time: float,
     decoders = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES if by_odom else _STATED}
     asked = {role: topic for role in decoders if (topic := getattr(topics, role)) is not None}
     rows = {role: read_topic(reader, path, topic, decoders[role], topics.definitions) for role, topic in asked.items()}
-    late = {one.topic: 1e-9 * (one.received - one.stamped) if one.has_stamps else np.zeros(1) for one in rows.values()}
+    late = {row.topic: 1e-9 * (row.received - row.stamped) if row.has_stamps else np.zeros(1) for row in rows.values()}
     by_stamp = topics.clock == "stamp"
     findings = []
     if by_stamp:

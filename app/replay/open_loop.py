@@ -121,7 +121,7 @@ def _gathered(config: ControllerConfig, recording: Recording, steps: list[StepRe
             for m in (tick.measurement for tick in recording.ticks)
         ]
     )
-    found = [{} if one is None else one.innovations for one in estimates]
+    found = [{} if estimate is None else estimate.innovations for estimate in estimates]
     innovations = np.array([[one.get(sensor, np.nan) for sensor in SENSORS] for one in found])
     return Replayed(
         config,

@@ -74,7 +74,7 @@ def replay_page(
         toggles=toggles,
         views=[Runs(runs, _HINT)] if runs else [],
         warnings=[Warned(one.what, one.remedy) for one in said],
-        configurations=[_configuration(who, one.config) for who, one in replays.items()],
+        configurations=[_configuration(who, replay.config) for who, replay in replays.items()],
         pictures=not runs,
     )
 
@@ -104,7 +104,7 @@ def _runs(
     recording: Recording, replays: Mapping[str, Replayed], references: Sequence[Reference], counted: BoolArray
 ) -> tuple[list[Mapping[str, object]], list[Toggle]]:
     """The drive with the recorded commands and with those of each replay, drive by drive; and buttons for them."""
-    commands = {"recorded": recording.command} | {who: one.command for who, one in replays.items()}
+    commands = {"recorded": recording.command} | {who: replay.command for who, replay in replays.items()}
     replayed = next(iter(replays.values()))
     begins = [number for number, tick in enumerate(recording.ticks) if tick.start is not None]
     runs: list[Mapping[str, object]] = []
@@ -222,7 +222,7 @@ def trust_charts(recording: Recording, replayed: Replayed, counted: BoolArray) -
             "How readings fit to what was predicted",
             when,
             Axis("squared innovation over its variance [-]", "log"),
-            [one for one in fits if len(one.x)],
+            [fit for fit in fits if len(fit.x)],
             "1 on average where the estimator's assumptions hold. Lasting values far above tell of a wrong model, dead "
             "time or stamp.",
             marks=[Mark(1.0, "as assumed")],

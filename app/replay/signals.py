@@ -139,7 +139,7 @@ def read_mapped_csv(path: Path, mapping: LogMapping, sample_time: float, *, stan
             left_out += 1
             continue
         ticks += found
-        approximated += [one for one in words if one not in approximated]
+        approximated += [word for word in words if word not in approximated]
     if not ticks:
         raise ConfigError(f"{path}: no stretch of {_LEAST_TICKS} ticks of {sample_time:g} s; record for longer")
     findings = [str(finding) for finding in raw.findings]

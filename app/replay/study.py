@@ -239,8 +239,8 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         names = list(commands)
         time, counted = plan.recording.time, plan.counted
         return {
-            (one, other): difference(time, commands[one], commands[other], counted)
-            for i, one in enumerate(names[:2])
+            (name, other): difference(time, commands[name], commands[other], counted)
+            for i, name in enumerate(names[:2])
             for other in names[i + 1 :]
         }
 
@@ -260,7 +260,9 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             verdict_table(results.said),
             command_table(results.pairs),
             share_table("Modes", modes | {who: list(one.modes) for who, one in replays.items()}, counted),
-            share_table("Solver paths", paths | {who: list(one.solver_methods) for who, one in replays.items()}, counted),
+            share_table(
+                "Solver paths", paths | {who: list(one.solver_methods) for who, one in replays.items()}, counted
+            ),
             sensor_table(results.sensors),
             time_table(replays, counted),
             message_table(recording, replayed, counted),

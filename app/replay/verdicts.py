@@ -66,7 +66,7 @@ def verdicts(of: Evidence) -> tuple[Verdict, ...]:
 
 
 def _poses(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
-    row = next(one for one in of.sensors if one.name == "poses")
+    row = next(sensor for sensor in of.sensors if sensor.name == "poses")
     failure = of.replayed.config.failure
     if not row.readings:
         yield Verdict(

@@ -75,7 +75,7 @@ def distribution(key: str, of: Range, now: Value) -> Any:  # noqa: ANN401 - a di
         raise ConfigError(f"parameters.{key}: its value is {now!r}; only numbers are tuned, leave it out")
     if of.times is not None and not now > 0:
         raise ConfigError(f"parameters.{key}: its value is {now:g}, a factor on it is nothing; give low and high")
-    low, high = (now * one for one in of.times) if of.times is not None else (float(of.low or 0), float(of.high or 0))
+    low, high = (now * time for time in of.times) if of.times is not None else (float(of.low or 0), float(of.high or 0))
     if not low <= now <= high:
         raise ConfigError(
             f"parameters.{key}: the configuration has {now:g}, which is not between {low:g} and {high:g}; widen it"

@@ -37,8 +37,8 @@ _LISTED = 12
 def facts(plan: TunePlan, searched: Searched, verdict: Verdict) -> list[str]:
     """What came of it, and what was driven for it."""
     through = [sum(one.fidelity > k for one in searched.points) for k in range(len(plan.fidelities))]
-    runs = " / ".join(str(one.runs) for one in plan.fidelities)
-    broken = [one for one in searched.points if one.broken]
+    runs = " / ".join(str(fidelity.runs) for fidelity in plan.fidelities)
+    broken = [point for point in searched.points if point.broken]
     lines = [
         f"{verdict.sentence[0].upper()}{verdict.sentence[1:]}.",
         f"{len(searched.points)} points, the defaults first; {' / '.join(map(str, through))} of them driven with "
@@ -107,14 +107,14 @@ def _beside(config: ControllerConfig, folder: Path) -> ControllerConfig:
 def _verdict(verdict: Verdict) -> Table:
     rows = [
         (
-            f"{one.term.column}, {one.term.figure}",
-            f"{100 * one.term.weight:.0f} %",
-            f"{one.usual:.4g}",
-            f"{one.mine:.4g}",
-            _change(one.ratio),
-            _interval(one.ratio),
+            f"{figure.term.column}, {figure.term.figure}",
+            f"{100 * figure.term.weight:.0f} %",
+            f"{figure.usual:.4g}",
+            f"{figure.mine:.4g}",
+            _change(figure.ratio),
+            _interval(figure.ratio),
         )
-        for one in verdict.figures
+        for figure in verdict.figures
     ]
     for name, one in (("error", verdict.error), ("effort", verdict.effort)):
         if math.isfinite(one.value):
@@ -261,7 +261,7 @@ def front_chart(searched: Searched) -> Chart:
     series = [
         Series(
             name,
-            [rounded(one.effort) or 0.0 for one in points],
+            [rounded(point.effort) or 0.0 for point in points],
             [rounded(one.error) for one in points],
             style,
             kind,  # type: ignore[arg-type]
@@ -276,7 +276,7 @@ def front_chart(searched: Searched) -> Chart:
 def search_chart(searched: Searched) -> Chart:
     """The objective of every point, and the best usable one so far."""
     series = []
-    for fidelity in sorted({one.fidelity for one in searched.points if one.fidelity}):
+    for fidelity in sorted({point.fidelity for point in searched.points if point.fidelity}):
         some = [one for one in searched.points if one.fidelity == fidelity]
         numbers, values = [float(one.number) for one in some], [rounded(one.value) for one in some]
         series.append(
@@ -300,7 +300,7 @@ def _importance(searched: Searched) -> Chart:
 def _page_put_back(verdict: Verdict) -> Chart:
     names = [one.key for one in verdict.put_back]
     rises = [one.rise for one in verdict.put_back]
-    value, low, high = ([round(100 * getattr(one, of), 2) for one in rises] for of in ("value", "low", "high"))
+    value, low, high = ([round(100 * getattr(rise, of), 2) for rise in rises] for of in ("value", "low", "high"))
     several = np.isfinite([low, high]).all()
     series = Series("objective", names, value, 0, "points", low if several else (), high if several else ())
     note = "Rise of the objective where that parameter alone is put back to its default, with 95 % intervals."
@@ -321,7 +321,7 @@ def _warnings(searched: Searched, verdict: Verdict) -> list[Warned]:
     if idle and verdict.improved:
         words = f"Put back to its default, each of these would be better or the same: {', '.join(idle)}."
         found.append(Warned(words, "put them back in config.yaml by hand: fewer changes are easier to trust"))
-    broken = sum(bool(one.broken) for one in searched.points)
+    broken = sum(bool(point.broken) for point in searched.points)
     if 2 * broken > len(searched.points):
         words = f"{broken} of {len(searched.points)} points broke what has to hold."
         found.append(Warned(words, "narrow the ranges in the plan, so that the search does not waste its runs"))

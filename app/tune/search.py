@@ -100,7 +100,7 @@ class Searched:
     @property
     def usable(self) -> list[Point]:
         """Points that can be used."""
-        return [one for one in self.points if one.usable]
+        return [point for point in self.points if point.usable]
 
     @property
     def front(self) -> list[Point]:
@@ -114,7 +114,7 @@ def importance_of(points: Sequence[Point], distributions: Mapping[str, object]) 
 
     PED-ANOVA (Watanabe, Bansal, Hutter, IJCAI 2023). Empty where there are too few points.
     """
-    known = [one for one in points if math.isfinite(one.first)]
+    known = [point for point in points if math.isfinite(point.first)]
     if len(known) < 2 * _LEAST_TOP:
         return {}
     optuna = needs_optuna()
@@ -183,13 +183,17 @@ class Search:
         self._terms = terms_of(plan.objective)
         config = load_config(str(told.get("config", told["model"])))
         self.usual: Values = {key: _value(config, key) for key in plan.parameters}
-        self._distributions = {key: distribution(key, one, self.usual[key]) for key, one in plan.parameters.items()}
+        self._distributions = {
+            key: distribution(key, parameter, self.usual[key]) for key, parameter in plan.parameters.items()
+        }
         for end in ("low", "high"):
             load_config(
                 str(told.get("config", told["model"])),
                 {key: getattr(one, end) for key, one in self._distributions.items()},
             )
-        self._fidelities = [RunSet(self._runs(plan.tuning, one.runs, one.factors)) for one in plan.fidelities]
+        self._fidelities = [
+            RunSet(self._runs(plan.tuning, fidelity.runs, fidelity.factors)) for fidelity in plan.fidelities
+        ]
         self._own = self.constraint_sets(plan.tuning)
         self._study: Any = None
 
@@ -199,7 +203,7 @@ class Search:
 
     def constraint_sets(self, of: Runs) -> dict[str, RunSet]:
         """The runs of each constraint that has its own, not driven yet."""
-        listed = {name: one for name, one in self._plan.constraints.items() if one.runs}
+        listed = {name: constraint for name, constraint in self._plan.constraints.items() if constraint.runs}
         return {name: RunSet(self._runs(of, one.runs, one.factors)) for name, one in listed.items()}
 
     def run(self, bar: ProgressBar) -> Searched:
@@ -210,8 +214,8 @@ class Search:
         """
         self._fidelities = [self.with_usual(one, bar) for one in self._fidelities]
         self._own = {name: self.with_usual(one, bar) for name, one in self._own.items()}
-        for one in self._fidelities:
-            check_usual(self._terms, table_of(self._terms, one.usual))
+        for fidelity in self._fidelities:
+            check_usual(self._terms, table_of(self._terms, fidelity.usual))
         study = self._study = open_study(self._name(), self._place.folder, self._storage, self._plan.keep)
         while batch := self._next(study):
             self._judge(study, batch, bar)

@@ -144,7 +144,9 @@ class TunePlan(StrictModel):
 
     @model_validator(mode="after")
     def _apart(self) -> TunePlan:
-        own = [one.factors for one in self.fidelities] + [one.factors for one in self.constraints.values()]
+        own = [fidelity.factors for fidelity in self.fidelities] + [
+            constraint.factors for constraint in self.constraints.values()
+        ]
         for name in (*self.factors, *self.spread, *(key for factors in own for key in factors)):
             check_factor(name, "factors and spread")
             if name in (*_CONTROLLER, "seed") or name.startswith("config."):

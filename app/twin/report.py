@@ -70,7 +70,9 @@ def fit_table(twin: FittedTwin) -> Table:
         cells += [f"{drift.heading_rmse:.3f}" for drift in held.drift]
         rows.append((name, *cells))
     columns = ["", *(f"FIT {name} [%]" for name in names)]
-    columns += [f"position {one:g} s [m]" for one in horizons] + [f"heading {one:g} s [rad]" for one in horizons]
+    columns += [f"position {horizon:g} s [m]" for horizon in horizons] + [
+        f"heading {one:g} s [rad]" for one in horizons
+    ]
     note = f"Free runs from the commands alone, on {twin.data.held_out}. Errors of the pose are RMS."
     return Table("Rows held out", tuple(columns), tuple(rows), note=note)
 

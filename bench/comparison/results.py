@@ -73,7 +73,7 @@ class ComparisonResults:
         """Every run as plain values; what could not be computed is None."""
         swept, smoothed = any(self.settings.settings), bool((self.all["drawn_max_m"] > 0.0).any())
         rows = self.all.to_dict("records")
-        return [json_row(one, self.silent, with_settings=swept, with_drawn=smoothed) for one in rows]
+        return [json_row(row, self.silent, with_settings=swept, with_drawn=smoothed) for row in rows]
 
     def content(self) -> dict[str, object]:
         """Everything as rows of plain values by name; parts that were not run are left out."""

@@ -86,7 +86,7 @@ class DistanceField:
     """
 
     def __init__(self, seen: Seen, here: FloatArray) -> None:
-        discs = np.array([[one.x, one.y, one.radius] for one in seen.discs]).reshape(-1, 3)
+        discs = np.array([[disc.x, disc.y, disc.radius] for disc in seen.discs]).reshape(-1, 3)
         if seen.grid is not None:
             self._resolution, self._origin = seen.grid.resolution, np.array(seen.grid.origin[:2])
             occupied = seen.grid.cells >= OCCUPIED // 2

@@ -101,7 +101,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
             raise ConfigError(f"{error}; or give --drive, whose constants turn currents into torques") from error
         note = str(error)
     curves = TorqueCurves.from_prior(car, load_terrain(PRIOR).model_copy(update={"slip": None}))
-    parts = [_learn(curves, one, constants) for one in records]
+    parts = [_learn(curves, record, constants) for record in records]
     samples = np.concatenate(parts)
     radii = samples[:, 0]
     low, high = (float(radii.min()), float(radii.max())) if len(radii) else (1.0, 1.0)

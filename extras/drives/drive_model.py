@@ -339,7 +339,7 @@ def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
         content.name,
         content.structure,
         content.sample_time,
-        [one.dead_samples for one in channels],
+        [channel.dead_samples for channel in channels],
         [one.still for one in channels],
         content.coefficients(),
         content.origins,

@@ -198,7 +198,7 @@ class _Numbers:
             moved = [self.errors({**point, name: point[name] + way * step}) for way in (-1.0, 1.0)]
             slopes.append([(more - less) / (2 * step) for less, more in zip(*moved, strict=True)])
         jacobians = [np.column_stack(one)[:, None, :] for one in zip(*slopes, strict=True)]
-        shows = np.sum([(one**2).sum(axis=(0, 1)) for one in jacobians], axis=0) > 0
+        shows = np.sum([(jacobian**2).sum(axis=(0, 1)) for jacobian in jacobians], axis=0) > 0
         found = sandwich(jacobians, [part[:, None] for part in here]).covariance
         found[~shows, :], found[:, ~shows] = 0.0, 0.0
         found[~shows, ~shows] = _NEVER_SEEN

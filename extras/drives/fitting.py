@@ -70,9 +70,9 @@ class DriveFit:
         for row in (0, 1):
             simulated = [
                 _free_run(
-                    self.kind, row, one.channel(row, row), self.coefficients[row], self.dead_samples[row], sharp=sharp
+                    self.kind, row, run.channel(row, row), self.coefficients[row], self.dead_samples[row], sharp=sharp
                 )
-                for one in runs
+                for run in runs
             ]
             columns.append([y + self.values[row].get("offset", 0.0) for y in simulated])
         return parted([np.column_stack(pair) for pair in zip(*columns, strict=True)], experiments)

@@ -99,7 +99,7 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
         )
     found["idle_power"] = max(0.0, found["idle_power"])
     words = (
-        f"identified from {blocks.samples} samples of {', '.join(one.name for one in records)}; "
+        f"identified from {blocks.samples} samples of {', '.join(record.name for record in records)}; "
         f"before: {prior.provenance}"
     )
     constants = prior.model_copy(update={**found, "provenance": words})

@@ -99,13 +99,15 @@ class Segments(NamedTuple):
 def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[Experiment]) -> list[Run]:
     """The experiments, each after rest in the settled state that gives its first readings; `linear` is of `system`."""
     found = []
-    for one in experiments:
-        start, held = settled_start(system, one.first_readings)
-        before, sent = np.tile(held, (linear.memory, 1)), np.clip(one.inputs, -system.limit, system.limit)
+    for experiment in experiments:
+        start, held = settled_start(system, experiment.first_readings)
+        before, sent = np.tile(held, (linear.memory, 1)), np.clip(experiment.inputs, -system.limit, system.limit)
         recent, older = linear.effective_inputs(sent, before)
         drive = recent @ linear.B0.T + older @ linear.B1.T
         states = StateResponse(linear.A)(drive.T[:, None], start[:, None])[:, 0].T
-        found.append(Run(states, recent, one.outputs - system.offset, one.counts.astype(float), sent, before))
+        found.append(
+            Run(states, recent, experiment.outputs - system.offset, experiment.counts.astype(float), sent, before)
+        )
     return found
 
 

@@ -61,7 +61,7 @@ class Clearance:
     """
 
     def __init__(self, surroundings: Surroundings, footprint: Footprint) -> None:
-        polygons = [checked_polygon(one, f"polygon {i}") for i, one in enumerate(surroundings.polygons)]
+        polygons = [checked_polygon(polygon, f"polygon {i}") for i, polygon in enumerate(surroundings.polygons)]
         self._polygons = [piece for one in polygons for piece in convex_pieces(one)]
         for i, disc in enumerate(surroundings.discs):
             check_disc(disc, f"disc {i}", timed=True)

@@ -138,7 +138,7 @@ class _Layer:
     ) -> None:
         self._costs, self._pieces, self._sharpest, self._spot = costs, pieces, sharpest, spot
         self._asked, self._motion = settings.polish, settings.motion
-        total = sum(one.duration for one in pieces)
+        total = sum(piece.duration for piece in pieces)
         self._interval = max(self._asked.interval, total / self._asked.most_nodes)
         self._speeds, self._rates, self._most = [0.0], [0.0], [0.0]
         # How much of which piece was driven at each node, and where.

@@ -178,7 +178,7 @@ class Search:
         self._goal, self._via = goal, via
         self._start = start
         self._targets = np.concatenate([via, goal[None, :2]])
-        self._fields = None if free is None else [free[0].distances(one, free[1]) for one in self._targets]
+        self._fields = None if free is None else [free[0].distances(target, free[1]) for target in self._targets]
         self._prices = inputs.multipliers()
         omega = np.abs(inputs.twists[:, 2])
         slow = np.maximum(inputs.speeds / settings.step, omega / settings.step_angle)

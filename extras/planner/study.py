@@ -196,7 +196,7 @@ def _table(results: Plans, minimise: Objective) -> Table:
             "sharpest turn [m]": lambda one: number(_sharpest(one), 2),
             "found by": lambda one: one.status,
         },
-        [((f"{name}, written" if name == minimise else name,), one) for name, one in results.items()],
+        [((f"{name}, written" if name == minimise else name,), result) for name, result in results.items()],
     )
 
 
@@ -231,5 +231,6 @@ def _row(plan: Plan) -> dict[str, object]:
 
 def _pieces(plan: Plan) -> list[dict[str, object]]:
     return [
-        {"v_m_s": one.v, "omega_rad_s": one.omega, "duration_s": one.duration, "leg": one.leg} for one in plan.pieces
+        {"v_m_s": piece.v, "omega_rad_s": piece.omega, "duration_s": piece.duration, "leg": piece.leg}
+        for piece in plan.pieces
     ]

@@ -220,7 +220,7 @@ class Task:
 
     def _unwrapped(self, found: Found) -> float:
         """Heading of the goal with the whole turns that the search makes [rad]."""
-        turned = sum(one.duration * float(self.costs.twist([one.v, one.omega])[2]) for one in found.pieces)
+        turned = sum(piece.duration * float(self.costs.twist([piece.v, piece.omega])[2]) for piece in found.pieces)
         whole = round((float(self.start[2]) + turned - float(self.goal[2])) / (2 * math.pi))
         return float(self.goal[2]) + 2 * math.pi * whole
 

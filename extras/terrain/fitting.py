@@ -83,7 +83,7 @@ def fit_shear(
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly
 
     columns = np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in (radius, speed, outer, inner)))
-    radii, speeds, outside, inside = (np.atleast_1d(one) for one in columns)
+    radii, speeds, outside, inside = (np.atleast_1d(column) for column in columns)
     if len(radii) < _LEAST_ROWS:
         raise ConfigError(f"{len(radii)} radii: three values are to be found, so give {_LEAST_ROWS} or more")
     if not all(np.isfinite(one).all() for one in (speeds, outside, inside)):

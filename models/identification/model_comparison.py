@@ -123,7 +123,7 @@ class Comparison:
     @property
     def recommended(self) -> Scored:
         """The simplest kind that no more elaborate one beats by more than its uncertainty, in mean FIT."""
-        able = [one for one in self.scores if not one.failure]
+        able = [score for score in self.scores if not score.failure]
         best = able[0]
         for one in able[1:]:
             if self.gain(one, best)[0] > 0.0:
@@ -142,22 +142,22 @@ class Comparison:
         """One row for each kind."""
         chosen = self.recommended
         rows = []
-        for one in self.scores:
-            if one.failure:
-                rows.append((one.kind, *["-"] * 6))
+        for score in self.scores:
+            if score.failure:
+                rows.append((score.kind, *["-"] * 6))
                 continue
-            v, omega = self.fits(one)
-            low, high = self.gain(one, chosen)
-            against = "-" if one is chosen else f"{low:+.2f} to {high:+.2f}"
+            v, omega = self.fits(score)
+            low, high = self.gain(score, chosen)
+            against = "-" if score is chosen else f"{low:+.2f} to {high:+.2f}"
             rows.append(
                 (
-                    f"{one.kind} *" if one is chosen else one.kind,
-                    str(one.states),
+                    f"{score.kind} *" if score is chosen else score.kind,
+                    str(score.states),
                     number(float(v), 2),
                     number(float(omega), 2),
                     against,
-                    number(one.pose_error),
-                    f"{one.seconds:.0f}",
+                    number(score.pose_error),
+                    f"{score.seconds:.0f}",
                 )
             )
         columns = (
@@ -173,14 +173,18 @@ class Comparison:
     def sentence(self) -> str:
         """The recommendation with its margin."""
         chosen = self.recommended
-        others = [one for one in self.scores if one is not chosen and not one.failure and one.kind != NO_MODEL]
+        others = [
+            score for score in self.scores if score is not chosen and not score.failure and score.kind != NO_MODEL
+        ]
         words = []
-        for one in others:
-            low, high = self.gain(one, chosen)
+        for other in others:
+            low, high = self.gain(other, chosen)
             if high < 0.0:
-                words.append(f"{one.kind} is worse by {-high:.1f} to {-low:.1f} points")
+                words.append(f"{other.kind} is worse by {-high:.1f} to {-low:.1f} points")
             else:
-                words.append(f"{one.kind} is no better by more than its uncertainty ({low:+.1f} to {high:+.1f} points)")
+                words.append(
+                    f"{other.kind} is no better by more than its uncertainty ({low:+.1f} to {high:+.1f} points)"
+                )
         words += [f"{one.kind} was not found: {one.failure}" for one in self.scores if one.failure]
         return f"{chosen.kind}: " + "; ".join(words) if words else f"{chosen.kind}: nothing to hold it against"
 

@@ -115,7 +115,7 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
     readings have no entry. Units: m/s, rad/s, m, rad.
     """
     found = {
-        "wheel_speed_noise": [_scatter(one.twist, one.fresh_twist, [0]) for one in records],
+        "wheel_speed_noise": [_scatter(record.twist, record.fresh_twist, [0]) for record in records],
         "wheel_yaw_rate_noise": [_scatter(one.twist, one.fresh_twist, [1]) for one in records],
         "yaw_rate_noise": [_scatter(one.yaw_rate, one.fresh_yaw_rate, [0]) for one in records],
         "position_noise": [_scatter(one.pose, one.fresh_pose, [0, 1]) for one in records],

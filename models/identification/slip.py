@@ -51,7 +51,7 @@ def _windows(record: Record) -> list[FloatArray]:
         part = slice(first, first + span + 1)
         fresh = record.fresh_pose[part]
         values = (v[part], omega[part], record.pose[part][fresh])
-        if not (fresh[0] and fresh[-1] and all(np.isfinite(one).all() for one in values)):
+        if not (fresh[0] and fresh[-1] and all(np.isfinite(value).all() for value in values)):
             continue
         theta = turned[part] + float(np.mean((heading - turned)[part][fresh]))
         ahead = np.column_stack([v[part] * np.cos(theta), v[part] * np.sin(theta)])

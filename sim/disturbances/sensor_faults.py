@@ -51,7 +51,12 @@ class SensorFaults:
             if biased.holds(time) and measurement.yaw_rate is not None:
                 rate = np.float64(measurement.yaw_rate.value) + biased.bias  # type: ignore[arg-type]
                 measurement = replace(measurement, yaw_rate=replace(measurement.yaw_rate, value=rate))
-        dead = {wheel for one in scenario.dead_encoders if one.holds(time) for wheel in one.wheels}
+        dead = {
+            wheel
+            for dead_encoder in scenario.dead_encoders
+            if dead_encoder.holds(time)
+            for wheel in dead_encoder.wheels
+        }
         if dead and measurement.wheel_speeds is not None and measurement.wheel_twist is not None:
             speeds = np.where([name in dead for name in get_args(Wheel)], 0.0, measurement.wheel_speeds.value)
             measurement = replace(
@@ -59,8 +64,13 @@ class SensorFaults:
                 wheel_speeds=replace(measurement.wheel_speeds, value=speeds),
                 wheel_twist=replace(measurement.wheel_twist, value=self._kinematics.twist(speeds)),
             )
-        stuck = {field for one in scenario.stuck_sensors if one.holds(time) for field in _FIELDS[one.sensor]}
-        lost = {field for one in scenario.drop_outs if one.holds(time) for field in _FIELDS[one.sensor]}
+        stuck = {
+            field
+            for stuck_sensor in scenario.stuck_sensors
+            if stuck_sensor.holds(time)
+            for field in _FIELDS[stuck_sensor.sensor]
+        }
+        lost = {field for drop_out in scenario.drop_outs if drop_out.holds(time) for field in _FIELDS[drop_out.sensor]}
         changes: dict[str, Any] = {}
         for field in itertools.chain.from_iterable(_FIELDS.values()):
             stamped: Stamped | None = getattr(measurement, field)

@@ -92,6 +92,6 @@ class WorldPlant(PlantAround):
         if math.hypot(*self.true_twist) > self._rules.contact.moving_speed:
             self._moved_at = self.time
         if self.world.ends_at_contact:
-            moving = [one for one in self.contacts if one.fastest > self._rules.contact.moving_speed]
+            moving = [contact for contact in self.contacts if contact.fastest > self._rules.contact.moving_speed]
             if moving:
                 raise TouchedError(moving[0].sentence)

@@ -136,7 +136,7 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
         begin, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
         share = float(deviation[i])
         known.append(Told(name, prior.unit, prior.words, values[name], begin, end, share, bool(told[i])))
-    seconds = sum(one.experiment.samples * one.experiment.dt for one in problem.stretches)
+    seconds = sum(stretch.experiment.samples * stretch.experiment.dt for stretch in problem.stretches)
     return TwinFit(space, values, tuple(known), search.drives, seconds)
 
 

@@ -233,7 +233,10 @@ def fit_percent(predictions: Sequence[Prediction], experiments: Sequence[Experim
     return {
         name: pooled_fit_percent(
             [run.outputs[run.counts[:, there], there] for run in experiments],
-            [one.readings[run.counts[:, there], here] for one, run in zip(predictions, experiments, strict=True)],
+            [
+                prediction.readings[run.counts[:, there], here]
+                for prediction, run in zip(predictions, experiments, strict=True)
+            ],
         )
         for name, (here, there) in columns.items()
     }
@@ -266,10 +269,10 @@ def drift_of(
         return ()
     place = PoseMount(**{name: mount[f"mount.{name}"] for name in ("ahead", "left", "heading")})
     posed, twists = [], []
-    for record, one in zip(records, predictions, strict=True):
+    for record, prediction in zip(records, predictions, strict=True):
         if record.pose is not None:
             posed.append(replace(record, pose=place.centre(record.pose)))
-            twists.append(one.body * np.array([travel, 1.0]))
+            twists.append(prediction.body * np.array([travel, 1.0]))
     found: list[PoseDrift] = []
     for horizon in identification_settings().horizons:
         try:

@@ -59,7 +59,7 @@ class Nominal:
     def clipping(self, levels: FloatArray) -> Nominal:
         """The same, with a link that clips v and omega at these levels (2,), infinite where it does not."""
         limits = self.robot.robot.limits
-        lower = {name: min(getattr(limits, name), float(one)) for name, one in zip(CHANNELS, levels, strict=True)}
+        lower = {name: min(getattr(limits, name), float(level)) for name, level in zip(CHANNELS, levels, strict=True)}
         body = self.robot.robot.model_copy(update={"limits": limits.model_copy(update=lower)})
         return replace(self, robot=self.robot.model_copy(update={"robot": body}))
 

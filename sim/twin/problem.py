@@ -74,8 +74,12 @@ class Problem:
             lost = _LOST / self.weight
             return [np.where(one.experiment.counts, lost, np.nan) for one in self.stretches]
         return [
-            np.where(one.experiment.counts, readings(motion, one.experiment, values) - one.experiment.outputs, np.nan)
-            for one, motion in zip(self.stretches, motions, strict=True)
+            np.where(
+                stretch.experiment.counts,
+                readings(motion, stretch.experiment, values) - stretch.experiment.outputs,
+                np.nan,
+            )
+            for stretch, motion in zip(self.stretches, motions, strict=True)
         ]
 
     def weigh(self, errors: Sequence[FloatArray]) -> None:
@@ -126,10 +130,12 @@ class Problem:
         span = max(1, round(twin_settings().block / self.stretches[0].experiment.dt))
         labels: list[NDArray[np.int64]] = []
         next_label = 0
-        for one in self.stretches:
-            count = one.experiment.samples
+        for stretch in self.stretches:
+            count = stretch.experiment.samples
             label = next_label + np.arange(count) // span
             next_label = int(label[-1]) + 1
-            labels.append(np.repeat(label[:, None], one.experiment.counts.shape[1], axis=1)[one.experiment.counts])
+            labels.append(
+                np.repeat(label[:, None], stretch.experiment.counts.shape[1], axis=1)[stretch.experiment.counts]
+            )
         every = np.concatenate(labels)
         return [np.flatnonzero(every == label) for label in range(next_label)]

@@ -138,7 +138,7 @@ def passage_of(
         (n,) [s], (n, 3) true poses and (n, 3) true twists.
     """
     rules = world_settings()
-    moving = [one for one in contacts if one.fastest > rules.contact.moving_speed]
+    moving = [contact for contact in contacts if contact.fastest > rules.contact.moving_speed]
     speed = np.hypot(twist[:, 0], twist[:, 1])
     near = np.hypot(*(pose[:, :2] - goal[:2]).T) <= rules.goal.distance
     there = np.flatnonzero(near & (speed <= rules.goal.speed) & (time <= world.time_limit))
@@ -164,7 +164,7 @@ def least_clearance(world: World, outline: tuple[float, float], time: FloatArray
         c, s = np.cos(theta), np.sin(theta)
         points = np.array([x, y]) + around @ np.array([[c, s], [-s, c]])
         shapes = world.shapes(float(t))
-        discs = [shapes.discs, *(np.array([[*one.position(float(t)), one.radius]]) for one in world.movers)]
+        discs = [shapes.discs, *(np.array([[*mover.position(float(t)), mover.radius]]) for mover in world.movers)]
         nearby = np.vstack(discs)
         nearby = nearby[np.hypot(nearby[:, 0] - x, nearby[:, 1] - y) - nearby[:, 2] < found + max(outline)]
         found = min(found, float(Shapes(shapes.polygons, nearby).distance(points).min(initial=np.inf)))

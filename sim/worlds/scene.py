@@ -44,14 +44,14 @@ class Scene:
         bits = f'contype="0" conaffinity="{_OBSTACLE_BIT}"'
         half = 0.5 * self._height
         parts += [
-            f'<geom name="post {i}" type="cylinder" size="{one.radius!r} {half!r}" pos="{one.at[0]!r} {one.at[1]!r}'
+            f'<geom name="post {i}" type="cylinder" size="{post.radius!r} {half!r}" pos="{post.at[0]!r} {post.at[1]!r}'
             f' {half!r}" {bits}/>'
-            for i, one in enumerate(self.world.posts)
+            for i, post in enumerate(self.world.posts)
         ]
         parts += [
-            f'<body name="mover {i}" mocap="true" pos="{one.x!r} {one.y!r} {half!r}"><geom name="mover {i}"'
-            f' type="cylinder" size="{one.radius!r} {half!r}" {bits} {_UNFELT}/></body>'
-            for i, one in enumerate(self.world.movers)
+            f'<body name="mover {i}" mocap="true" pos="{mover.x!r} {mover.y!r} {half!r}"><geom name="mover {i}"'
+            f' type="cylinder" size="{mover.radius!r} {half!r}" {bits} {_UNFELT}/></body>'
+            for i, mover in enumerate(self.world.movers)
         ]
         return "".join(parts)
 
@@ -83,7 +83,7 @@ class Scene:
         self._model, self._data, self._move = model, data, mujoco.mj_step
         self._hull = int(model.geom(HULL).id)
         model.geom_contype[self._hull] = 0
-        standing = [*self.world.outlines, *((f"post {i}", one) for i, one in enumerate(self.world.posts))]
+        standing = [*self.world.outlines, *((f"post {i}", post) for i, post in enumerate(self.world.posts))]
         self._names = {int(model.geom(name).id): name for name, _ in standing}
         self._names |= {int(model.geom(f"mover {i}").id): f"mover {i}" for i in range(len(self.world.movers))}
         self._leaving = [(one, int(model.geom(name).id)) for name, one in standing if one.until is not None]
@@ -107,8 +107,8 @@ class Scene:
             self._note(time, *before)
 
     def _lead(self, time: float) -> None:
-        for i, one in enumerate(self.world.movers):
-            self._data.mocap_pos[i, :2] = one.position(time)
+        for i, mover in enumerate(self.world.movers):
+            self._data.mocap_pos[i, :2] = mover.position(time)
         for obstacle, geom in self._leaving:
             if not stands(obstacle, time):
                 self._model.geom_conaffinity[geom] = 0

@@ -138,7 +138,9 @@ class Eyes:
         met = np.isfinite(distances)
         ends = pose[:2] + distances[met, None] * np.column_stack([np.cos(bearings[met]), np.sin(bearings[met])])
         nothing = np.zeros((0, 3))
-        single = [Shapes((one,), nothing) for one in shapes.polygons] + [Shapes((), one[None]) for one in shapes.discs]
+        single = [Shapes((polygon,), nothing) for polygon in shapes.polygons] + [
+            Shapes((), disc[None]) for disc in shapes.discs
+        ]
         keys = [one.tobytes() for one in (*shapes.polygons, *shapes.discs)]
         self._known &= set(keys)  # what has been taken away is forgotten
         if len(ends):

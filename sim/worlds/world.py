@@ -48,9 +48,9 @@ class World(StrictModel):
     def outlines(self) -> tuple[tuple[str, Wall | Box | Polygon], ...]:
         """Every polygon that stands at the beginning, with its name."""
         return (
-            *((f"wall {i}", one) for i, one in enumerate(self.walls)),
-            *((f"box {i}", one) for i, one in enumerate(self.boxes)),
-            *((f"polygon {i}", one) for i, one in enumerate(self.polygons)),
+            *((f"wall {i}", wall) for i, wall in enumerate(self.walls)),
+            *((f"box {i}", box) for i, box in enumerate(self.boxes)),
+            *((f"polygon {i}", polygon) for i, polygon in enumerate(self.polygons)),
         )
 
     @property

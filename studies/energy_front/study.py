@@ -219,7 +219,7 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
         return Report(
             counted=f"{len(results)} runs",
             meta={"plant": self._settings.plant, "weights_per_w": list(self._settings.weights)},
-            content={"runs": [vars(one) for one in results]},
+            content={"runs": [vars(result) for result in results]},
             facts=[
                 f"{len(results)} runs of '{self._settings.plant}' in {seconds} s, {len(self._settings.seeds)} seeds of "
                 "each weight, path and floor."
@@ -239,7 +239,7 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
 def _best(points: Sequence[Point], factor: float) -> Point:
     """The one that saves most of those that arrived always with no more than `factor` times the error of no weight."""
     most = factor * points[0].error.value
-    good = [one for one in points if one.completed == one.of and one.error.value <= most]
+    good = [point for point in points if point.completed == point.of and point.error.value <= most]
     return max(good or points[:1], key=lambda one: one.saved.value)
 
 

@@ -101,7 +101,7 @@ class LoopSpeedStudy(Study[list[Case], list[LoopCost]]):
     def report(self, results: list[LoopCost], seconds: float) -> Report:
         """Multiples of real time, and microseconds a tick."""
         names = ("model", "trajectory")
-        entries = [((one.case.model, one.case.trajectory), one) for one in results]
+        entries = [((result.case.model, result.case.trajectory), result) for result in results]
         speeds: dict[str, Callable[[LoopCost], str]] = {
             "whole [x]": lambda one: number(one.driven / one.whole, 0),
             "loop [x]": lambda one: number(one.driven / one.loop, 0),

@@ -110,7 +110,7 @@ class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
             f"Rules `{self._rules}`, in {seconds:.0f} s.",
         ]
         trials = [*(one for some in results.faulty.values() for one in some), *results.nominal]
-        content: dict[str, object] = {"trials": [_plain_trial(one) for one in trials]}
+        content: dict[str, object] = {"trials": [_plain_trial(trial) for trial in trials]}
         meta: dict[str, object] = {"rules": self._rules, "first_seed": self._first}
         return Report(f"{len(trials)} drives", meta, content, facts, tables)
 
@@ -136,7 +136,7 @@ def _is_caught(held: Held, one: Trial) -> bool:
 
 
 def _row(name: str, held: Held, trials: Sequence[Trial]) -> tuple[str, ...]:
-    after = sorted(one.after if one.rule else math.inf for one in trials)
+    after = sorted(trial.after if trial.rule else math.inf for trial in trials)
     rules = Counter(one.rule for one in trials if one.rule)
     farthest = max(one.farthest for one in trials)
     return (
@@ -166,10 +166,10 @@ def _nominal_table(results: Watched) -> Table:
 
 def _alarm_table(alarms: Sequence[Trial]) -> Table:
     rows = []
-    for one in alarms:
-        case = one.case
+    for alarm in alarms:
+        case = alarm.case
         drive = f"{case.controller} {case.model}, {case.trajectory}, {case.surface}, {case.scenario}, {case.sensors}"
-        rows.append((drive, one.words, str(case.seed), number(one.after, 2), number(one.farthest, 2)))
+        rows.append((drive, alarm.words, str(case.seed), number(alarm.after, 2), number(alarm.farthest, 2)))
     return Table("Alarms", ("drive", "words", "seed", "at [s]", "farthest [m]"), tuple(rows), text_columns=2)
 
 

@@ -219,8 +219,8 @@ class PeersStudy(Study[list[str], list[Tuned]]):
             f"plant {settings.plant}; trajectories (seeds): {runs}; in {seconds:.0f} s."
         ]
         rows = [
-            {"peer": one.peer, "gains": one.gains, "position_rmse_m": one.rmse, "tried": list(one.tried)}
-            for one in results
+            {"peer": result.peer, "gains": result.gains, "position_rmse_m": result.rmse, "tried": list(result.tried)}
+            for result in results
         ]
         proof = [
             {
@@ -241,12 +241,17 @@ class PeersStudy(Study[list[str], list[Tuned]]):
 def _summary(results: Sequence[Tuned], scan: int) -> Table:
     columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "beyond spread")
     rows = []
-    for one in results:
-        better = [it for it in one.neighbours if it.worse.mean() < 0]
+    for result in results:
+        better = [it for it in result.neighbours if it.worse.mean() < 0]
         beyond = [it for it in better if -it.worse.mean() > 2 * it.spread]
-        counts = (str(len(one.tried)), str(len(better)), str(len(beyond)))
+        counts = (str(len(result.tried)), str(len(better)), str(len(beyond)))
         rows.append(
-            (one.peer, number(1e3 * min(rmse for _, rmse in one.tried[:scan]), 2), number(1e3 * one.rmse, 2), *counts)
+            (
+                result.peer,
+                number(1e3 * min(rmse for _, rmse in result.tried[:scan]), 2),
+                number(1e3 * result.rmse, 2),
+                *counts,
+            )
         )
     note = (
         "Mean position RMSE of the runs. Neighbours: each gain alone times the factors of the settings; beyond spread: "
@@ -276,8 +281,8 @@ def gains_text(results: Sequence[Tuned], settings: PeersSettings) -> str:
         "# its mean position RMSE on the tuning runs.\n"
     )
     lines: list[str] = []
-    for one in sorted(results, key=lambda it: list(LAWS).index(it.peer)):
-        flow: Mapping[str, float] = one.gains
-        text = yaml.safe_dump({one.peer: dict(flow)}, sort_keys=False, default_flow_style=False)
-        lines.append(text.replace(":\n", f":  # {1e3 * one.rmse:.2f} mm\n", 1))
+    for result in sorted(results, key=lambda it: list(LAWS).index(it.peer)):
+        flow: Mapping[str, float] = result.gains
+        text = yaml.safe_dump({result.peer: dict(flow)}, sort_keys=False, default_flow_style=False)
+        lines.append(text.replace(":\n", f":  # {1e3 * result.rmse:.2f} mm\n", 1))
     return head + "".join(lines)

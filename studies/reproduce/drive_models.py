@@ -132,8 +132,8 @@ def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) 
     for row, unit in enumerate(units):
         size = np.concatenate(
             [
-                unit * np.abs(y[:, row] - one.outputs[:, row])[one.counts[:, row]]
-                for y, one in zip(simulated, experiments, strict=True)
+                unit * np.abs(y[:, row] - experiment.outputs[:, row])[experiment.counts[:, row]]
+                for y, experiment in zip(simulated, experiments, strict=True)
             ]
         )
         pairs.append((float(size.mean()), float(size.max())))
@@ -186,8 +186,8 @@ def _numbers(group: Sequence[DriveModelsResult], name: str, row: int) -> str:
 
 def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveModelsResult]]:
     groups: dict[str, list[DriveModelsResult]] = {}
-    for one in results:
-        groups.setdefault(one.source, []).append(one)
+    for result in results:
+        groups.setdefault(result.source, []).append(result)
     return groups
 
 
@@ -196,7 +196,7 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
     second = published.drive_models["second data set"]
     findings = []
     for where, group in (
-        ("drives of the simulated robot", [one for one in results if one.repetition]),
+        ("drives of the simulated robot", [result for result in results if result.repetition]),
         ("real logs", [one for one in results if not one.repetition]),
     ):
         if not group:

@@ -62,9 +62,9 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
         zip(
             _ALONE,
             (
-                [(0.0, one) for one in study.yaw_rates],
+                [(0.0, yaw_rate) for yaw_rate in study.yaw_rates],
                 [(v, one) for one in study.yaw_rates],
-                [(one, yaw) for one in study.speeds],
+                [(speed, yaw) for speed in study.speeds],
             ),
             strict=True,
         )
@@ -99,17 +99,17 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
         for k, (yaw, track) in enumerate(paper.tests[: len(commands)])
     ]
     lines = [("P3, Epi.q", f"{paper.p1:.3f}", f"{paper.p0:.3f}", "-", *["-"] * (len(_ALONE) + 1))]
-    for one in results:
-        slopes = [_pm(1e3 * line.p1, 1e3 * line.p1_deviation, 1) for line in one.slopes.values()]
+    for result in results:
+        slopes = [_pm(1e3 * line.p1, 1e3 * line.p1_deviation, 1) for line in result.slopes.values()]
         lines.append(
             (
-                one.surface,
-                _pm(one.line.p1, one.line.p1_deviation, 4),
-                _pm(one.line.p0, one.line.p0_deviation, 4),
-                f"{one.line.correlation:.2f}",
+                result.surface,
+                _pm(result.line.p1, result.line.p1_deviation, 4),
+                _pm(result.line.p0, result.line.p0_deviation, 4),
+                f"{result.line.correlation:.2f}",
                 *slopes,
-                f"{_pm(1e3 * one.by_acceleration.p1, 1e3 * one.by_acceleration.p1_deviation, 0)} "
-                f"({one.by_acceleration.correlation:.2f})",
+                f"{_pm(1e3 * result.by_acceleration.p1, 1e3 * result.by_acceleration.p1_deviation, 0)} "
+                f"({result.by_acceleration.correlation:.2f})",
             )
         )
     columns = ["test", "P3: yaw rate [rad/s]", "P3: track [m]"]
@@ -149,7 +149,7 @@ def _pm(value: float, deviation: float, digits: int) -> str:
 def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[Finding]:
     """Whether P3's line has the same sign here, and what stands behind it; one verdict for each floor."""
     certain, paper = published.rules.certain, published.virtual_track
-    floors = ", ".join(one.surface for one in results)
+    floors = ", ".join(result.surface for result in results)
     spot, _, speed = _ALONE
     return [
         Finding(

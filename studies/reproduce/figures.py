@@ -125,7 +125,7 @@ def _draw(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) 
 
 def draw_slip_scatter(results: Sequence[SlipScatter], path: Path) -> None:
     """Draw paths by commands alone, and errors of poses with their ellipses; for the first setting of the drifts."""
-    shown = [one for one in results if one.drifts == results[0].drifts]
+    shown = [result for result in results if result.drifts == results[0].drifts]
     floors = list(dict.fromkeys(one.floor for one in shown))
     with new_figure(path, 2.0 * len(floors) + 0.6, 6.6) as figure:
         rows = figure.subplots(3, len(floors), squeeze=False)

@@ -209,14 +209,14 @@ def _paths(controller: Controller, driven: _Driven, first: int, samples: int) ->
 
 def _groups(results: Sequence[SlipScatter]) -> dict[tuple[str, float], list[SlipScatter]]:
     groups: dict[tuple[str, float], list[SlipScatter]] = {}
-    for one in results:
-        groups.setdefault((one.floor, one.drifts), []).append(one)
+    for result in results:
+        groups.setdefault((result.floor, result.drifts), []).append(result)
     return groups
 
 
 def pooled(results: Sequence[SlipScatter], name: str) -> Foresight:
     """All that the drives of `results` foresaw, `nominal` or `learned`."""
-    parts = [getattr(one, name) for one in results]
+    parts = [getattr(result, name) for result in results]
     return Foresight(np.concatenate([p.errors for p in parts]), np.concatenate([p.covariances for p in parts]))
 
 
@@ -250,7 +250,7 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
         "Scatter of foreseen poses",
         (
             *("floor", "drifts of slip", "points", "no slip: RMS", "learned: RMS", "foreseen", "of that by slip"),
-            *(*shares, "scaled: foreseen", *(f"scaled: {one}" for one in shares)),
+            *(*shares, "scaled: foreseen", *(f"scaled: {share}" for share in shares)),
         ),
         tuple(rows),
         text_columns=2,
@@ -283,7 +283,7 @@ def _triple(values: FloatArray) -> str:
 def slip_scatter_findings(results: Sequence[SlipScatter], published: Published) -> list[Finding]:
     """Whether learning helps, and whether what is foreseen agrees with what comes; one verdict for each floor."""
     findings = []
-    for drifts in dict.fromkeys(one.drifts for one in results):
+    for drifts in dict.fromkeys(result.drifts for result in results):
         groups = {floor: group for (floor, scale), group in _groups(results).items() if scale == drifts}
         nominal, learned, scaled = (
             [pooled(group, name) for group in groups.values()] for name in ("nominal", "learned", "scaled")

@@ -294,7 +294,9 @@ def find(results: ReproduceResults) -> list[Finding]:
 
 def findings_table(findings: Sequence[Finding], repetitions: int) -> Table:
     """Every rule with its verdict."""
-    rows = tuple((one.claim, one.source, one.published, one.plant, one.verdict) for one in findings)
+    rows = tuple(
+        (finding.claim, finding.source, finding.published, finding.plant, finding.verdict) for finding in findings
+    )
     count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions, with drives and noise of their own"
     note = (
         f"From {count}. Holds: in all (yes), in none (no), or in how many; inconclusive: the numbers do not decide it. "

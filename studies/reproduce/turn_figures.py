@@ -22,13 +22,13 @@ def draw_turn_torques(result: TurningResult, path: Path) -> None:
     with new_figure(path, 9.0, 3.6) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         for axes, turns, driven in ((left, result.law, False), (right, result.driven, True)):
-            for k, one in enumerate(turns):
+            for k, turn in enumerate(turns):
                 for side, name in enumerate(_SIDES):
                     style = f"{MARKERS[k]}-" if driven else line_style(k)
-                    label = f"{name}, {one.speed:g} m/s"
+                    label = f"{name}, {turn.speed:g} m/s"
                     axes.plot(
-                        one.radius,
-                        one.torque[:, side],
+                        turn.radius,
+                        turn.torque[:, side],
                         style,
                         color=colour(side),
                         alpha=1 - 0.25 * k,
@@ -71,21 +71,21 @@ def draw_turn_learning(floors: Sequence[LearnedTurns], path: Path) -> None:
     """Draw curves before and after the drive, with its raw torques as bars (figures 16 to 18)."""
     with new_figure(path, 3.6 * len(floors) + 0.6, 3.8) as figure:
         shown = figure.subplots(1, len(floors), sharey=True, squeeze=False)[0]
-        for axes, one in zip(shown, floors, strict=True):
+        for axes, floor in zip(shown, floors, strict=True):
             for side, name in enumerate(_SIDES):
-                least, mean, most = one.raw[:, 1 + 3 * side : 4 + 3 * side].T
-                axes.vlines(one.raw[:, 0], least, most, color=colour(side), alpha=0.5, linewidth=2.0)
-                axes.plot(one.raw[:, 0], mean, "_", color=colour(side), markersize=6.0)
-                axes.plot(one.radius, one.learned[:, side], color=colour(side), label=f"{name}, learned")
-                axes.plot(one.radius, one.prior[:, side], ":", color=colour(side), label=f"{name}, from vinyl")
+                least, mean, most = floor.raw[:, 1 + 3 * side : 4 + 3 * side].T
+                axes.vlines(floor.raw[:, 0], least, most, color=colour(side), alpha=0.5, linewidth=2.0)
+                axes.plot(floor.raw[:, 0], mean, "_", color=colour(side), markersize=6.0)
+                axes.plot(floor.radius, floor.learned[:, side], color=colour(side), label=f"{name}, learned")
+                axes.plot(floor.radius, floor.prior[:, side], ":", color=colour(side), label=f"{name}, from vinyl")
             for sign in (1, -1):
-                axes.axhline(sign * one.limit, color=REFERENCE_COLOUR, linewidth=0.8, linestyle="--")
-            for k, (radius, name) in enumerate(((one.learned_least, "learned"), (one.own, "measured"))):
+                axes.axhline(sign * floor.limit, color=REFERENCE_COLOUR, linewidth=0.8, linestyle="--")
+            for k, (radius, name) in enumerate(((floor.learned_least, "learned"), (floor.own, "measured"))):
                 if radius:
                     label = f"least radius, {name}: {radius:.2f} m"
                     axes.axvline(radius, color=colour(2 + k), linestyle=line_style(2 + k), label=label)
-            axes.set(xscale="log", xlabel="commanded turn radius [m]", title=f"'{one.floor}'")
-            axes.set_ylim(-1.1 * one.limit, 1.9 * one.limit)
+            axes.set(xscale="log", xlabel="commanded turn radius [m]", title=f"'{floor.floor}'")
+            axes.set_ylim(-1.1 * floor.limit, 1.9 * floor.limit)
             axes.legend(loc="upper right", fontsize=7.0)
         shown[0].set_ylabel("torque of a side [N m]")
 

@@ -267,7 +267,7 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
     ours = "; ".join(f"{_metres(one.learned_least)} m of {_metres(one.own)}" for one in floors)
     energies = ", ".join(f"{name} {one.learned:g} %" for name, one in printed.energy_missed.items())
     without = ", ".join(f"{name} {one.prior:g} %" for name, one in printed.energy_missed.items())
-    means = [_means(one) for one in floors]
+    means = [_means(floor) for floor in floors]
     said = "; ".join(_percent(learned) for learned, _ in means) + " %"
     return [
         Finding(

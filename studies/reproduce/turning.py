@@ -162,7 +162,7 @@ def turning_findings(result: TurningResult, published: Published) -> list[Findin
         )
     ]
     for turns in (result.law, result.driven):
-        where = f"{_name(turns[0])}; {', '.join(f'{one.speed:g}' for one in turns)} m/s"
+        where = f"{_name(turns[0])}; {', '.join(f'{turn.speed:g}' for turn in turns)} m/s"
         findings += [
             Finding(
                 f"torques grow as turns get sharper, to {100 * rules.turn_rise:g} % of the largest ({where})",
@@ -201,7 +201,7 @@ def _falls(one: SteadyTurns, rise: float) -> bool:
 
 def _speed_does_not_matter(turns: Sequence[SteadyTurns], where: str, alike: float, wider_than: float) -> Finding:
     """The largest difference over the wider radii and both sides, over the largest torque there."""
-    torques = np.array([one.torque[one.radius >= wider_than] for one in turns])
+    torques = np.array([turn.torque[turn.radius >= wider_than] for turn in turns])
     apart = float((torques.max(axis=0) - torques.min(axis=0)).max() / np.abs(torques).max())
     return Finding(
         f"torques do not depend on the speed, to {100 * alike:g} % of the largest, from {wider_than:g} m on ({where})",

@@ -88,7 +88,11 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
         "ratio": lambda of: f"{of[0].ratio(of[1]):.2f}",
     }
     names = {of: " [".join(of.replace("rmse", "RMSE").rsplit("_", 1)).replace("_", " ") + "]" for of in COMPARED}
-    entries = [((one.case.labels["trajectory"], names[of]), (one, of)) for one in comparisons for of in COMPARED]
+    entries = [
+        ((comparison.case.labels["trajectory"], names[of]), (comparison, of))
+        for comparison in comparisons
+        for of in COMPARED
+    ]
     return Table.of("Over DDS and in one process", ("trajectory", "error"), columns, entries)
 
 

@@ -210,7 +210,7 @@ class Saved(NamedTuple):
     @classmethod
     def of(cls, outcomes: Sequence[PairOutcome], over: Objective = "distance") -> Saved:
         """Of the pairs of a floor."""
-        both = [one for one in outcomes if math.isfinite(one.saving(over))]
+        both = [outcome for outcome in outcomes if math.isfinite(outcome.saving(over))]
         found = np.array([one.saving(over) for one in both])
         if not both:
             return cls(0, Estimate.of_runs([], mean), math.nan, math.nan, math.nan, 0, math.nan)
@@ -228,7 +228,7 @@ class Saved(NamedTuple):
 
 def worse_arrival(outcomes: Sequence[PairOutcome]) -> tuple[Estimate, Estimate]:
     """By how much the energy-optimal drive ends further off than the distance-optimal: position [m], heading [rad]."""
-    both = [one for one in outcomes if {"energy", "distance"} <= {*one.drives}]
+    both = [outcome for outcome in outcomes if {"energy", "distance"} <= {*outcome.drives}]
 
     def differences(what: str) -> FloatArray:
         return np.array([getattr(one.drives["energy"], what) - getattr(one.drives["distance"], what) for one in both])

@@ -26,16 +26,16 @@ def draw_paths(outcomes: Sequence[PairOutcome], surface: str, path: Path) -> Non
     rows = -(-len(outcomes) // _COLUMNS)
     with new_figure(path, 7.6, 1.35 * rows + 0.5) as figure:
         panels = figure.subplots(rows, min(_COLUMNS, len(outcomes)), squeeze=False).ravel()
-        for axes, one in zip(panels, outcomes, strict=False):
+        for axes, outcome in zip(panels, outcomes, strict=False):
             for k, aim in enumerate(AIMS[:2]):
-                if aim in one.drives:
-                    x, y = one.drives[aim].path[:, :2].T
+                if aim in outcome.drives:
+                    x, y = outcome.drives[aim].path[:, :2].T
                     axes.plot(x, y, line_style(k), color=colour(k), linewidth=1.1, label=f"least {aim}")
-            _arrow(axes, one.pair.goal)
-            axes.plot(*one.pair.start[:2], "o", color="black", markersize=2.5)
-            saving = one.saving()
+            _arrow(axes, outcome.pair.goal)
+            axes.plot(*outcome.pair.start[:2], "o", color="black", markersize=2.5)
+            saving = outcome.saving()
             axes.set_title(
-                f"{one.number + 1}: " + (f"{100 * saving:.0f} %" if np.isfinite(saving) else "-"), fontsize=8
+                f"{outcome.number + 1}: " + (f"{100 * saving:.0f} %" if np.isfinite(saving) else "-"), fontsize=8
             )
             axes.set_aspect("equal", "datalim")
             axes.tick_params(labelsize=6, length=2)
@@ -51,7 +51,7 @@ def draw_saving(floors: Sequence[tuple[str, Sequence[PairOutcome]]], asked: floa
     with new_figure(path, 7.6, 2.9) as figure:
         panels = figure.subplots(1, len(floors), sharey=True, squeeze=False)[0]
         for axes, (surface, outcomes) in zip(panels, floors, strict=True):
-            found = np.sort([100 * one.saving() for one in outcomes if np.isfinite(one.saving())])
+            found = np.sort([100 * outcome.saving() for outcome in outcomes if np.isfinite(outcome.saving())])
             axes.bar(np.arange(len(found)), found, color=colour(0), width=0.8)
             mean = Saved.of(outcomes).mean
             axes.axhspan(100 * mean.low, 100 * mean.high, color=colour(1), alpha=0.35, label="95 % interval")
@@ -72,7 +72,7 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
         for k, (surface, outcomes) in enumerate(floors):
             for aim, filled in zip(AIMS[:2], (True, False), strict=True):
                 drives = [one.drives[aim] for one in outcomes if aim in one.drives and one.drives[aim].arrived]
-                measured, predicted = [one.measured for one in drives], [one.predicted for one in drives]
+                measured, predicted = [drive.measured for drive in drives], [one.predicted for one in drives]
                 most = max(most, *measured, *predicted) if drives else most
                 left.plot(
                     measured,
@@ -83,8 +83,8 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
                     markerfacecolor=colour(k) if filled else "none",
                     label=f"'{surface}'" if filled else None,
                 )
-            runs = [one.drives["energy"] for one in outcomes[:RUNS] if "energy" in one.drives]
-            errors = [100 * one.error if one.arrived else np.nan for one in runs]
+            runs = [outcome.drives["energy"] for outcome in outcomes[:RUNS] if "energy" in outcome.drives]
+            errors = [100 * run.error if run.arrived else np.nan for run in runs]
             places = offset + 1 + np.arange(len(errors))
             right.bar(places, errors, color=colour(k), label=f"'{surface}'")
             ticks, offset = [*ticks, *places.tolist()], offset + len(errors)

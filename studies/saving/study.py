@@ -95,8 +95,8 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             draws[f"paths-{surface}.png"] = partial(figures.draw_paths, outcomes, surface)
         for k, scenario in enumerate(results.scenarios):
             draws[f"scenario-{k + 1}.png"] = partial(figures.draw_scenario, scenario, outline)
-        pairs = [one for _, outcomes in results.floors for one in outcomes]
-        drives = sum(len(one.drives) + (one.fed is not None) for one in pairs)
+        pairs = [outcome for _, outcomes in results.floors for outcome in outcomes]
+        drives = sum(len(pair.drives) + (pair.fed is not None) for pair in pairs)
         drawn = asked.pairs
         return Report(
             counted=f"{drives} drives, {len(results.scenarios)} scenarios",
@@ -182,7 +182,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
         note="Energy-optimal against time-optimal.",
     )
     by_aim = [
-        ((surface, aim), [one.drives[aim] for one in outcomes if aim in one.drives])
+        ((surface, aim), [outcome.drives[aim] for outcome in outcomes if aim in outcome.drives])
         for surface, outcomes in floors
         for aim in AIMS
     ]
@@ -192,11 +192,11 @@ def _tables(results: Results, computer: float) -> list[Table]:
         ("floor", "least"),
         {
             "drives": lambda drives: str(len(drives)),
-            "arrived": lambda drives: str(sum(one.arrived for one in drives)),
+            "arrived": lambda drives: str(sum(drive.arrived for drive in drives)),
             "position, mean [mm]": lambda drives: number(1e3 * _mean(drives, "position"), 1),
-            "most [mm]": lambda drives: number(1e3 * max(one.position for one in drives), 1),
+            "most [mm]": lambda drives: number(1e3 * max(drive.position for drive in drives), 1),
             "heading, mean [deg]": lambda drives: number(math.degrees(_mean(drives, "heading")), 2),
-            "most [deg]": lambda drives: number(math.degrees(max(one.heading for one in drives)), 2),
+            "most [deg]": lambda drives: number(math.degrees(max(drive.heading for drive in drives)), 2),
             "lateral, RMSE [mm]": lambda drives: number(1e3 * _mean(drives, "lateral"), 1),
             "at the limit [%]": lambda drives: _percent(_mean(drives, "saturated")),
         },
@@ -211,11 +211,11 @@ def _tables(results: Results, computer: float) -> list[Table]:
             "measured, mean [J]": lambda drives: number(_mean(drives, "measured"), 1),
             "predicted, mean [J]": lambda drives: number(_mean(drives, "predicted"), 1),
             "off, mean [%]": lambda drives: _percent(_mean(drives, "error")),
-            "off, RMS [%]": lambda drives: _percent(math.sqrt(float(np.mean([one.error**2 for one in drives])))),
+            "off, RMS [%]": lambda drives: _percent(math.sqrt(float(np.mean([drive.error**2 for drive in drives])))),
             "way, mean [m]": lambda drives: number(_mean(drives, "length"), 2),
             "time, mean [s]": lambda drives: number(_mean(drives, "seconds"), 1),
         },
-        [(names, arrived) for names, drives in driven if (arrived := [one for one in drives if one.arrived])],
+        [(names, arrived) for names, drives in driven if (arrived := [drive for drive in drives if drive.arrived])],
         note="Of drives that arrived.",
     )
     scenarios = Table.of(
@@ -233,7 +233,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
             "its cone [m]": lambda one: number(one.gaps[1], 2),
             "saved [%]": lambda one: _percent(one.saving),
         },
-        [((found.short, one.by), one) for found in results.scenarios for one in found.plans],
+        [((found.short, plan.by), plan) for found in results.scenarios for plan in found.plans],
         note="Cone: from the robot's outline to the nearest one; below zero it ran over it. Saved: against the "
         "distance-optimal plan of the same knowledge, both by the controller.",
     )
@@ -244,17 +244,17 @@ def _tables(results: Results, computer: float) -> list[Table]:
 def _content(results: Results, computer: float) -> dict[str, Any]:
     pairs = [
         {
-            "surface": one.surface,
-            "number": one.number,
-            "goal": list(one.pair.goal),
-            "saving": one.saving(),
-            "saving_over_time": one.saving("time"),
-            "told": one.told,
-            **{aim: _plain(drive) for aim, drive in one.drives.items()},
-            **({"energy_with_computer": _plain(one.fed)} if one.fed else {}),
+            "surface": outcome.surface,
+            "number": outcome.number,
+            "goal": list(outcome.pair.goal),
+            "saving": outcome.saving(),
+            "saving_over_time": outcome.saving("time"),
+            "told": outcome.told,
+            **{aim: _plain(drive) for aim, drive in outcome.drives.items()},
+            **({"energy_with_computer": _plain(outcome.fed)} if outcome.fed else {}),
         }
         for _, outcomes in results.floors
-        for one in outcomes
+        for outcome in outcomes
     ]
     floors = []
     for surface, outcomes in results.floors:
@@ -278,15 +278,15 @@ def _content(results: Results, computer: float) -> dict[str, Any]:
         {
             "title": found.title,
             "figures": found.figures,
-            "plan": one.by,
-            "gaps_m": list(one.gaps),
-            "saving": one.saving,
-            "open": _plain(one.open),
-            "closed": _plain(one.closed),
-            "distance": _plain(one.distance),
+            "plan": plan.by,
+            "gaps_m": list(plan.gaps),
+            "saving": plan.saving,
+            "open": _plain(plan.open),
+            "closed": _plain(plan.closed),
+            "distance": _plain(plan.distance),
         }
         for found in results.scenarios
-        for one in found.plans
+        for plan in found.plans
     ]
     return {"floors": floors, "scenarios": scenarios, "pairs": pairs}
 
@@ -308,7 +308,7 @@ def _longer(drives: Sequence[tuple[Driven | None, Driven | None]]) -> float:
 
 def _savings_fed(outcomes: Sequence[PairOutcome], computer: float) -> FloatArray:
     """Of the pairs for which both drives arrived [-]."""
-    found = np.array([one.saving_fed(computer) for one in outcomes])
+    found = np.array([outcome.saving_fed(computer) for outcome in outcomes])
     return np.asarray(found[np.isfinite(found)])
 
 
@@ -318,12 +318,12 @@ def _fed(outcomes: Sequence[PairOutcome], computer: float) -> Estimate:
 
 def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
     """Mean saving were so much power [W] drawn all the time [-]."""
-    found = [one.saving(computer=computer) for one in outcomes]
+    found = [outcome.saving(computer=computer) for outcome in outcomes]
     return float(np.mean([one for one in found if math.isfinite(one)] or [math.nan]))
 
 
 def _mean(drives: Sequence[Driven], what: str) -> float:
-    return float(np.mean([getattr(one, what) for one in drives]))
+    return float(np.mean([getattr(drive, what) for drive in drives]))
 
 
 def _percent(share: float) -> str:

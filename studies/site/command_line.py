@@ -36,13 +36,13 @@ def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: 
 
 
 def _section(name: str, command: Any) -> str:  # noqa: ANN401
-    arguments = [one for one in command.params if not one.opts[0].startswith("-")]
+    arguments = [param for param in command.params if not param.opts[0].startswith("-")]
     options = [one for one in command.params if one.opts[0].startswith("-") and one.name != "help"]
     usage = " ".join([name, *map(_metavar, arguments), *(["[OPTIONS]"] if options else [])])
     parts = [f"## {_short(name)} {{ #{_anchor(name)} }}", f"```text\n{usage}\n```"]
     parts.append(_text(command.help))
-    rows = [f"| `{_metavar(one)}` | | {_cell(one.help)} |" for one in arguments]
-    rows += [f"| {_names(one)} | {_default(one)} | {_cell(one.help)} |" for one in options]
+    rows = [f"| `{_metavar(argument)}` | | {_cell(argument.help)} |" for argument in arguments]
+    rows += [f"| {_names(option)} | {_default(option)} | {_cell(option.help)} |" for option in options]
     if rows:
         parts.append("\n".join(["| argument or option | default | meaning |", "| --- | --- | --- |", *rows]))
     if command.epilog:

@@ -44,7 +44,7 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
     model = results.models[-1]
     with new_figure(path, 6.4, 4.0) as figure:
         axes = figure.add_subplot()
-        shown = [one for one in results.records if (one.model, one.horizon) == (model, horizon)]
+        shown = [record for record in results.records if (record.model, record.horizon) == (model, horizon)]
         for one in shown:
             i = results.solvers.index(one.solver)
             draw_tail(axes, one.whole[np.isfinite(one.whole)], one.solver, colour(i), line_style(i // 7))

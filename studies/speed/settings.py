@@ -65,7 +65,9 @@ def chosen(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSetting
         return settings
     subjects: dict[str, SubjectSettings] = {}
     for name in names:
-        found = {full: one for full, one in settings.subjects.items() if full == name or full.startswith(f"{name}/")}
+        found = {
+            full: subject for full, subject in settings.subjects.items() if full == name or full.startswith(f"{name}/")
+        }
         if not found:
             raise ConfigError(f"--peers: there is no '{name}'; known: {', '.join(settings.subjects)}")
         subjects |= found

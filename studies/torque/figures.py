@@ -99,11 +99,11 @@ def draw_payloads(payloads: Sequence[PayloadOutcome], path: Path) -> None:
     """Torques under payloads, and what the terrain that was learned without any says of them."""
     with new_figure(path, 6.4, 3.6) as figure:
         axes = figure.subplots()
-        for k, one in enumerate(payloads):
-            radii = one.steady.radius
-            axes.plot(radii, one.steady.outer, MARKERS[k], color=colour(k), label=f"{one.payload:g} kg")
-            axes.plot(radii, one.steady.inner, MARKERS[k], color=colour(k), markerfacecolor="none")
-            axes.plot(radii, one.predicted, color=colour(k))
+        for k, payload in enumerate(payloads):
+            radii = payload.steady.radius
+            axes.plot(radii, payload.steady.outer, MARKERS[k], color=colour(k), label=f"{payload.payload:g} kg")
+            axes.plot(radii, payload.steady.inner, MARKERS[k], color=colour(k), markerfacecolor="none")
+            axes.plot(radii, payload.predicted, color=colour(k))
         axes.set(xscale="log", xlabel="commanded turn radius [m]", ylabel="torque [N m]")
         axes.set_title("Measured (marks) and predicted from the drive without payload (lines)")
         axes.legend()
@@ -115,7 +115,10 @@ def draw_energy(floors: Sequence[FloorOutcome], path: Path) -> None:
         axes = figure.subplots()
         most = 0.0
         for k, floor in enumerate(floors):
-            measured, predicted = [one.measured for one in floor.energies], [one.predicted for one in floor.energies]
+            measured, predicted = (
+                [energy.measured for energy in floor.energies],
+                [one.predicted for one in floor.energies],
+            )
             axes.plot(measured, predicted, MARKERS[k], color=colour(k), label=floor.surface)
             most = max(most, *measured, *predicted) if measured else most
         line = np.array([0.0, 1.1 * most])

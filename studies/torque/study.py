@@ -116,7 +116,7 @@ def _key_figures(results: Results, speed: float) -> list[KeyFigure]:
     learned = max(max(rms_error(one.learned, one.steady[speed], speed)) for one in floors)
     after = max(one.close_after for one in floors)
     radii = [abs(one.model_radius / one.own_radius[0] - 1) for one in floors if one.own_radius[0]]
-    energies = [abs(one.error) for floor in floors for one in floor.energies]
+    energies = [abs(energy.error) for floor in floors for energy in floor.energies]
     return [
         _share("torque after learning", learned, CLOSE, "off, at most (RMSE)"),
         KeyFigure("learned within", f"{number(after, 0)} s", f"to {100 * CLOSE:g} %", _state(after < _IN_TIME)),
@@ -206,37 +206,37 @@ def _tables(results: Results, speed: float) -> list[Table]:
 def _content(results: Results, speed: float) -> dict[str, object]:
     rows: list[dict[str, Any]] = [
         {
-            "surface": one.surface,
-            "prior_rmse": max(rms_error(one.prior, one.steady[speed], speed)),
-            "learned_rmse": max(rms_error(one.learned, one.steady[speed], speed)),
-            "learned_by_radius_rmse": one.learned_by_radius,
-            "close_after_s": one.close_after,
-            "own_least_radius_m": one.own_radius[0],
-            "own_not_kept_radius_m": one.own_radius[1],
-            "model_least_radius_m": one.model_radius,
-            "learned_least_radius_m": one.learned_radius,
-            "fitted": one.fitted.shear.model_dump(),
-            "mapped": one.mapped.shear.model_dump(),
-            "energies": [dict(one._asdict(), error=one.error) for one in one.energies],
-            "slip": one.slip.named(),
-            "slip_deviation": dict(zip(one.slip.named(), one.slip.deviations.ravel().tolist(), strict=True)),
-            "slip_rms": one.slip.rms.tolist(),
+            "surface": floor.surface,
+            "prior_rmse": max(rms_error(floor.prior, floor.steady[speed], speed)),
+            "learned_rmse": max(rms_error(floor.learned, floor.steady[speed], speed)),
+            "learned_by_radius_rmse": floor.learned_by_radius,
+            "close_after_s": floor.close_after,
+            "own_least_radius_m": floor.own_radius[0],
+            "own_not_kept_radius_m": floor.own_radius[1],
+            "model_least_radius_m": floor.model_radius,
+            "learned_least_radius_m": floor.learned_radius,
+            "fitted": floor.fitted.shear.model_dump(),
+            "mapped": floor.mapped.shear.model_dump(),
+            "energies": [dict(energy._asdict(), error=energy.error) for energy in floor.energies],
+            "slip": floor.slip.named(),
+            "slip_deviation": dict(zip(floor.slip.named(), floor.slip.deviations.ravel().tolist(), strict=True)),
+            "slip_rms": floor.slip.rms.tolist(),
         }
-        for one in results.floors
+        for floor in results.floors
     ]
     turns = [
-        {"surface": one.surface, "speed_m_s": v, "radius_m": r, "outer_n_m": o, "inner_n_m": i, "kept": kept}
-        for one in results.floors
-        for v, steady in one.steady.items()
+        {"surface": floor.surface, "speed_m_s": v, "radius_m": r, "outer_n_m": o, "inner_n_m": i, "kept": kept}
+        for floor in results.floors
+        for v, steady in floor.steady.items()
         for r, o, i, kept in zip(*(column.tolist() for column in steady[:4]), strict=True)
     ]
     payloads = [
         {
-            "payload_kg": one.payload,
-            "terrain_rmse": [_payload_error(one, side, one.predicted) for side in (0, 1)],
-            "as_learned_rmse": [_payload_error(one, side, one.learned) for side in (0, 1)],
+            "payload_kg": payload.payload,
+            "terrain_rmse": [_payload_error(payload, side, payload.predicted) for side in (0, 1)],
+            "as_learned_rmse": [_payload_error(payload, side, payload.learned) for side in (0, 1)],
         }
-        for one in results.payloads
+        for payload in results.payloads
     ]
     return {"floors": rows, "payloads": payloads, "turns": turns}
 

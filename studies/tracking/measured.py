@@ -107,7 +107,7 @@ def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
 def worst_arc(rows: DataFrame) -> float:
     """Largest, over the arcs of the trajectories, of the mean over seeds of |mean lateral error| [m]; NaN without."""
     arcs = [list(own["arcs"]) for own in by(rows, "trajectory").values()]
-    means = [np.mean(np.abs(of_seeds), axis=0) for of_seeds in arcs if all(len(one) for one in of_seeds)]
+    means = [np.mean(np.abs(of_seeds), axis=0) for of_seeds in arcs if all(len(of_seed) for of_seed in of_seeds)]
     return float(np.max(np.concatenate(means))) if means else math.nan
 
 

@@ -197,7 +197,7 @@ def _key_figures(rows: DataFrame, verdicts: Sequence[Verdict], driven: DataFrame
 
 def _target_chart(verdicts: Sequence[Verdict], models: Sequence[str]) -> Chart:
     """Each target as share of its limit, where that is not zero."""
-    kept = [one for one in verdicts if one.limit > 0]
+    kept = [verdict for verdict in verdicts if verdict.limit > 0]
     names = [f"{one.what.split(' [')[0]}, {one.where}" for one in kept]
     series = []
     for model in dict.fromkeys(model for one in kept for model in one.reached):

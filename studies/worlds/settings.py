@@ -88,7 +88,7 @@ def cases(
     """
     placed = _places(settings, part, settings.runs if runs is None else runs, first)
     chosen = placed if runs is None else placed[:runs]
-    ours = [one for one in controllers if one not in PEERS]
+    ours = [controller for controller in controllers if controller not in PEERS]
     controllers = ours if ours and part not in settings.peers_in else controllers
     return [
         Case(
