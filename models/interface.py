@@ -128,7 +128,7 @@ class ControlStep(Protocol):
 
     @property
     def solver(self) -> Any:  # noqa: ANN401 - every solver has its own report
-        """How it was solved, in its `status`, `path` and `iterations`, or None for a controller without a solver."""
+        """How it was solved, in its `status`, `method` and `iterations`, or None for a controller without a solver."""
         ...
 
     @property

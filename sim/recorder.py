@@ -120,7 +120,9 @@ class _Said(NamedTuple):
         solver = step.solver
         if solver is None:
             return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
-        return cls(str(step.mode), step.message, str(solver.status), str(solver.method), scalar_row(step))
+        # A controller of one's own may have a report with the former name.
+        method = str(solver.method if hasattr(solver, "method") else solver.path)
+        return cls(str(step.mode), step.message, str(solver.status), method, scalar_row(step))
 
 
 def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:

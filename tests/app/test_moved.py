@@ -9,10 +9,13 @@ import typer.main
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.mpc.config.rooms import FORMER, shown_key
 from studies.cli import app as studies_app
 
 PAGE = (Path(__file__).parents[2] / "docs" / "moved.md").read_text(encoding="utf-8")
-ROWS = re.findall(r"^\| `([^`]+)`([^|]*) \| `([^`]+)` \|$", PAGE, re.MULTILINE)
+_ROW = re.compile(r"^\| `([^`]+)`([^|]*) \| `([^`]+)` \|$", re.MULTILINE)
+_PLACES, _, _KEYS = PAGE.partition("## Keys of a configuration")
+ROWS = _ROW.findall(_PLACES)
 COMMANDS = [(before, now) for before, more, now in ROWS if " " in now and not more]
 NAMES = [(before, now) for before, _, now in ROWS if " " not in now]
 
@@ -51,3 +54,7 @@ def named(dotted):
     except ImportError:
         home, _, name = dotted.rpartition(".")
         return getattr(named(home), name)
+
+
+def test_the_page_names_every_key_that_has_another_name_now():
+    assert {before: now for before, _, now in _ROW.findall(_KEYS)} == {old: shown_key(new) for old, new in FORMER.items()}
