@@ -312,13 +312,13 @@ def respond(
         raise ValueError(f"commands of shape {commands.shape}: expected K rows of finite v_ref, omega_ref")
     start = np.asarray(start, dtype=float)
     sampled = model.discretise(dt / PARTS)
-    asked = np.repeat(commands, PARTS, axis=0)
+    requested = np.repeat(commands, PARTS, axis=0)
     if effects.twist_slew is not None:
-        asked = effects.twist_slew.follow(asked, dt / PARTS, start)
+        requested = effects.twist_slew.follow(requested, dt / PARTS, start)
     if effects.wheel_command is not None:
-        asked, start = effects.wheel_command.apply(asked), effects.wheel_command.apply(start)
+        requested, start = effects.wheel_command.apply(requested), effects.wheel_command.apply(start)
     past = np.tile(start, (sampled.memory, 1))
-    wheels = sampled.simulate(asked, sampled.settled_state(start), past)
+    wheels = sampled.simulate(requested, sampled.settled_state(start), past)
     body = wheels.copy()
     if effects.yaw_relaxation is not None and len(body):
         body[:, 1] = effects.yaw_relaxation.follow(wheels[:, 1], dt / PARTS, float(np.sign(wheels[0, 1])))

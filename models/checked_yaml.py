@@ -39,14 +39,14 @@ class _UniqueKeyLoader(SafeLoader):
     """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[Hashable] = set()
+        keys: set[Hashable] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, Hashable):
                 raise yaml.MarkedYAMLError(problem="a key must be a word or a number", problem_mark=key_node.start_mark)
-            if key in seen:
+            if key in keys:
                 raise yaml.MarkedYAMLError(problem=f"key '{key}' is given twice", problem_mark=key_node.start_mark)
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep=deep)
 
 
@@ -229,7 +229,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     if kind == "missing":
         return f"key '{place}' is missing"
     message = str(error["msg"]).removeprefix("Value error, ")
-    found = error.get("input")
-    plain = isinstance(found, (int, float, str, bool, type(None)))
-    value = f" (found {plain_line(repr(found), _SHOWN)})" if plain else ""
+    stated_value = error.get("input")
+    plain = isinstance(stated_value, (int, float, str, bool, type(None)))
+    value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""
     return f"{place}: {message}{value}" if place else message

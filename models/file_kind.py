@@ -54,8 +54,8 @@ class FileKind:
     @property
     def files(self) -> list[Path]:
         """The shipped files of this kind."""
-        found = (path for pattern in self.shipped for path in sorted((PACKAGE / self.room).glob(pattern)))
-        return [*(path for path in found if path.name not in self.besides), *self.elsewhere]
+        paths = (path for pattern in self.shipped for path in sorted((PACKAGE / self.room).glob(pattern)))
+        return [*(path for path in paths if path.name not in self.besides), *self.elsewhere]
 
     def text(self) -> str:
         """The schema as it ships; raises OSError in a clone where `make schemas` has not been run."""

@@ -35,20 +35,20 @@ def reading(named: Iterable[str | Path] = ()) -> Iterator[None]:
 
 def remember(file: os.stat_result, path: str | Path) -> None:
     """Take note that a file is read, opened at `path`; outside of `reading` nobody does."""
-    found = _READ.get()
-    if found is not None:
-        found[_identity(file)] = Path(path).absolute()
+    files = _READ.get()
+    if files is not None:
+        files[_identity(file)] = Path(path).absolute()
 
 
 def is_read(path: Path) -> bool:
     """Whether there is a file at `path` that is read."""
-    found = _READ.get()
-    if not found:
+    files = _READ.get()
+    if not files:
         return False
     try:
         identity = _identity(path.stat())
         # The number of a file that is gone may be another one's by now.
-        return identity in found and _identity(found[identity].stat()) == identity
+        return identity in files and _identity(files[identity].stat()) == identity
     except OSError:
         return False
 

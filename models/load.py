@@ -112,14 +112,14 @@ def _function(data: object) -> FunctionStructure | None:
 
 def _structure(data: object) -> str:
     """Empty where it says none."""
-    said = data.get("structure") if isinstance(data, Mapping) else None
-    return said if isinstance(said, str) else ""
+    structure = data.get("structure") if isinstance(data, Mapping) else None
+    return structure if isinstance(structure, str) else ""
 
 
 def _checked(path: str | Path, data: object) -> ModelFile:
     structure = STRUCTURES.get(_structure(data))
     if structure is None:
         known = ", ".join((*STRUCTURES, *function_structures()))
-        said = data.get("structure") if isinstance(data, Mapping) else None
-        raise ConfigError(f"{path}: structure: expected one of {known}, found {said!r}")
+        declared = data.get("structure") if isinstance(data, Mapping) else None
+        raise ConfigError(f"{path}: structure: expected one of {known}, found {declared!r}")
     return check(structure.file, data, str(path))

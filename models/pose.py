@@ -102,7 +102,7 @@ def integrate_pose(
         (..., 3) the pose after `dt`. theta is not wrapped.
     """
     pose = np.asarray(pose, dtype=float)
-    v, omega, dt, side_slip = (np.asarray(given, dtype=float) for given in (v, omega, dt, side_slip))
+    v, omega, dt, side_slip = (np.asarray(argument, dtype=float) for argument in (v, omega, dt, side_slip))
     dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, -side_slip * v * omega)
     return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)
 

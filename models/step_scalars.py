@@ -32,7 +32,7 @@ class StepScalar(StrictModel):
 def step_scalars() -> Mapping[str, StepScalar]:
     """All by the name of their column, in the order of the file."""
     path = Path(__file__).with_suffix(".yaml")
-    return {name: check(StepScalar, said, f"{path}: {name}") for name, said in read_yaml(path).items()}
+    return {name: check(StepScalar, entry, f"{path}: {name}") for name, entry in read_yaml(path).items()}
 
 
 def scalar_row(step: object) -> list[float]:
@@ -54,12 +54,12 @@ def _paths() -> tuple[tuple[str | int, ...], ...]:
 
 
 def _taken(step: object, path: tuple[str | int, ...]) -> float:
-    found: Any = step
+    value: Any = step
     for part in path:
-        found = found[part] if isinstance(part, int) else getattr(found, part, None)
-        if found is None:
+        value = value[part] if isinstance(part, int) else getattr(value, part, None)
+        if value is None:
             return math.nan
-    return float(found)
+    return float(value)
 
 
 def scalars_table() -> str:

@@ -44,9 +44,9 @@ def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, st
 def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
     """Write a run straight into `path`."""
     period = round(_NANO * run.sample_time)
-    told = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
+    labels = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
     plans = run.plans if run.plans.size else np.full((len(run.time), 0, 3), np.nan)
-    with drive_writer(path, {"run": told, **metadata}) as writer:
+    with drive_writer(path, {"run": labels, **metadata}) as writer:
         times = path_times(run.reference.duration)
         writer.reference(START, [_stamp(time) for time in times.tolist()], run.reference.sample(times).pose)
         summed = Odometry(run.true_pose[0], 0, use_pose_sensor=False)

@@ -30,7 +30,7 @@ _SAME_PERIOD = 1e-3
 class Seeing(Protocol):
     """A controller that wants to know what is around the robot."""
 
-    def set_obstacles(self, seen: Seen, /) -> None:
+    def set_obstacles(self, obstacles: Seen, /) -> None:
         """Take in what has arrived of a look, for the next step on."""
         ...
 
@@ -126,9 +126,9 @@ class _Around:
         """Let the controller see; whether this is the last tick: not before the end of the reference."""
         if self._plant is None:
             return False
-        seen = self._plant.look()
-        if self._see is not None and seen is not None:
-            self._see(seen)
+        obstacles = self._plant.look()
+        if self._see is not None and obstacles is not None:
+            self._see(obstacles)
         return self._plant.time > self._end and self._plant.over(self._goal)
 
 

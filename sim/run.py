@@ -246,9 +246,9 @@ class Run(ReadOnlyArrays):
             (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
             (("solver_iterations",), self.solver_iterations),
         ]
-        said = np.flatnonzero(np.isfinite(self.scalars).any(axis=0))
+        finite = np.flatnonzero(np.isfinite(self.scalars).any(axis=0))
         names = tuple(step_scalars())
-        numbers.append((tuple(names[column] for column in said), self.scalars[:, said]))
+        numbers.append((tuple(names[column] for column in finite), self.scalars[:, finite]))
         if np.isfinite(self.power_readings).any():
             numbers.append((READINGS, self.power_readings))
         if np.isfinite(self.motor_torque).any():

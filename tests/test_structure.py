@@ -157,3 +157,23 @@ def test_names_that_the_field_does_not_use_do_not_come_back():
         if isinstance(node, kinds) and node.name in FORMER
     }
     assert found == {("mpc.controller", name) for name in FORMER}
+
+
+WORDS = {"found", "said", "told", "seen"}
+"""What a name is, is said by the field's word for it: a response, a covariance, the lines of a file."""
+
+
+@pytest.mark.parametrize("room", ["models", "mpc", "sim"])
+def test_a_variable_is_named_for_what_it_holds(room):
+    """Fields of data keep their names: files and callers know them."""
+    variables = {
+        (name, node.arg if isinstance(node, ast.arg) else node.id, node.lineno)
+        for name, path in MODULES.items()
+        if first(name) == room
+        for scope in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(scope, ast.FunctionDef)
+        for node in ast.walk(scope)
+        if isinstance(node, ast.arg) or (isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store))
+    }
+    assert len(variables) > 500
+    assert {entry for entry in variables if entry[1] in WORDS} == set()

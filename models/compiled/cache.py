@@ -142,11 +142,11 @@ _kept: list[tempfile.TemporaryDirectory[str]] = []
 
 def _why_not_ours(folder: Path) -> str | None:
     """Why somebody else might have put a library into `folder`, which is no link; None if nobody can."""
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode):
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):
         return f"{folder} is no folder"
-    if found.st_uid not in (os.geteuid(), 0):
+    if status.st_uid not in (os.geteuid(), 0):
         return f"{folder} belongs to somebody else"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return f"others can write to {folder}"
     return None

@@ -91,12 +91,12 @@ def _complaint(command: Sequence[str], folder: Path) -> str:
         If it takes too long.
     """
     try:
-        code, _, said = _run(command, _PATIENCE, folder)
+        code, _, output = _run(command, _PATIENCE, folder)
     except TimeoutError as error:
         raise NotCompiledError(f"{command[0]} did not finish within {_PATIENCE:g} s") from error
     if code == 0:
         return ""
-    return next((line for line in said.splitlines() if "error" in line), said.strip() or f"exit code {code}")
+    return next((line for line in output.splitlines() if "error" in line), output.strip() or f"exit code {code}")
 
 
 def what_is_built(texts: Mapping[str, str]) -> str:
@@ -161,13 +161,13 @@ def _run(command: Sequence[str], patience: float, folder: Path | None = None) ->
     )
     with process:
         try:
-            out, said = process.communicate(timeout=patience)
+            out, printed = process.communicate(timeout=patience)
         except BaseException as error:
             os.killpg(process.pid, signal.SIGKILL)
             if isinstance(error, subprocess.TimeoutExpired):
                 raise TimeoutError(f"{command[0]}: no end after {patience:g} s") from error
             raise
-    return process.returncode, out, said
+    return process.returncode, out, printed
 
 
 @cache

@@ -54,7 +54,11 @@ def node_text(topics: Topics) -> str:
 
     Topic names are remappings, which a parameters file cannot hold: the command that has them is its first line.
     """
-    usable = {role: found for role, found in topics.items() if role in _TYPES and found[1] in _TYPES[role]}
+    usable = {
+        role: topic_and_type
+        for role, topic_and_type in topics.items()
+        if role in _TYPES and topic_and_type[1] in _TYPES[role]
+    }
     values = {
         "stamped": ("command", str("TwistStamped" in usable.get("command", ("", "TwistStamped"))[1]).lower()),
         "use_imu": ("imu", str("imu" in usable).lower()),
@@ -292,15 +296,15 @@ def configure(
         If the model cannot be a robot's.
     """
     margin = identification_settings().limit_margin
-    asked = np.abs(np.concatenate([record.command for record in train]))
+    commanded = np.abs(np.concatenate([record.command for record in train]))
     base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
-    top_speed = base.top_speed if base and (base.top_speed or np.inf) < asked[:, 0].max() else None
+    top_speed = base.top_speed if base and (base.top_speed or np.inf) < commanded[:, 0].max() else None
     limit, reasons = np.empty(2), []
     for row, channel in enumerate(CHANNELS):
-        found = identified.limits.get(channel, top_speed if channel == "v" else None)
-        limit[row] = asked[:, row].max() if found is None else found
+        own_limit = identified.limits.get(channel, top_speed if channel == "v" else None)
+        limit[row] = commanded[:, row].max() if own_limit is None else own_limit
         reasons.append(
-            "largest command of the log, either way" if found is None else "where the robot clips its command"
+            "largest command of the log, either way" if own_limit is None else "where the robot clips its command"
         )
     gain = np.diag(identified.model.dc_gain)
     predicted = margin * np.maximum(gain, 1.0) * limit
@@ -321,7 +325,9 @@ def configure(
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     reached = _reached(identified, train)
-    limits.append(_wheel_speed(np.minimum(asked, limit), track or load_robot().track, base, float(gain[0]), reached))
+    limits.append(
+        _wheel_speed(np.minimum(commanded, limit), track or load_robot().track, base, float(gain[0]), reached)
+    )
     if geometry is not None and track is not None:
         wheels = [
             _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
@@ -353,13 +359,13 @@ def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Set
     usual = load_robot()
     faster, wider = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
     larger, why = max((faster, "the robot is so much faster"), (wider, "its track is so much wider"))
-    found: dict[str, list[Setting]] = {}
+    settings: dict[str, list[Setting]] = {}
     if larger > 1.0:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
             reason = f"m, {larger:.1f} times the usual {length:g} m: {why}"
-            found.setdefault(group, []).append(_setting(name, larger * length, reason))
-    return found
+            settings.setdefault(group, []).append(_setting(name, larger * length, reason))
+    return settings
 
 
 def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> tuple[Setting, ...]:
@@ -381,23 +387,23 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
 
 def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
     """Those that are larger than usual."""
-    found, least = sensor_noise(train), identification_settings().least_noise
+    deviations, least = sensor_noise(train), identification_settings().least_noise
     return tuple(
-        _setting(name, found[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
+        _setting(name, deviations[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
         for name in least
-        if found.get(name, 0.0) > least[name]
+        if deviations.get(name, 0.0) > least[name]
     )
 
 
 def _slew(identified: IdentifiedModel) -> list[Setting]:
     """Within the slopes that the base follows, where they were found, its linear model is exact."""
-    found, settings = identified.parameters, identification_settings()
+    parameters, settings = identified.parameters, identification_settings()
     usual = load_robot().command_slew
     slews = []
     for name in CHANNELS:
-        if f"slew.{name}" not in found.names:
+        if f"slew.{name}" not in parameters.names:
             continue
-        value, deviation = found.value(f"slew.{name}"), found.deviation(f"slew.{name}")
+        value, deviation = parameters.value(f"slew.{name}"), parameters.deviation(f"slew.{name}")
         # Less its uncertainty, so that the base's own limit does not act; a slope hardly seen still allows a part.
         inside, least = value - settings.certain * deviation, settings.least_slew * value
         slew = min(inside if inside > least else least, getattr(usual, name))

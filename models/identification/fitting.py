@@ -109,11 +109,11 @@ def fit(
     base: IdentifiedBase | None = None
     started = perf_counter()
     radius = geometry.radius if geometry else None
-    found = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
+    identification = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
     if effects:
-        found, base = _with_effects(data, found, geometry, on_trial)
+        identification, base = _with_effects(data, identification, geometry, on_trial)
     seconds = perf_counter() - started
-    identified = found.identified
+    identified = identification.identified
     _ = identified.model  # refuses what cannot be a robot
     simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
     train, validation = (
@@ -122,7 +122,7 @@ def fit(
             simulated, (data.train, data.validation), ("training", "validation"), strict=True
         )
     )
-    return Fitted(identified, found.orders, base, geometry, train, validation, tuple(simulated[1]), seconds)
+    return Fitted(identified, identification.orders, base, geometry, train, validation, tuple(simulated[1]), seconds)
 
 
 def _with_effects(

@@ -285,9 +285,9 @@ def identify_data(
         content = fitted.predictor.content(_fields(report, fitted.predictor))
         model = fitted.predictor.model(content)
     surface = log_surface(data.train)
-    found = Identification(model, configuration.mapping(), surface, report, content, configuration)
-    _lock(found)
-    return found
+    identification = Identification(model, configuration.mapping(), surface, report, content, configuration)
+    _lock(identification)
+    return identification
 
 
 def _linear_content(report: IdentificationReport) -> ModelFile:

@@ -233,15 +233,15 @@ def compare_models(
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
     """For each part the rest and the part; short ends of stretches are left out."""
-    found, fewest = [], 2 * identification_settings().fewest_readings
+    folds, fewest = [], 2 * identification_settings().fewest_readings
     for k in range(parts):
         before, behind = divide(records, k / parts)
         part, after = divide(behind, 1.0 / (parts - k))
         rest, part = ([one for one in some if len(one.command) >= fewest] for some in ([*before, *after], part))
         if not (rest and part):
             raise ConfigError(f"too few rows to hold {parts} parts out in turn; give a longer log, or fewer parts")
-        found.append((rest, part))
-    return found
+        folds.append((rest, part))
+    return folds
 
 
 def _score(
@@ -281,8 +281,8 @@ def _powers(
     length = identification_settings().block_time
     powers, weights = [], []
     for fold, outputs in zip(measured, simulated, strict=True):
-        for experiment, said in zip(fold, outputs, strict=True):
-            errors = np.where(experiment.counts, experiment.outputs - said, np.nan)
+        for experiment, output in zip(fold, outputs, strict=True):
+            errors = np.where(experiment.counts, experiment.outputs - output, np.nan)
             span = max(1, round(length / experiment.dt))
             for first in range(0, len(errors), span):
                 block = errors[first : first + span]

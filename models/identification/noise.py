@@ -114,14 +114,14 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
     From second differences of neighbouring readings, so outliers and steady motion do not count. Sensors without enough
     readings have no entry. Units: m/s, rad/s, m, rad.
     """
-    found = {
+    deviations = {
         "wheel_speed_noise": [_scatter(record.twist, record.fresh_twist, [0]) for record in records],
         "wheel_yaw_rate_noise": [_scatter(one.twist, one.fresh_twist, [1]) for one in records],
         "yaw_rate_noise": [_scatter(one.yaw_rate, one.fresh_yaw_rate, [0]) for one in records],
         "position_noise": [_scatter(one.pose, one.fresh_pose, [0, 1]) for one in records],
         "heading_noise": [_scatter(one.pose, one.fresh_pose, [2]) for one in records],
     }
-    joined = {name: np.concatenate(parts) for name, parts in found.items()}
+    joined = {name: np.concatenate(parts) for name, parts in deviations.items()}
     return {
         name: float(np.quantile(np.abs(second), _SHARE) / (_WITHIN * _SECOND_DIFFERENCE))
         for name, second in joined.items()

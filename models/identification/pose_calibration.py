@@ -170,11 +170,11 @@ def pose_windows(
     ValueError
         If a record has no pose or no such signal, or there are too few windows in all.
     """
-    found = [_of_record(record, signal, pose_lag) for record in records]
-    count = sum(len(windows.displacement) for windows in found)
+    of_records = [_of_record(record, signal, pose_lag) for record in records]
+    count = sum(len(windows.displacement) for windows in of_records)
     if count < _FEWEST_WINDOWS:
         raise ValueError(f"{count} windows with a pose at both ends; a calibration needs {_FEWEST_WINDOWS}: longer log")
-    return [windows for windows in found if len(windows.displacement)]
+    return [windows for windows in of_records if len(windows.displacement)]
 
 
 def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: float) -> PoseWindows:
@@ -309,17 +309,17 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
     """Least squares of window errors (n, r), reweighted by their scale and by whether their neighbours agree."""
-    parameters, found = start, errors(start)
-    spread = np.maximum(found.std(axis=0), np.finfo(float).tiny)
+    parameters, residuals = start, errors(start)
+    spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        trust = spike_weights([found])
-        weight = np.sqrt(trust[0]) / residual_scale([found], trust, spread)
+        trust = spike_weights([residuals])
+        weight = np.sqrt(trust[0]) / residual_scale([residuals], trust, spread)
         result = least_squares(_weighted(errors, weight), parameters, jac="3-point", x_scale="jac")
-        parameters, found = result.x, errors(result.x)
-    rows = result.jac.reshape(*found.shape, len(start))
-    estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * found]).covariance)
+        parameters, residuals = result.x, errors(result.x)
+    rows = result.jac.reshape(*residuals.shape, len(start))
+    estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * residuals]).covariance)
     warnings = badly_known(estimate.part(_sizes(names)), "pose calibration")
-    return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), tuple(warnings))
+    return PoseCalibration(estimate, np.sqrt(np.mean(residuals**2, axis=0)), len(residuals), tuple(warnings))
 
 
 def _weighted(errors: Callable[[FloatArray], FloatArray], weight: FloatArray) -> Callable[[FloatArray], FloatArray]:

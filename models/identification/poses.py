@@ -195,8 +195,8 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     warnings: list[Doubt] = []
     laws = _slip_laws(train, fitted.geometry, warnings)
     if fitted.base and data.yaw == "gyro":
-        found = fitted.base.pose or NO_POSES.parameters
-        return PoseResults(found, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
+        pose_parameters = fitted.base.pose or NO_POSES.parameters
+        return PoseResults(pose_parameters, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
     gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
     calibrations = [("wheels", laws[0][1])] if laws else []
     calibrations += [("gyro", gyro)] if gyro else []

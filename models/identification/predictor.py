@@ -108,15 +108,15 @@ def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
     from diffdrive_mpc.models.identification.fitting import scored  # noqa: PLC0415 - it imports this module
 
     started = perf_counter()
-    found = find(data, fitted)
+    predictor = find(data, fitted)
     seconds = perf_counter() - started
     yaw = fitted.identified.yaw
-    simulated = [found.simulate(records, yaw) for records in (data.train, data.validation)]
+    simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
     both = ((data.train, "training"), (data.validation, "validation"))
     scores = [scored(outputs, records, yaw, name) for outputs, (records, name) in zip(simulated, both, strict=True)]
     return replace(
         fitted,
-        predictor=found,
+        predictor=predictor,
         train=scores[0],
         validation=scores[1],
         simulated=tuple(simulated[1]),

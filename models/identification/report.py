@@ -72,24 +72,24 @@ class IdentificationReport:
     def __str__(self) -> str:
         """Scores, pose errors, parameters and warnings."""
         tables = [*self.scores, *self._parameter_tables]
-        said = "\n".join(f"warning: {warning}" for warning in self.warnings)
-        return "\n\n".join([self.name, *map(str, tables), *([said] if said else [])])
+        warnings = "\n".join(f"warning: {warning}" for warning in self.warnings)
+        return "\n\n".join([self.name, *map(str, tables), *([warnings] if warnings else [])])
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What not to trust in the estimate and its scores."""
         own = self.fitted.predictor.doubts if self.fitted.predictor else ()
-        found = [*self.data.warnings, *own, *self.fitted.identified.warnings, *self.poses.warnings]
+        verdicts = [*self.data.warnings, *own, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
             words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
-            found.append(Doubt("no gyro", words))
+            verdicts.append(Doubt("no gyro", words))
         if self.fitted.geometry is None and self.data.stated_track is None:
             words = (
                 "wheels: neither log nor mapping (wheels.track) tells the track: in config.yaml set wheels.track, "
                 "wheels.encoder_track and limits.wheel_speed"
             )
-            found.append(Doubt("no wheels", words))
-        return tuple(dict.fromkeys([*found, *score_doubts(self.fitted), *mount_doubts(self.poses)]))
+            verdicts.append(Doubt("no wheels", words))
+        return tuple(dict.fromkeys([*verdicts, *score_doubts(self.fitted), *mount_doubts(self.poses)]))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -147,16 +147,16 @@ class IdentificationReport:
         worst, limits = min(fit), identification_settings().warn
         errors = [finding for finding in self.data.findings if finding.severity == "error"]
         each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
-        said = f"of what moves in the data held out it explains (FIT) {each}"
+        explained = f"of what moves in the data held out it explains (FIT) {each}"
         count = self._counted()
         if errors or not worst >= 0:
             return (
-                f"No: {errors[0].words if errors else said}",
+                f"No: {errors[0].words if errors else explained}",
                 "mend that first; then ",
             )
         if worst < limits.low_fit:
-            return f"With care: {said}", "read the warnings, and drive gently with it; begin with "
-        return f"Yes, at the speeds and on the floor of the log: {said}" + (f"; {count}" if count else ""), ""
+            return f"With care: {explained}", "read the warnings, and drive gently with it; begin with "
+        return f"Yes, at the speeds and on the floor of the log: {explained}" + (f"; {count}" if count else ""), ""
 
     @property
     def scores(self) -> tuple[Table, ...]:
@@ -243,18 +243,18 @@ class IdentificationReport:
 def score_doubts(fitted: Fitted) -> list[Doubt]:
     """What FIT and residuals on the records held out say against the model."""
     limits = identification_settings().warn
-    found = []
+    verdicts = []
     for row, channel in enumerate(CHANNELS):
         train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
         if validation < limits.low_fit:
             words = f"validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
-            found.append(Doubt("low FIT", words).of(channel))
+            verdicts.append(Doubt("low FIT", words).of(channel))
         if train - validation > limits.fit_drop:
             words = (
                 f"FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the model has too "
                 "many parameters"
             )
-            found.append(Doubt("FIT falls", words).of(channel))
+            verdicts.append(Doubt("FIT falls", words).of(channel))
         unexplained = fitted.validation.residuals.unexplained[row]
         j = int(np.argmax(unexplained))
         if unexplained[j] > limits.unexplained:
@@ -262,8 +262,8 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
                 f"residuals follow past commands of {CHANNELS[j]} ({unexplained[j]:.1f} times the 95 % bound): the "
                 "model misses part of the dynamics"
             )
-            found.append(Doubt("missed dynamics", words).of(channel))
-    return found
+            verdicts.append(Doubt("missed dynamics", words).of(channel))
+    return verdicts
 
 
 def mount_doubts(poses: PoseResults) -> list[Doubt]:

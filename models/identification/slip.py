@@ -46,7 +46,7 @@ def _windows(record: Record) -> list[FloatArray]:
     # Heading by the gyro, laid over all poses of a window: less noise than a single pose's.
     heading = np.unwrap(record.pose[:, 2])
     terms = np.column_stack([-v * omega, np.gradient(v, dt) * omega])
-    found = []
+    windows = []
     for first in range(0, len(v) - span, span):
         part = slice(first, first + span + 1)
         fresh = record.fresh_pose[part]
@@ -59,8 +59,8 @@ def _windows(record: Record) -> list[FloatArray]:
         # To the left at the middle of the window: side-slip turns with the robot, by little in one window.
         across = np.column_stack([-np.sin(theta), np.cos(theta)])
         middle = across[len(across) // 2]
-        found.append(np.array([*(_integral(terms[part, [k]] * across, dt) @ middle for k in range(2)), way @ middle]))
-    return found
+        windows.append(np.array([*(_integral(terms[part, [k]] * across, dt) @ middle for k in range(2)), way @ middle]))
+    return windows
 
 
 def _integral(rows: FloatArray, dt: float) -> FloatArray:

@@ -81,12 +81,12 @@ def unpacked(path: Path, data: bytes, how: str, size: int | None = None) -> byte
             f"{path}: a chunk of {most / MEGABYTE:,.0f} MB, at most {MOST_UNPACKED / MEGABYTE:g} are read; {_SMALLER}"
         )
     try:
-        found = _unpack(data, how, most + 1)
+        content = _unpack(data, how, most + 1)
     except Exception as error:  # each library has its own
         raise ConfigError(f"{path}: a chunk cannot be unpacked ({' '.join(str(error).split())})") from error
-    if len(found) > most or (size is not None and len(found) != size):
+    if len(content) > most or (size is not None and len(content) != size):
         raise ConfigError(f"{path}: a chunk does not unpack to the {most} bytes that it says; is the file damaged?")
-    return found
+    return content
 
 
 def _unpack(data: bytes, how: str, most: int) -> bytes:
@@ -122,10 +122,10 @@ def within_bounds(path: Path) -> Iterator[Path]:
         return
     metadata = path / "metadata.yaml"
     try:
-        said = read_yaml(metadata) if os.path.lexists(metadata) else None
+        stated = read_yaml(metadata) if os.path.lexists(metadata) else None
     except ConfigError as error:
         raise ConfigError(f"{path}: cannot be read as a ROS 2 bag ({error})") from error
-    bag = said.get("rosbag2_bagfile_information") if isinstance(said, Mapping) else None
+    bag = stated.get("rosbag2_bagfile_information") if isinstance(stated, Mapping) else None
     named = bag.get("relative_file_paths") if isinstance(bag, Mapping) else None
     files = [path / PurePath(str(name)).name for name in named] if isinstance(named, list) else []
     if bag is None or str(bag.get("compression_mode", "")).lower() != "file":
@@ -203,7 +203,7 @@ def _check_contents(path: Path, state: tuple[int, ...]) -> None:
 
 def _check_mcap(path: Path, file: BinaryIO, size: int) -> None:
     """Records of an MCAP file: https://mcap.dev/spec."""
-    budget, chunks, told = Budget(path, size), dict[int, int](), list[tuple[int, int, int, int]]()
+    budget, chunks, entries = Budget(path, size), dict[int, int](), list[tuple[int, int, int, int]]()
     at = 8
     while at + 9 <= size:
         file.seek(at)
@@ -216,12 +216,12 @@ def _check_mcap(path: Path, file: BinaryIO, size: int) -> None:
             if length < 32:
                 raise _damaged(path, at)
             begin, end, place, whole = struct.unpack("<QQQQ", file.read(32))
-            told.append((begin, end, place, whole))
+            entries.append((begin, end, place, whole))
         at += 9 + length
-    places = [place for _, _, place, _ in told]
+    places = [place for _, _, place, _ in entries]
     if len(set(places)) < len(places) or not set(places) <= set(chunks):
         raise ConfigError(f"{path}: its index does not fit its chunks; `mcap recover` may save it")
-    _check_open(path, [(begin, end, chunks[place]) for begin, end, place, _ in told])
+    _check_open(path, [(begin, end, chunks[place]) for begin, end, place, _ in entries])
 
 
 def _check_chunk(path: Path, file: BinaryIO, length: int, budget: Budget) -> int:
@@ -274,8 +274,8 @@ def _check_ros1(path: Path, file: BinaryIO, size: int) -> None:
         if fields.get(b"op") == b"\x05":
             whole = struct.unpack("<I", fields.get(b"size", b"").ljust(4, b"\0")[:4])[0]
             how = fields.get(b"compression", b"none").decode("ascii", "replace")
-            found = unpacked(path, file.read(min(length, MOST_UNPACKED + 1)), how, whole)
-            budget.take(0 if how == "none" else len(found))
+            content = unpacked(path, file.read(min(length, MOST_UNPACKED + 1)), how, whole)
+            budget.take(0 if how == "none" else len(content))
         file.seek(at + 8 + header_size + length)
 
 
@@ -336,9 +336,9 @@ class WithinFile:
 
     def read(self, count: int = -1) -> bytes:
         """The next `count` bytes, or as many as there are."""
-        found = self._file.read(self._left if count < 0 else min(count, self._left))
-        self._left -= len(found)
-        return found
+        block = self._file.read(self._left if count < 0 else min(count, self._left))
+        self._left -= len(block)
+        return block
 
 
 def plain_chunk(path: Path, chunk: Any, budget: Budget) -> Any:  # noqa: ANN401 - a record of the mcap library

@@ -224,18 +224,18 @@ def read_topic(
     _register(path, store, kind, definitions)
     # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
     times, values = array("q"), array("d")
-    seen = 0
+    messages = 0
     for _, timestamp, data in reader.messages(connections=connections):
-        seen += 1
-        if (seen - 1) % stride:
+        messages += 1
+        if (messages - 1) % stride:
             continue
         message = (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, kind)
         times.extend((timestamp, stamp(message)))
         values.extend(decode(message))
     promised = sum(connection.msgcount for connection in connections)
-    if seen < promised:  # the library skips what it cannot make out in a damaged file
-        raise ValueError(f"topic '{name}' holds {seen} of {promised} messages")
-    if not seen:
+    if messages < promised:  # the library skips what it cannot make out in a damaged file
+        raise ValueError(f"topic '{name}' holds {messages} of {promised} messages")
+    if not messages:
         raise ConfigError(f"{path}: topic '{name}' holds no message")
     received, stamped = (np.array(times[first::2]) for first in (0, 1))
     return TopicRows(name, received, stamped, np.array(values).reshape(len(received), -1), stride, kind)

@@ -74,13 +74,15 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
         topics = topics.named(there)
-        asked: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
-        if not set(asked) & set(_FIELDS):
+        requested: dict[str, Topic] = {
+            role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None
+        }
+        if not set(requested) & set(_FIELDS):
             raise ConfigError(
                 f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
                 f"{', '.join(sorted(there)) or 'none'}"
             )
-        for role, topic in asked.items():
+        for role, topic in requested.items():
             if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
                 raise ConfigError(
                     f"{path}: topic '{topic.topic}': give {_WIDTHS[role]} 'fields', not {len(topic.fields)}"
@@ -88,19 +90,19 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         readers = dict(_DECODERS)
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
-                asked[role], readers[role] = side, motor_readers(side)
-        require_topics(reader, path, [(topic, readers[role]) for role, topic in asked.items()])
+                requested[role], readers[role] = side, motor_readers(side)
+        require_topics(reader, path, [(topic, readers[role]) for role, topic in requested.items()])
         findings: list[Finding] = []
         rows = {
             role: read_topic(
                 reader, path, topic, readers[role], topics.definitions, _stride(reader, path, topic, role, findings)
             )
-            for role, topic in asked.items()
+            for role, topic in requested.items()
         }
     times = _times(path, rows, topics, findings)
     origin = min(time.min() for time in times.values())
     signals = {
-        role: _signal(path, rows[role], 1e-9 * (times[role] - origin), asked[role], role, findings) for role in rows
+        role: _signal(path, rows[role], 1e-9 * (times[role] - origin), requested[role], role, findings) for role in rows
     }
     command = signals.pop("command")
     measured = {_FIELDS[role]: signals[role] for role in _FIELDS if role in signals}
@@ -121,9 +123,9 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
 
 def _power(signals: dict[str, Signal], wheels: Wheels | None) -> dict[str, Signal]:
     """Battery and motors, and the wheels' speeds that the odometry's twist comes from; nothing where none is asked."""
-    found: dict[str, Signal] = {}
+    power_signals: dict[str, Signal] = {}
     if "battery" in signals:
-        found["battery"] = signals["battery"]
+        power_signals["battery"] = signals["battery"]
     sides = [signals[role] for role in _SIDES if role in signals]
     if sides:
         left, right = sides
@@ -136,13 +138,13 @@ def _power(signals: dict[str, Signal], wheels: Wheels | None) -> dict[str, Signa
             values = both.reshape(len(time), -1)  # front left, front right, rear left, rear right
         else:
             values = np.stack([left.value[at].sum(axis=1), other.sum(axis=1)], axis=-1)
-        found |= {name: Signal(time, value) for name, value in motor_fields(values).items()}
-    if found and wheels is not None and wheels.radius is not None and "odometry" in signals:
+        power_signals |= {name: Signal(time, value) for name, value in motor_fields(values).items()}
+    if power_signals and wheels is not None and wheels.radius is not None and "odometry" in signals:
         twist = signals["odometry"]
         half = 0.5 * wheels.track * np.array([[-1.0, 1.0]])
         speeds = (twist.value[:, :1] + half * twist.value[:, 1:]) / wheels.radius
-        found["wheels"] = Signal(twist.time, speeds)
-    return found
+        power_signals["wheels"] = Signal(twist.time, speeds)
+    return power_signals
 
 
 def _stride(reader: Reader, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:

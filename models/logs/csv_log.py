@@ -310,8 +310,8 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         parts = (columns.battery.voltage, columns.battery.current)
         add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})
     if columns.motors is not None:
-        found = [reader.column(getattr(columns.motors, name))[0] for name in columns.motors.given]
-        add("motors", columns.motors, motor_fields(np.column_stack(found)))
+        columns_read = [reader.column(getattr(columns.motors, name))[0] for name in columns.motors.given]
+        add("motors", columns.motors, motor_fields(np.column_stack(columns_read)))
     return signals
 
 

@@ -194,9 +194,9 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
                 parsed = _quick(text, separator, header, wanted)
                 if parsed is None:
                     parsed = _careful(path, text, separator, header, wanted, line, words, findings if last else None)
-                found, empty, numbers = parsed
+                parsed_cells, empty, numbers = parsed
                 for name in wanted:
-                    values[name].extend(found[name])
+                    values[name].extend(parsed_cells[name])
                     if name in empty or name in missing:
                         missing.setdefault(name, Growing(np.bool_, len(lines))).extend(
                             empty.get(name, np.zeros(len(numbers), dtype=bool))

@@ -384,15 +384,15 @@ class LogMapping(StrictModel):
 
     def sources(self) -> dict[str, str]:
         """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"; of topics "battery", too."""
-        found: dict[str, str] = {}
+        sources: dict[str, str] = {}
         for group in (self.columns, self.topics):
             for role, part in group or ():
                 name = {"odometry": "encoders", "imu": "gyro"}.get(role, role)
                 if isinstance(part, Topic):
-                    found[name] = part.topic
+                    sources[name] = part.topic
                 elif part is not None and name in ("command", "encoders", "gyro", "pose"):
-                    found[name] = ", ".join(column.column for key, column in part if isinstance(column, SignalColumn))
-        return found
+                    sources[name] = ", ".join(column.column for key, column in part if isinstance(column, SignalColumn))
+        return sources
 
 
 def load_mapping(name: str | Path) -> LogMapping:

@@ -227,12 +227,12 @@ def refuse(errors: Sequence[Finding]) -> None:
 
 def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
     """One line per finding, verdict included; of one kind only the first `most`, and how many more there are."""
-    lines, seen = [], Counter(finding.kind for finding in findings)
-    told: Counter[str] = Counter()
+    lines, by_kind = [], Counter(finding.kind for finding in findings)
+    shown: Counter[str] = Counter()
     for finding in findings:
-        told[finding.kind] += 1
-        if told[finding.kind] <= most:
-            left = seen[finding.kind] - most if told[finding.kind] == most else 0
+        shown[finding.kind] += 1
+        if shown[finding.kind] <= most:
+            left = by_kind[finding.kind] - most if shown[finding.kind] == most else 0
             more = f" (and {left} more like it)" if left > 0 else ""
             lines.append(f"{finding}{more}" + (f" ({finding.verdict})" if finding.verdict else ""))
     return lines

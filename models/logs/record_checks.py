@@ -117,8 +117,8 @@ def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[l
             values, fresh = getattr(record, field), getattr(record, mask)
             if values is None:
                 continue
-            asked = np.divide(record.command, largest, out=np.zeros_like(record.command), where=largest > 0)
-            for first, last in _stuck(values, fresh, asked[:, channels], sensor == "pose", record.dt, settings):
+            share = np.divide(record.command, largest, out=np.zeros_like(record.command), where=largest > 0)
+            for first, last in _stuck(values, fresh, share[:, channels], sensor == "pose", record.dt, settings):
                 changes.setdefault(mask, fresh.copy())[first + 1 : last + 1] = False
                 start, end = float(record.time[first]), float(record.time[last])
                 words = f"the {sensor} read the same for {end - start:.1f} s while the robot should move; left out"
@@ -129,7 +129,7 @@ def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[l
 
 
 def _stuck(
-    values: FloatArray, fresh: BoolArray, asked: FloatArray, is_pose: bool, dt: float, settings: CheckSettings
+    values: FloatArray, fresh: BoolArray, share: FloatArray, is_pose: bool, dt: float, settings: CheckSettings
 ) -> list[tuple[int, int]]:
     """First and last sample of each run of equal readings that the commands, as shares of the largest, contradict."""
     samples = np.flatnonzero(fresh)
@@ -143,9 +143,9 @@ def _stuck(
         first, last = int(samples[a]), int(samples[b])
         if last - first < patience:
             continue
-        commands = asked[first : last - patience + 1]
+        commands = share[first : last - patience + 1]
         at_rest = is_pose or not readings[a].any()
-        moving = (np.abs(asked[first : last + 1]) > settings.stuck_command).any(axis=1).all()
+        moving = (np.abs(share[first : last + 1]) > settings.stuck_command).any(axis=1).all()
         changed = np.ptp(commands, axis=0).max() > settings.stuck_command
         if changed or (at_rest and moving):
             runs.append((first, last))

@@ -62,14 +62,14 @@ class TickRecord:
 
     def line(self) -> str:
         """The record as a line."""
-        told = {name: _stamped_words(getattr(self.measurement, name)) for name in _SENSORS}
+        sensors = {name: _stamped_words(getattr(self.measurement, name)) for name in _SENSORS}
         return json.dumps(
             {
                 "format": FORMAT,
                 "number": self.number,
                 "time": self.time,
                 "drive": self.drive,
-                **told,
+                **sensors,
                 "hold": self.hold,
                 "command": self.command.tolist(),
                 "mode": self.mode,
@@ -155,8 +155,8 @@ def _parsed(line: str) -> dict[str, Any]:
     except ValueError as error:
         raise TickRecordError(f"no JSON ({error})") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
-        found = data.get("format") if isinstance(data, dict) else None
-        raise TickRecordError(f"its format is {found}, this release reads {FORMAT}")
+        version = data.get("format") if isinstance(data, dict) else None
+        raise TickRecordError(f"its format is {version}, this release reads {FORMAT}")
     return data
 
 
@@ -171,5 +171,5 @@ def _stamped(data: Mapping[str, Any] | None) -> Stamped | None:
     if data is None:
         return None
     value, covariance = np.asarray(data["value"], dtype=float), data["covariance"]
-    told = None if covariance is None else np.asarray(covariance, dtype=float)
-    return Stamped(value if value.ndim else float(value), float(data["time"]), told)
+    matrix = None if covariance is None else np.asarray(covariance, dtype=float)
+    return Stamped(value if value.ndim else float(value), float(data["time"]), matrix)

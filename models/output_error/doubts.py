@@ -44,13 +44,13 @@ def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[in
 
 def late_answers(delays: ParameterEstimate) -> list[Doubt]:
     """A doubt for each of `delays`, named by channel or motor, whose standard deviation is large."""
-    limits, found = estimator_settings().warn, []
+    limits, verdicts = estimator_settings().warn, []
     for name, value, deviation in zip(delays.names, delays.values, delays.standard_deviation, strict=True):
         if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
             words = f"dead time and lag, {value:.2g} s together, are badly known: standard deviation {deviation:.2g} s"
             doubt = Doubt("lag", words)
-            found.append(doubt.of(name) if name else doubt)
-    return found
+            verdicts.append(doubt.of(name) if name else doubt)
+    return verdicts
 
 
 def badly_known(
@@ -69,15 +69,15 @@ def badly_known(
         that is divided between dead time and poles may be unknown while it is known itself; it alone matters.
     """
     limit = estimator_settings().warn.relative_deviation
-    found = []
+    verdicts = []
     for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True):
         if deviation > limit * abs(value):
             large = (
                 f"standard deviation {deviation:.2g}" if deviation < abs(value) else "it could as well be twice that"
             )
             words = f"{name} = {value:.4g} is badly known: {large}"
-            found.append(Doubt(kind or _kind(name, delays), words))
-    return found
+            verdicts.append(Doubt(kind or _kind(name, delays), words))
+    return verdicts
 
 
 def _kind(name: str, delays: ParameterEstimate | None) -> str:
@@ -92,19 +92,19 @@ def _kind(name: str, delays: ParameterEstimate | None) -> str:
 def at_bounds(fit: OutputErrorFit, label: str) -> list[Doubt]:
     """A doubt for each parameter that ended at a bound of the search."""
     low, high = fit.layout.bounds
-    found = []
+    verdicts = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
         if name.startswith("dead_time") and value - lower < _AT_BOUND:
             words = "no dead time is seen beside the lag; has the mapping taken off too much delay?"
-            found.append(Doubt("no dead time", words).of(label))
+            verdicts.append(Doubt("no dead time", words).of(label))
         elif min(value - lower, upper - value) < _AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
             shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
             words = f"{shown} lies at the {side} bound of the search, {bound:.3g}: the data do not determine it"
             kind = next((kind for part, kind in _KINDS.items() if name.endswith(part)), None)
             kind = kind or ("dead time" if name.startswith("dead_time") else "effect")
-            found.append(Doubt(kind, words).of(label))
-    return found
+            verdicts.append(Doubt(kind, words).of(label))
+    return verdicts
 
 
 def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[Doubt]:
@@ -118,7 +118,7 @@ def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[Doubt]:
 def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:
     """A doubt for each two neighbouring real poles whose distance is within two standard deviations of zero."""
     order = np.argsort(poles.values)
-    found = []
+    verdicts = []
     for first, second in pairwise(order.tolist()):
         contrast = np.zeros(len(order))
         contrast[first], contrast[second] = -1.0, 1.0
@@ -127,8 +127,8 @@ def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:
         apart = poles.values[first] / poles.values[second] > _FAR_APART
         if not apart and distance < _CERTAIN * deviation:
             words = f"the poles at {poles.values[first]:.3g} and {poles.values[second]:.3g} rad/s cannot be told apart"
-            found.append(Doubt("equal lags", words).of(label))
-    return found
+            verdicts.append(Doubt("equal lags", words).of(label))
+    return verdicts
 
 
 def _readable(name: str) -> str:

@@ -50,11 +50,11 @@ def blocks(experiments: Sequence[Experiment]) -> list[tuple[Pieces, Pieces]]:
 
 def cut(experiments: Sequence[Experiment], pieces: Pieces) -> list[Experiment]:
     """Some of the data."""
-    found = []
+    parts = []
     for i, first, stop in pieces:
         whole, rows = experiments[i], slice(first, stop)
-        found.append(Experiment(whole.name, whole.dt, whole.inputs[rows], whole.outputs[rows], whole.counts[rows]))
-    return found
+        parts.append(Experiment(whole.name, whole.dt, whole.inputs[rows], whole.outputs[rows], whole.counts[rows]))
+    return parts
 
 
 class HeldOut(NamedTuple):
@@ -88,13 +88,13 @@ def hold_out(fit: OutputErrorFit, experiments: Sequence[Experiment], robust: boo
     """
     powers, parameters = [], []
     for rest, block in blocks(experiments):
-        found = fit_output_error([(fit.layout, fit.parameters)], cut(experiments, rest), robust, scale=fit.scale)
+        refit = fit_output_error([(fit.layout, fit.parameters)], cut(experiments, rest), robust, scale=fit.scale)
         errors = [
-            np.where(one.counts, one.outputs - simulate_experiment(found.system, one), np.nan)
+            np.where(one.counts, one.outputs - simulate_experiment(refit.system, one), np.nan)
             for one in cut(experiments, block)
         ]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
-        parameters.append(found.parameters)
+        parameters.append(refit.parameters)
     return HeldOut(np.array(powers), np.array(parameters))
 
 

@@ -187,9 +187,9 @@ def _simulate(
     states = _forced(model, _drive(model, experiment, unknown))
     early = len(past.seen) // experiment.outputs.shape[1]
     error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
-    found = past.recover @ (past.seen.T @ error[:early].ravel())
-    states[:, :early] += np.tensordot(model.past[..., :early], found, (1, 0))
-    before = found[: len(unknown)]
+    recovered = past.recover @ (past.seen.T @ error[:early].ravel())
+    states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
+    before = recovered[: len(unknown)]
     return states, _drive(model, experiment, before), before, past
 
 

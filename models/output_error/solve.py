@@ -135,16 +135,16 @@ def fit_output_error(
             if before - cost < _SETTLED * cost:
                 break
         residuals = _residuals(layout, parameters, experiments, weights, ties)
-        found = _covariance(layout, parameters, experiments, weights, ties)
+        covariance = _covariance(layout, parameters, experiments, weights, ties)
     return OutputErrorFit(
         layout,
         parameters,
-        found.covariance,
+        covariance.covariance,
         scale,
         parted(residuals, pieces),
         parted(trust, pieces),
-        found.effective_samples,
-        found.condition,
+        covariance.effective_samples,
+        covariance.condition,
     )
 
 
@@ -287,10 +287,10 @@ def find_limits(
     candidates = [(layout, np.insert(fit.parameters, place, level)) for level in levels]
     if not candidates:
         return fit
-    found = fit_output_error(candidates, experiments, robust, _TRIAL)
-    level, deviation = found.parameters[place], np.sqrt(found.covariance[place, place])
+    trial = fit_output_error(candidates, experiments, robust, _TRIAL)
+    level, deviation = trial.parameters[place], np.sqrt(trial.covariance[place, place])
     samples = float(fit.effective_samples.sum())
-    gain = samples * np.log(fit.loss(fit.scale).sum() / found.loss(fit.scale).sum()) - np.log(samples)
+    gain = samples * np.log(fit.loss(fit.scale).sum() / trial.loss(fit.scale).sum()) - np.log(samples)
     beyond = float(np.mean(size > level))
     shown = gain > settings.evidence and beyond > settings.share and level + _CERTAIN * deviation < size.max()
-    return found if shown else fit
+    return trial if shown else fit

@@ -294,10 +294,10 @@ def pole_names(poles: AnyArray) -> list[str]:
 
 def pole_numbers(A: FloatArray, near: AnyArray) -> FloatArray:
     """The numbers behind `pole_names(near)` for a matrix A close to that of which `near` are the poles."""
-    found = np.linalg.eigvals(A).astype(complex)
+    poles = np.linalg.eigvals(A).astype(complex)
     numbers: list[float] = []
     for pole in near:
-        nearest = found[np.argmin(np.abs(found - pole))]
+        nearest = poles[np.argmin(np.abs(poles - pole))]
         numbers += [nearest.real] if _is_real(pole) else [nearest.real, nearest.imag]
     return np.array(numbers)
 

@@ -100,9 +100,9 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[Experime
     readings = np.array([sum(int(np.isfinite(r).sum()) for r in rows) for rows in centred])
     probabilities = []
     for (values, pairs), count in zip(auto, readings, strict=True):
-        seen = pairs[1:] > 0
-        statistic = count * (count + 2) * np.sum(values[1:][seen] ** 2 / pairs[1:][seen])
-        probabilities.append(stats.chi2.sf(statistic, int(seen.sum())))
+        counted = pairs[1:] > 0
+        statistic = count * (count + 2) * np.sum(values[1:][counted] ** 2 / pairs[1:][counted])
+        probabilities.append(stats.chi2.sf(statistic, int(counted.sum())))
     cross = np.zeros((outputs, inputs, 2 * lags + 1))
     bound = np.zeros((outputs, inputs))
     for i, rows in enumerate(centred):

@@ -192,18 +192,18 @@ def _yaw_gain(yaw: IdentifiedChannel) -> ParameterEstimate:
     return yaw.parameters.part(["gain", "offset"]).renamed("omega")
 
 
-def _with_effective_track(found: ParameterEstimate, motors: int) -> ParameterEstimate:
+def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:
     """The yaw gain of the gyro turned into a track: firmware track times the motors' mean gain over the yaw gain."""
-    gains = [found.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
-    track, yaw = found.names.index("firmware_track"), found.names.index("omega.gain")
+    gains = [estimate.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
+    track, yaw = estimate.names.index("firmware_track"), estimate.names.index("omega.gain")
 
     def exchanged(row: FloatArray) -> FloatArray:
         changed = row.copy()
         changed[yaw] = row[track] * row[gains].mean() / row[yaw]
         return changed
 
-    names = tuple("effective_track" if name == "omega.gain" else name for name in found.names)
-    return found.derived(names, exchanged)
+    names = tuple("effective_track" if name == "omega.gain" else name for name in estimate.names)
+    return estimate.derived(names, exchanged)
 
 
 def _doubtful(parameters: ParameterEstimate) -> list[str]:

@@ -19,8 +19,8 @@ LARGEST_ORDER = 5
 
 def _identify_by(module: str, records: Sequence[Record], conditions: Conditions) -> Found:
     """Identify by a module beside this one. It is imported now: who loads a model needs no estimator."""
-    found: Found = import_module(f"{__package__}.{module}").identify(records, conditions)
-    return found
+    identified: Found = import_module(f"{__package__}.{module}").identify(records, conditions)
+    return identified
 
 
 _ALL = (

@@ -203,9 +203,9 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     rest += [f"{name}.limit" for name in limited]
 
     def meaningful(parameters: FloatArray) -> FloatArray:
-        found = fit.layout.system(parameters)
-        gain = -found.C @ np.linalg.solve(found.A, found.B)
-        return np.concatenate([gain.ravel(), pole_numbers(found.A, poles), parameters[own:]])
+        system = fit.layout.system(parameters)
+        gain = -system.C @ np.linalg.solve(system.A, system.B)
+        return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[own:]])
 
     parameters = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
         (*gains, *named_poles, *rest), meaningful

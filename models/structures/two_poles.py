@@ -140,7 +140,7 @@ def identify_channel(
     )
     poles = _real_poles(parameters)
     bounds = doubts.at_bounds(fit, label)
-    told = {doubt.kind for doubt in bounds}
+    kinds = {doubt.kind for doubt in bounds}
     delays = doubts.answer_delays(fit, [""], [0])
     main = parameters.part([n for n in named if n not in ("dead_time", "offset")])
     warnings = [
@@ -149,7 +149,7 @@ def identify_channel(
         *(
             doubt.of(label)
             for doubt in doubts.badly_known(main, delays=delays)
-            if doubt.kind not in told and not ("second lag" in told and doubt.kind == "divided lag")
+            if doubt.kind not in kinds and not ("second lag" in kinds and doubt.kind == "divided lag")
         ),
         *(doubt.of(label) for doubt in doubts.late_answers(delays)),
         *(doubts.merged_poles(poles, label) if poles else []),

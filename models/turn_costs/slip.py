@@ -85,22 +85,22 @@ def identify_slip(
             "the drive does not tell the slip coefficients apart: drive turns to both sides at two speeds or more"
         )
     missing = body[keep] - np.stack([v, np.zeros_like(v), omega], axis=-1)
-    found, *_ = np.linalg.lstsq(terms / scale, missing, rcond=None)
-    rest = missing - terms / scale @ found
+    solution, *_ = np.linalg.lstsq(terms / scale, missing, rcond=None)
+    rest = missing - terms / scale @ solution
     inverse = np.linalg.inv((terms / scale).T @ (terms / scale))
     variance = (rest**2).sum(axis=0) / (len(v) - 3) * _repeats(rest)
     deviations = np.sqrt(np.outer(variance, np.diag(inverse))) / scale
-    return IdentifiedSlip((found.T / scale), deviations, np.sqrt(np.mean(rest**2, axis=0)), len(v))
+    return IdentifiedSlip((solution.T / scale), deviations, np.sqrt(np.mean(rest**2, axis=0)), len(v))
 
 
 def identify_slip_from_poses(
     commands: ArrayLike, poses: ArrayLike, sample_time: float, settling: float = 0.0
 ) -> IdentifiedSlip:
     """As `identify_slip`, from poses (n, 3) x [m], y [m], theta [rad] at the commands' times; raises as it does."""
-    rows, found = np.asarray(commands, dtype=float), np.asarray(poses, dtype=float)
-    if found.shape != (len(rows), 3) or not sample_time > 0:
-        raise ConfigError(f"poses of shape {found.shape}, {sample_time} s apart: give (n, 3) and a positive time")
-    return identify_slip(rows[:-1], body_twists(found[:-1], found[1:], sample_time), sample_time, settling)
+    rows, positions = np.asarray(commands, dtype=float), np.asarray(poses, dtype=float)
+    if positions.shape != (len(rows), 3) or not sample_time > 0:
+        raise ConfigError(f"poses of shape {positions.shape}, {sample_time} s apart: give (n, 3) and a positive time")
+    return identify_slip(rows[:-1], body_twists(positions[:-1], positions[1:], sample_time), sample_time, settling)
 
 
 def body_twists(before: FloatArray, after: FloatArray, time: float) -> FloatArray:

@@ -48,9 +48,9 @@ class TorqueSpline:
         dense = np.linspace(-self._most, self._most, _DENSE * _INTERVALS + 1)
         self._splines = []
         for values, odd in ((mean, False), (difference, True)):
-            told = np.asarray(values, dtype=float)
+            torques = np.asarray(values, dtype=float)
             # Straight on there is no difference, and the mean is that of the widest turn.
-            table = PchipInterpolator(np.append(0.0, scaled), np.append(0.0 if odd else told[0], told))
+            table = PchipInterpolator(np.append(0.0, scaled), np.append(0.0 if odd else torques[0], torques))
             whole = table(np.abs(dense)) * (np.sign(dense) if odd else 1.0)
             self._splines.append(make_lsq_spline(dense, whole, knots, k=_DEGREE))
 

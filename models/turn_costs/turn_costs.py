@@ -141,17 +141,17 @@ class TurnCosts(StrictModel):
 
         Raises ConfigError where the slip law has no such command.
         """
-        asked = np.stack(np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(omega, dtype=float)), axis=-1)
+        requested = np.stack(np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(omega, dtype=float)), axis=-1)
         (a11, a12, a13), _, (a31, a32, a33) = self.slip.rows
-        found = asked.copy()
+        command = requested.copy()
         for _ in range(30):
-            vc, wc = np.moveaxis(found, -1, 0)
-            off = self.twist(found)[..., [0, 2]] - asked
+            vc, wc = np.moveaxis(command, -1, 0)
+            off = self.twist(command)[..., [0, 2]] - requested
             slope = np.stack([1 + a11 + a13 * wc, a12 + a13 * vc, a31 + a33 * wc, 1 + a32 + a33 * vc], axis=-1)
-            found = found - np.linalg.solve(slope.reshape(*vc.shape, 2, 2), off[..., None])[..., 0]
-        if not np.allclose(self.twist(found)[..., [0, 2]], asked, atol=1e-6):
+            command = command - np.linalg.solve(slope.reshape(*vc.shape, 2, 2), off[..., None])[..., 0]
+        if not np.allclose(self.twist(command)[..., [0, 2]], requested, atol=1e-6):
             raise ConfigError(f"turn costs '{self.name}': no command gives the body such a twist; ask a wider turn")
-        return found
+        return command
 
     def least_radius(self, speed: float | None = None) -> float:
         """Largest commanded radius at which the outer side needs more than 95 % of its limit [m] at `speed` [m/s].
@@ -180,8 +180,8 @@ class TurnCosts(StrictModel):
                 total = total + taken
                 continue
             driving = 0.5 * (taken + ca.sqrt(taken**2 + _SOFT_POWER**2))
-            given = (taken - driving) * drive.driver_efficiency if drive.regeneration else 0.0
-            total = total + driving / drive.driver_efficiency + given
+            returned = (taken - driving) * drive.driver_efficiency if drive.regeneration else 0.0
+            total = total + driving / drive.driver_efficiency + returned
         return total
 
     def _curvature(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - arrays or expressions

@@ -91,7 +91,7 @@ class FloorRehearsal:
         drivable = self._prepared(reference) if self.laps else None
         if drivable is None:
             return reference
-        beside, heading = drivable.pose - drivable.given.pose, drivable.given.pose[:, 2]
+        beside, heading = drivable.pose - drivable.reference.pose, drivable.reference.pose[:, 2]
         self.time, self.correction = drivable.times, np.column_stack([*ahead_and_left(beside, heading), beside[:, 2]])
         return drivable.as_reference(reference.name, self.config.rehearsal.smoothing)
 

@@ -47,7 +47,7 @@ class RefusedError(DiffdriveMpcError, ValueError):
 
 
 @dataclass(frozen=True)
-class Asked:
+class Request:
     """What the controller was given at `time` [s], and how often it was asked by then."""
 
     number: int
@@ -83,7 +83,7 @@ class Tick:
         Why, in words; empty when all is well.
     result
         The controller's, where it was asked.
-    asked
+    request
         What it was asked.
     """
 
@@ -91,7 +91,7 @@ class Tick:
     state: LoopState
     message: str
     result: StepResult | None = None
-    asked: Asked | None = None
+    request: Request | None = None
 
     @property
     def mode(self) -> str:
@@ -162,7 +162,7 @@ class ControlLoop:
         self.begun: Begun | None = None
         self.held = held
         self.objection = self.warning = ""
-        self._asked = 0
+        self._requests = 0
         # So it is when the node is activated.
         self._was_reset = True
         self.last: Tick | None = None
@@ -319,8 +319,8 @@ class ControlLoop:
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._standing()
         self._follow_frame()
-        self._asked += 1
-        request = Asked(self._asked, t, self.inbox.measurement(), self._hold(t))
+        self._requests += 1
+        request = Request(self._requests, t, self.inbox.measurement(), self._hold(t))
         result = self._controller.step(t, request.measurement, request.hold)
         self._was_reset = False
         self.fallbacks += result.mode in (Mode.REUSED_PLAN, Mode.BRAKING)

@@ -95,7 +95,7 @@ class Recording:
     @_harmless
     def tick(self, tick: Tick, time: int, inbox: Inbox, heard: Mapping[str, Cell]) -> None:
         """Record one tick, which began at `time` [ns], with what else of its row was `heard`."""
-        request, result = tick.asked, tick.result
+        request, result = tick.request, tick.result
         row: dict[str, Cell] = {
             **(_standing(tick) if result is None else decided_cells(result)),
             "t_s": inbox.now if request is None else request.time,
@@ -208,7 +208,7 @@ class TickRecords:
 
     def tick(self, tick: Tick) -> TickRecord | None:
         """The record of a tick at which the controller was asked; it belongs to the drive of the last `drive`."""
-        request, result = tick.asked, tick.result
+        request, result = tick.request, tick.result
         if request is None or result is None:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)

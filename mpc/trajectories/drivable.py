@@ -49,7 +49,7 @@ class Drivable:
 
     Attributes
     ----------
-    given
+    reference
         The reference at `times`.
     times
         (n,) ends of the intervals [s].
@@ -61,7 +61,7 @@ class Drivable:
         What lies between the two; its offset is taken for none of the floor's.
     """
 
-    given: ReferenceSample
+    reference: ReferenceSample
     times: FloatArray
     pose: FloatArray
     wheels: FloatArray
@@ -70,7 +70,7 @@ class Drivable:
     @cached_property
     def distance(self) -> FloatArray:
         """(n,) from the reference at the same time [m]."""
-        return np.asarray(np.hypot(*(self.pose - self.given.pose)[:, :2].T))
+        return np.asarray(np.hypot(*(self.pose - self.reference.pose)[:, :2].T))
 
     def as_reference(self, name: str, smoothing: float) -> SplineTrajectory:
         """What a controller tracks to drive it: turned so that what it aims at is the heading planned here.

@@ -76,13 +76,13 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
     settings = load_settings()
     driven = [(segment, bool(_sense(segment))) for segment in segments]
     pieces = sum(
-        (abs(one.v) / settings.smooth_piece if moves else abs(one.omega) / _TURN_STEP) * one.duration
-        for one, moves in driven
+        (abs(segment.v) / settings.smooth_piece if moves else abs(segment.omega) / _TURN_STEP) * segment.duration
+        for segment, moves in driven
     )
     settings.check_pieces(pieces, where, "split it, or take another timing")
     joints = {
-        (one.v, one.omega, other.v, other.omega)
-        for (one, first), (other, second) in pairwise(driven)
+        (before.v, before.omega, after.v, after.omega)
+        for (before, first), (after, second) in pairwise(driven)
         if first and second
     }
     if len(joints) > settings.most_joints:
@@ -121,7 +121,7 @@ def _driven(run: Sequence[Segment], sense: int, pose: FloatArray, limits: Trajec
     room = [length / 2 for length in lengths]
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
-    reaches = [0.0, *(one.reach for one in joints), 0.0]
+    reaches = [0.0, *(rounded.reach for rounded in joints), 0.0]
     blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
     for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
         left = length - reaches[i] - reaches[i + 1]

@@ -67,12 +67,12 @@ class Polyline:
         moved = np.diff(points, axis=0)
         reach = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
         begin, end = first.copy(), last.copy()
-        nearest, found = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
+        nearest, pieces = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
         # Where a point is looked for depends on where the one before was found: until no search changes any more.
         rows = np.arange(len(points))
         while rows.size:
-            nearest[rows], found[rows] = self._nearest(points[rows], begin[rows], end[rows])
-            before = found[:-1]
+            nearest[rows], pieces[rows] = self._nearest(points[rows], begin[rows], end[rows])
+            before = pieces[:-1]
             begins = np.minimum(first[1:], np.searchsorted(self.arc_end, self.arc_start[before] - reach))
             ends = np.maximum(last[1:], np.searchsorted(self.arc_start, self.arc_end[before] + reach, side="right"))
             rows = 1 + np.flatnonzero((begins != begin[1:]) | (ends != end[1:]))

@@ -132,13 +132,13 @@ class BaseMotion:
 
     def advance(self, command: FloatArray) -> Motion:
         """One step under `command` (2,)."""
-        effects, asked = self._effects, command
+        effects, requested = self._effects, command
         if effects.twist_slew is not None:
-            asked = self._reached = effects.twist_slew.step(self._reached, command, self.step_time)
+            requested = self._reached = effects.twist_slew.step(self._reached, command, self.step_time)
         if effects.wheel_command is not None:
-            asked = effects.wheel_command.apply(asked)
+            requested = effects.wheel_command.apply(requested)
         before = self._dynamics.output
-        self._dynamics.advance(asked)
+        self._dynamics.advance(requested)
         wheels = self._dynamics.output
         mean = 0.5 * (before + wheels)
         if effects.yaw_relaxation is not None:

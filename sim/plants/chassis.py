@@ -124,8 +124,8 @@ class Chassis:
         sim.plants.plant.RobotLostError
             If the robot has tipped over, or a position or speed is not finite or beyond what MuJoCo computes with.
         """
-        given = np.array(torques, dtype=float)
-        self.check(self._lib.twin_move(self.c, address(given)))
+        applied = np.array(torques, dtype=float)
+        self.check(self._lib.twin_move(self.c, address(applied)))
 
     def check(self, fate: int) -> None:
         """Raise a RobotLostError if a step in C says that the robot did not come through."""
@@ -240,11 +240,11 @@ def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN4
     import mujoco  # noqa: PLC0415 - see above
 
     ffi, _ = load_twin()
-    kind, found = "void(*)(const void *, void *)", physics_step()
+    kind, step = "void(*)(const void *, void *)", physics_step()
     if scene is not None:
         return ffi.callback(kind, lambda _model, _data: scene.step())
-    if found is not None:
-        return ffi.cast(kind, found)
+    if step is not None:
+        return ffi.cast(kind, step)
     return ffi.callback(kind, lambda _model, _data: mujoco.mj_step(model, data))
 
 

@@ -265,9 +265,9 @@ def driving_seeds(count: int, *, spot_turns: bool, tuning: bool = False) -> list
 
     With `tuning` the first of those whose seeds are not reserved.
     """
-    more, found = _driving_seeds(spot_turns, tuning)
-    found.extend(itertools.islice(more, max(0, count - len(found))))
-    return found[:count]
+    more, seeds = _driving_seeds(spot_turns, tuning)
+    seeds.extend(itertools.islice(more, max(0, count - len(seeds))))
+    return seeds[:count]
 
 
 def _on_driven(build: SimulatedRobot) -> float:

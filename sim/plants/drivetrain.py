@@ -49,9 +49,9 @@ class CommandShaper:
 
     def set_points(self, command: FloatArray) -> FloatArray:
         """(4,) wheel set-points [rad/s] for the command (2,) that acts during this step."""
-        given, found = np.array(command, dtype=float), np.empty(4)
-        self._lib.twin_shape(self.c, address(given), address(found))
-        return found
+        limited, wheels = np.array(command, dtype=float), np.empty(4)
+        self._lib.twin_shape(self.c, address(limited), address(wheels))
+        return wheels
 
 
 class SpeedObserver:
@@ -90,8 +90,8 @@ class SpeedObserver:
 
     def update(self, angles: FloatArray) -> FloatArray:
         """(4,) speeds [rad/s] after reading the counters at wheel `angles` (4,) [rad]."""
-        given = np.array(angles, dtype=float)
-        self._lib.twin_observe(self.c, address(given))
+        readings = np.array(angles, dtype=float)
+        self._lib.twin_observe(self.c, address(readings))
         return self.speed
 
 
@@ -153,9 +153,9 @@ class VelocityLoops:
         FloatArray
             (4,) torques at the wheels [N m].
         """
-        given = [np.array(one, dtype=float) for one in (set_points, measured, speeds)]
+        arrays = [np.array(one, dtype=float) for one in (set_points, measured, speeds)]
         torques = np.empty(4)
-        self._lib.twin_torque(self.c, *(address(one) for one in given), address(torques))
+        self._lib.twin_torque(self.c, *(address(one) for one in arrays), address(torques))
         return torques
 
 

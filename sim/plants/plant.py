@@ -98,17 +98,17 @@ class PlantAround:
     @property
     def motors(self) -> FloatArray | None:
         """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; None without motors."""
-        found: FloatArray | None = getattr(self._plant, "motors", None)
-        return found
+        motors: FloatArray | None = getattr(self._plant, "motors", None)
+        return motors
 
     @property
     def power(self) -> FloatArray | None:
         """(6,) readings of battery and motors; None without a sensor of them."""
-        found: FloatArray | None = getattr(self._plant, "power", None)
-        return found
+        power: FloatArray | None = getattr(self._plant, "power", None)
+        return power
 
     @property
     def drive(self) -> DriveConstants | None:
         """Electrical constants of the motors; None without motors."""
-        found: DriveConstants | None = getattr(self._plant, "drive", None)
-        return found
+        drive: DriveConstants | None = getattr(self._plant, "drive", None)
+        return drive

@@ -86,17 +86,17 @@ def run_robot(
 @contextmanager
 def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], bool]]:
     """Give a function that says whether to go on; a signal only sets a mark, so that a sample is never torn."""
-    told = False
+    ended = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        nonlocal told
-        told = True
+        nonlocal ended
+        ended = True
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     last = math.inf if duration is None else duration
     try:
         # Half a sample: times are sums of samples.
-        yield lambda: not told and plant.time < last - 0.5 * plant.sample_time
+        yield lambda: not ended and plant.time < last - 0.5 * plant.sample_time
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -29,10 +29,10 @@ class Battery(StrictModel):
         """
         # U = U_0 - R I and P = U I; of the two voltages the greater is the one that batteries have.
         beyond = 4 * self.resistance * power > self.voltage**2
-        given = self.voltage**2 / (4 * self.resistance) if beyond else power
+        delivered = self.voltage**2 / (4 * self.resistance) if beyond else power
         root = 0.0 if beyond else math.sqrt(self.voltage**2 - 4 * self.resistance * power)
         voltage = 0.5 * (self.voltage + root)
-        return voltage, given / voltage
+        return voltage, delivered / voltage
 
 
 READINGS = ("battery_voltage_v", "battery_current_a", "motor_fl_a", "motor_fr_a", "motor_rl_a", "motor_rr_a")

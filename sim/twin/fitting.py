@@ -117,10 +117,10 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
             problem.weigh(problem.errors(z, search.motions(z)))
     announce("fit, part 3 of 3", settings.refined + len(every))
     deviation, information, slopes = search.posterior(z)
-    told = told_apart(information, settings.told)
-    free = [i for i in every if told[i]]
+    distinct = told_apart(information, settings.told)
+    free = [i for i in every if distinct[i]]
     moved = z.copy()
-    fixed = [i for i in every if not told[i]]
+    fixed = [i for i in every if not distinct[i]]
     if fixed and free:
         # Where the others go when these go back to their prior, to first order.
         moved[free] += np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, fixed)] @ z[fixed])
@@ -131,11 +131,11 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
     values = space.values(z)
     known = []
     for i, (name, prior) in enumerate(space.priors.items()):
-        known_to = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if told[i] else 1.0
+        known_to = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if distinct[i] else 1.0
         reach = settings.interval * known_to
         begin, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
         share = float(deviation[i])
-        known.append(Told(name, prior.unit, prior.words, values[name], begin, end, share, bool(told[i])))
+        known.append(Told(name, prior.unit, prior.words, values[name], begin, end, share, bool(distinct[i])))
     seconds = sum(stretch.experiment.samples * stretch.experiment.dt for stretch in problem.stretches)
     return TwinFit(space, values, tuple(known), search.drives, seconds)
 
@@ -212,10 +212,10 @@ class _Search:
             return np.vstack([new, np.eye(len(free))])
 
         begin = np.clip(z[free], low[free] + 1e-9, high[free] - 1e-9)
-        found = least_squares(
+        solution = least_squares(
             errors, begin, slopes, bounds=(low[free], high[free]), ftol=_ENOUGH, xtol=1e-4, max_nfev=evaluations
         )
-        return whole(found.x)
+        return whole(solution.x)
 
     def posterior(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(q,) deviations over the prior's, (q, q) information of readings and priors, and (n, q) slopes.

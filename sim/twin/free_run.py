@@ -146,14 +146,14 @@ def _drive(plant: MujocoPlant, along: Stretch, parts: int) -> Motion:
 def readings(motion: Motion, experiment: Experiment, sensors: Values) -> FloatArray:
     """(K, p) v and omega of the log's encoders and, where p is 3, omega of its gyro."""
     step = experiment.dt / motion.parts
-    seen = motion.wheels
+    measured = motion.wheels
     if "encoders_lag" in sensors:
         keep = float(np.exp(-step / sensors["encoders_lag"]))
         half = 0.5 * (1 - keep)
-        seen = seen[0] + signal.lfilter([half, half], [1.0, -keep], seen - seen[0], axis=0)
+        measured = measured[0] + signal.lfilter([half, half], [1.0, -keep], measured - measured[0], axis=0)
     samples = motion.lead + motion.parts * np.arange(experiment.samples)
-    at, fine = samples - sensors.get("encoders_delay", 0.0) / step, np.arange(len(seen))
-    columns = [np.interp(at, fine, column) for column in seen.T]
+    at, fine = samples - sensors.get("encoders_delay", 0.0) / step, np.arange(len(measured))
+    columns = [np.interp(at, fine, column) for column in measured.T]
     if experiment.outputs.shape[1] > len(columns):
         columns.append(motion.body[samples, 2] + sensors.get("gyro_offset", 0.0))
     return np.column_stack(columns)

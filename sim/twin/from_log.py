@@ -141,9 +141,9 @@ def twin_of(
     nominal = nominal_robot(title, data.train, robot)
     if content is None:
         announce("identifying the velocity model", 1)
-        found = identify_data(data, STRUCTURES["sm"], f"SM of {title}", effects=effects).content
-        assert isinstance(found, ModelFile)
-        content = found
+        report = identify_data(data, STRUCTURES["sm"], f"SM of {title}", effects=effects).content
+        assert isinstance(report, ModelFile)
+        content = report
     experiments = sensed(data.train, data.yaw)
     beside = identified(content, joined(experiments))
     gyro = data.yaw == "gyro"

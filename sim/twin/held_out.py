@@ -73,7 +73,7 @@ class Identified:
         gain, dead_time = self.model.dc_gain, float(self.model.dead_time.mean())
         lag = np.maximum(self.model.lag - dead_time - _LOOP, _LEAST_LAG)
         ratio = self.sensors["encoders.yaw_ratio"]
-        found = {
+        values = {
             "dead_time": dead_time,
             "gain_v": float(gain[0, 0]),
             "lag_v": float(lag[0]),
@@ -83,13 +83,13 @@ class Identified:
         if ratio > 1.0:
             # Coulomb friction: effective over geometric track is 1 + (wheel base / track)^2.
             skid = nominal.track_of_encoders * float(np.sqrt(ratio - 1.0))
-            found["wheel_base"] = skid / nominal.robot.twin.chassis.wheel_base
+            values["wheel_base"] = skid / nominal.robot.twin.chassis.wheel_base
         if self.effects.twist_slew is not None:
-            found |= {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
+            values |= {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
         if self.effects.veer is not None:
-            found["veer"] = -self.effects.veer.yaw_per_metre * nominal.track_of_encoders * ratio
+            values["veer"] = -self.effects.veer.yaw_per_metre * nominal.track_of_encoders * ratio
         names = {"encoders.delay": "encoders_delay", "encoders.lag": "encoders_lag", "gyro.offset": "gyro_offset"}
-        return found | {names[name]: value for name, value in self.sensors.items() if name in names}
+        return values | {names[name]: value for name, value in self.sensors.items() if name in names}
 
 
 def identified(content: ModelFile, runs: Sequence[Experiment]) -> Identified:
@@ -111,8 +111,8 @@ def identified(content: ModelFile, runs: Sequence[Experiment]) -> Identified:
     most = np.array([limits.get(channel) or np.inf for channel in CHANNELS])
     plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
     if plain:
-        found = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0}, most)
-        sensors.setdefault("gyro.offset", _offset(found, runs))
+        start = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0}, most)
+        sensors.setdefault("gyro.offset", _offset(start, runs))
         return Identified(model, effects, {}, sensors, most)
     if "gyro.offset" not in sensors or content.structure != "sm":
         raise ConfigError(
@@ -208,9 +208,9 @@ class Held:
 def hold_model(model: Identified, experiments: Sequence[Experiment]) -> list[Prediction]:
     """What the identified model predicts; one free run over each run without gaps."""
     runs = joined(experiments)
-    seen = parted([model.readings(run) for run in runs], experiments)
+    predicted = parted([model.readings(run) for run in runs], experiments)
     body = parted([model.body(run) for run in runs], experiments)
-    return [Prediction(*both) for both in zip(seen, body, strict=True)]
+    return [Prediction(*both) for both in zip(predicted, body, strict=True)]
 
 
 def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[Experiment]) -> list[Prediction]:
@@ -218,10 +218,12 @@ def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[Experiment]
     runs = joined(experiments)
     stretches = [stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
     motions = drive(fit.robot, stretches)
-    seen = parted([readings(motion, run, fit.values) for motion, run in zip(motions, runs, strict=True)], experiments)
+    predicted = parted(
+        [readings(motion, run, fit.values) for motion, run in zip(motions, runs, strict=True)], experiments
+    )
     twists = [motion.twist() for motion in motions]
     body = parted([twist[:, [0, 2]] for twist in twists], experiments)
-    return [Prediction(*both) for both in zip(seen, body, strict=True)]
+    return [Prediction(*both) for both in zip(predicted, body, strict=True)]
 
 
 def fit_percent(predictions: Sequence[Prediction], experiments: Sequence[Experiment]) -> dict[str, float]:
@@ -273,10 +275,10 @@ def drift_of(
         if record.pose is not None:
             posed.append(replace(record, pose=place.centre(record.pose)))
             twists.append(prediction.body * np.array([travel, 1.0]))
-    found: list[PoseDrift] = []
+    drifts: list[PoseDrift] = []
     for horizon in identification_settings().horizons:
         try:
-            found += pose_drift(posed, twists, pose_lag=max(mount["pose.delay"], 0.0), horizons=[horizon])
+            drifts += pose_drift(posed, twists, pose_lag=max(mount["pose.delay"], 0.0), horizons=[horizon])
         except ValueError as error:
             on_missing(str(error))
-    return tuple(found)
+    return tuple(drifts)

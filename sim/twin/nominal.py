@@ -85,10 +85,10 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     where = name
     if file is not None:
         path = named_file("robot", ROBOTS, file)
-        where, found = str(path), read_yaml(path)
-        if not isinstance(found, Mapping):
+        where, content = str(path), read_yaml(path)
+        if not isinstance(content, Mapping):
             raise ConfigError(f"{path}: expected keys and values, such as robot: {{mass: 50}} [kg]")
-        given = found
+        given = content
     geometry = wheel_geometry(records)
     body = given.get("robot") if isinstance(given.get("robot"), Mapping) else {}
     assert isinstance(body, Mapping)
@@ -150,14 +150,14 @@ def _scaled(name: str, records: Sequence[Record], track: float, radius: float, m
 
 def _sensors(records: Sequence[Record], radius: float) -> dict[str, Any]:
     """Noise and rates as the log shows them; what it does not show is as in the default set."""
-    found, sensors = sensor_noise(records), load_sensor_set(DEFAULT).model_dump()
-    if "yaw_rate_noise" in found:
-        sensors["gyro"]["noise_sd"] = found["yaw_rate_noise"]
-    if "wheel_speed_noise" in found:
+    noise, sensors = sensor_noise(records), load_sensor_set(DEFAULT).model_dump()
+    if "yaw_rate_noise" in noise:
+        sensors["gyro"]["noise_sd"] = noise["yaw_rate_noise"]
+    if "wheel_speed_noise" in noise:
         # v is the mean of four wheels.
-        sensors["encoders"]["speed_sd"] = max(2.0 * found["wheel_speed_noise"] / radius, 1e-6)
-    if "position_noise" in found:
-        sensors["pose"] |= {"position_sd": found["position_noise"], "heading_sd": found.get("heading_noise", 0.0)}
+        sensors["encoders"]["speed_sd"] = max(2.0 * noise["wheel_speed_noise"] / radius, 1e-6)
+    if "position_noise" in noise:
+        sensors["pose"] |= {"position_sd": noise["position_noise"], "heading_sd": noise.get("heading_noise", 0.0)}
     steps = [
         float(np.median(np.diff(np.flatnonzero(record.fresh_pose)))) * record.dt
         for record in records

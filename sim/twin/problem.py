@@ -62,9 +62,9 @@ class Problem:
 
     def motions(self, z: FloatArray) -> list[Motion] | None:
         """Of the plant at deviations `z` (q,); None where it does not come through."""
-        found = _driven(self.space.robot(self.space.values(z)), self.stretches)
+        motions = _driven(self.space.robot(self.space.values(z)), self.stretches)
         self.on_drive()
-        return found
+        return motions
 
     def errors(self, z: FloatArray, motions: Sequence[Motion] | None) -> list[FloatArray]:
         """For each stretch (K, p) simulated less measured, NaN without reading."""

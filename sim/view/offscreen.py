@@ -39,12 +39,12 @@ def painted(shots: Shots, environment: Mapping[str, str] = os.environ) -> Iterat
     NoOpenGLError
         If MuJoCo can draw with nothing.
     """
-    asked = environment.get(_CHOICE, "").strip().lower()
+    choice = environment.get(_CHOICE, "").strip().lower()
     failures = []
     with tempfile.TemporaryDirectory(prefix="diffdrive-mpc-") as folder:
         file = Path(folder) / "shots.npz"
         shots.save(file)
-        for backend in (asked,) if asked else TRIED:
+        for backend in (choice,) if choice else TRIED:
             with _painter(file, {**environment, _CHOICE: backend}) as (process, errors):
                 assert process.stdout is not None
                 if process.stdout.readline() == READY:
@@ -55,7 +55,7 @@ def painted(shots: Shots, environment: Mapping[str, str] = os.environ) -> Iterat
     raise NoOpenGLError(
         f"MuJoCo cannot draw off-screen ({'; '.join(failures)}): install libegl1 and libgl1-mesa-dri, or libosmesa6 "
         f"(Debian, Ubuntu)"
-        + (f", or unset {_CHOICE}, which is '{asked}'" if asked else "")
+        + (f", or unset {_CHOICE}, which is '{choice}'" if choice else "")
         + "; without --render the view from above needs none of it"
     )
 
@@ -87,8 +87,8 @@ def _pictures(process: subprocess.Popen[bytes], errors: Path, shots: Shots) -> I
 def _last_line(errors: Path) -> str:
     """What went wrong, in one line; what Python says of its own end follows the cause and is left out."""
     lines = errors.read_text(encoding="utf-8", errors="replace").splitlines()
-    told = [
+    printed = [
         line for line in lines if line.strip() and not line[0].isspace() and not line.startswith("Exception ignored")
     ]
-    causes = [line for line in told if "Error" in line.partition(":")[0]]
-    return (causes or told or ["it ended without a word"])[0].rstrip(". ")
+    causes = [line for line in printed if "Error" in line.partition(":")[0]]
+    return (causes or printed or ["it ended without a word"])[0].rstrip(". ")

@@ -44,8 +44,8 @@ def _aims(shots: Shots) -> FloatArray:
     length, _ = shots.body.footprint
     if shots.camera == Camera.CHASE:
         return chase(shots.time, shots.poses, length)
-    seen = np.concatenate([shots.reference, shots.way, shots.poses[:, :2]])
-    return np.tile(overview(seen, length, shots.size[0] / shots.size[1]), (len(shots.time), 1))
+    points = np.concatenate([shots.reference, shots.way, shots.poses[:, :2]])
+    return np.tile(overview(points, length, shots.size[0] / shots.size[1]), (len(shots.time), 1))
 
 
 if __name__ == "__main__":

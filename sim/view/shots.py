@@ -106,7 +106,7 @@ def chase(time: FloatArray, poses: FloatArray, length: float) -> FloatArray:
     return aims
 
 
-def overview(seen: FloatArray, room: float, aspect: float) -> FloatArray:
+def overview(points: FloatArray, room: float, aspect: float) -> FloatArray:
     """All of `seen` (n, 2) [m] in one picture `aspect` times as wide as high, with `room` [m] around; x to the right.
 
     Returns
@@ -114,8 +114,8 @@ def overview(seen: FloatArray, room: float, aspect: float) -> FloatArray:
     FloatArray
         (6,) as a row of `chase`.
     """
-    seen = seen[np.isfinite(seen).all(axis=1)]
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
     wide, deep = (high - low + 2.0 * room).tolist()
     needed = max(deep * math.sin(math.radians(-_OVER)), wide / aspect)
     distance = _NEARER * 0.5 * needed / math.tan(math.radians(0.5 * FIELD_OF_VIEW))

@@ -114,7 +114,7 @@ def _try_window() -> None:
     """Open a hidden window and close it; raises NoDisplayError. MuJoCo's viewer would wait for ever for one."""
     import glfw  # noqa: PLC0415 - comes with MuJoCo
 
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         window = None
         if glfw.init():
@@ -122,7 +122,7 @@ def _try_window() -> None:
             window = glfw.create_window(64, 64, "", None, None)
             glfw.default_window_hints()
     if not window:
-        why = f" ({told[0].message})" if told else ""
+        why = f" ({caught[0].message})" if caught else ""
         raise NoDisplayError(f"--view: no window can be opened{why}; {_REMEDY}")
     glfw.destroy_window(window)
 

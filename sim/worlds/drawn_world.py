@@ -88,10 +88,10 @@ def drawn_world(seed: int, *, through: bool = False) -> World:
     fill = float(random.uniform(*of.fill))
     for _ in range(of.attempts):
         posts = _field(of, fill, random)
-        found = _plan(of, posts)
-        if found is None:
+        world = _plan(of, posts)
+        if world is None:
             continue
-        planned, points = found
+        planned, points = world
         if through:
             surprises = _surprises(of, posts, points, planned, random)
             if surprises is None:

@@ -159,16 +159,16 @@ def passage_of(
 
 def least_clearance(world: World, outline: tuple[float, float], time: FloatArray, pose: FloatArray) -> float:
     """Least distance [m] of the robot's outline from anything over the ticks of a run, as `Passage` has it."""
-    around, found = outline_points(outline), np.inf
+    around, clearance = outline_points(outline), np.inf
     for t, (x, y, theta) in zip(time[::_LOOKED_AT], pose[::_LOOKED_AT], strict=True):
         c, s = np.cos(theta), np.sin(theta)
         points = np.array([x, y]) + around @ np.array([[c, s], [-s, c]])
         shapes = world.shapes(float(t))
         discs = [shapes.discs, *(np.array([[*mover.position(float(t)), mover.radius]]) for mover in world.movers)]
         nearby = np.vstack(discs)
-        nearby = nearby[np.hypot(nearby[:, 0] - x, nearby[:, 1] - y) - nearby[:, 2] < found + max(outline)]
-        found = min(found, float(Shapes(shapes.polygons, nearby).distance(points).min(initial=np.inf)))
-    return max(0.0, found)
+        nearby = nearby[np.hypot(nearby[:, 0] - x, nearby[:, 1] - y) - nearby[:, 2] < clearance + max(outline)]
+        clearance = min(clearance, float(Shapes(shapes.polygons, nearby).distance(points).min(initial=np.inf)))
+    return max(0.0, clearance)
 
 
 def outline_points(outline: tuple[float, float]) -> FloatArray:

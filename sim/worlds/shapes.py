@@ -132,13 +132,13 @@ class Shapes:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """(m,) distance of points (m, 2) from the nearest obstacle [m]; negative inside a disc, zero in a polygon."""
-        found = np.full(len(points), np.inf)
+        distances = np.full(len(points), np.inf)
         if len(self.discs):
             gaps = np.hypot(*(points[:, None] - self.discs[None, :, :2]).transpose(2, 0, 1)) - self.discs[:, 2]
-            found = gaps.min(axis=1)
+            distances = gaps.min(axis=1)
         for corners in self.polygons:
-            found = np.minimum(found, distance_to_polygon(points, corners))
-        return found
+            distances = np.minimum(distances, distance_to_polygon(points, corners))
+        return distances
 
 
 def distance_to_polygon(points: FloatArray, corners: FloatArray) -> FloatArray:

@@ -150,7 +150,7 @@ class Eyes:
         return polygons, [SeenDisc(*one.tolist()) for one in shapes.discs if one.tobytes() in self._known]
 
     def _persons(self, time: float, pose: FloatArray, shapes: Shapes) -> tuple[SeenDisc, ...]:
-        seen = []
+        persons = []
         for i, mover in enumerate(self._world.movers):
             # Drawn for every person at every look: who is in view changes nobody's noise.
             noise = self._sight.person_sd * self._random.standard_normal(2)
@@ -164,8 +164,8 @@ class Eyes:
             else:
                 state = self._update(i, time, mover.position(time) + noise)
             (x, vx), (y, vy) = state.T
-            seen.append(SeenDisc(float(x), float(y), mover.radius, float(vx), float(vy)))
-        return tuple(seen)
+            persons.append(SeenDisc(float(x), float(y), mover.radius, float(vx), float(vy)))
+        return tuple(persons)
 
     def _update(self, i: int, time: float, place: FloatArray) -> FloatArray:
         """(2, 2) what is believed of a person in view: place [m], and velocity [m/s]."""
@@ -216,14 +216,14 @@ def cast_rays(pose: FloatArray, shapes: Shapes, sight: Sight) -> tuple[FloatArra
 def _first_hits(eye: FloatArray, bearings: FloatArray, shapes: Shapes) -> FloatArray:
     """(rays,) distance of the first obstacle in each direction [m], infinite without one."""
     along = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    found = np.full(len(bearings), np.inf)
+    ranges = np.full(len(bearings), np.inf)
     if len(shapes.discs):
         middle = shapes.discs[:, :2] - eye
         ahead = along @ middle.T
         aside = along[:, :1] * middle[:, 1] - along[:, 1:] * middle[:, 0]
         inside = shapes.discs[:, 2] ** 2 - aside**2
         reach = ahead - np.sqrt(np.maximum(inside, 0.0))
-        found = np.where((inside >= 0) & (reach >= 0), reach, np.inf).min(axis=1)
+        ranges = np.where((inside >= 0) & (reach >= 0), reach, np.inf).min(axis=1)
     for corners in shapes.polygons:
         start, edge = corners - eye, np.roll(corners, -1, axis=0) - corners
         across = along[:, :1] * edge[:, 1] - along[:, 1:] * edge[:, 0]
@@ -231,8 +231,8 @@ def _first_hits(eye: FloatArray, bearings: FloatArray, shapes: Shapes) -> FloatA
             reach = (start[:, 0] * edge[:, 1] - start[:, 1] * edge[:, 0]) / across
             share = (start[:, 0] * along[:, 1:] - start[:, 1] * along[:, :1]) / across
         met = (np.abs(across) > 1e-12) & (reach >= 0) & (share >= 0) & (share <= 1)
-        found = np.minimum(found, np.where(met, reach, np.inf).min(axis=1))
-    return found
+        ranges = np.minimum(ranges, np.where(met, reach, np.inf).min(axis=1))
+    return ranges
 
 
 class _RollingMap:

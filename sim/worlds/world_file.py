@@ -36,11 +36,11 @@ def load_world(name: str | Path, seed: int = 0) -> World:
     models.checked_yaml.ConfigError
         If there is no such world, its file has a mistake, or a value out of range could be drawn from it.
     """
-    found = re.fullmatch(r"drawn:(\d{1,18})(:through)?", str(name), re.ASCII)
-    if found:
+    match = re.fullmatch(r"drawn:(\d{1,18})(:through)?", str(name), re.ASCII)
+    if match:
         from diffdrive_mpc.sim.worlds.drawn_world import drawn_world  # noqa: PLC0415 - loads SciPy
 
-        return drawn_world(int(found[1]), through=found[2] is not None)
+        return drawn_world(int(match[1]), through=match[2] is not None)
     if str(name).startswith("drawn"):
         raise ConfigError(f"world '{name}': a drawn one is called {PATTERN}, SEED being a number")
     path = named_file("world", SHIPPED, name, others=f", {PATTERN}")

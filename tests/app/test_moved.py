@@ -57,4 +57,6 @@ def named(dotted):
 
 
 def test_the_page_names_every_key_that_has_another_name_now():
-    assert {before: now for before, _, now in _ROW.findall(_KEYS)} == {old: shown_key(new) for old, new in FORMER.items()}
+    assert {before: now for before, _, now in _ROW.findall(_KEYS)} == {
+        old: shown_key(new) for old, new in FORMER.items()
+    }

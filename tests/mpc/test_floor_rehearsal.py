@@ -61,7 +61,7 @@ def rolled_out(floor, times, wheels, start):
 @pytest.mark.parametrize("floor", FLOORS)
 def test_what_is_planned_is_where_the_floor_takes_the_robot(floor):
     found = planned(floor)
-    driven = rolled_out(floor, found.times, found.wheels, found.given.pose[0])
+    driven = rolled_out(floor, found.times, found.wheels, found.reference.pose[0])
     # Within an interval the twist is taken for its mean.
     assert np.abs(driven - found.pose).max() < 5e-4
     assert found.distance.max() > 0.003
@@ -82,7 +82,7 @@ def test_no_motion_nearby_is_better():
     """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
     floor, price, rng = "p4_asphalt", CONFIG.drivable, np.random.default_rng(5)
     found = planned(floor)
-    step, given = found.times[1], found.given
+    step, given = found.times[1], found.reference
     # What gives the reference's twist where nothing slips sideways, by Newton's method on the paper's law.
     own = np.array(given.twist)
     for _ in range(30):

@@ -83,8 +83,8 @@ class IdentifiedBase:
         prompt |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
         twists = []
-        for seen in self._runs(prompt, records):
-            twists.append(np.column_stack([travel * seen[:, 0], seen[:, -1]]))
+        for run in self._runs(prompt, records):
+            twists.append(np.column_stack([travel * run[:, 0], run[:, -1]]))
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
@@ -200,23 +200,23 @@ def _linear(point: Point) -> Mapping[str, Any]:
 
 
 def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
-    found: dict[str, Any] = {}
+    effects: dict[str, Any] = {}
     if "slew.v" in point:
-        found["twist_slew"] = {channel: point[f"slew.{channel}"] for channel in CHANNELS}
+        effects["twist_slew"] = {channel: point[f"slew.{channel}"] for channel in CHANNELS}
     if any(name in point for name in ("wheels.resolution", "wheels.top_speed")):
-        found["wheel_command"] = {
+        effects["wheel_command"] = {
             "track": base_track(point),
             "resolution": point.get("wheels.resolution", 0.0),
             "coasting_speed": point.get("wheels.coasting", 0.0),
             "top_speed": point.get("wheels.top_speed"),
         }
     if "relaxation" in point:
-        found["yaw_relaxation"] = {"angle": point["relaxation"]}
+        effects["yaw_relaxation"] = {"angle": point["relaxation"]}
     if "veer" in point:
-        found["veer"] = {"yaw_per_metre": point["veer"]}
+        effects["veer"] = {"yaw_per_metre": point["veer"]}
     if pose:
-        found["pose_mount"] = {name: pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")}
-    return BaseEffects.model_validate(found)
+        effects["pose_mount"] = {name: pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")}
+    return BaseEffects.model_validate(effects)
 
 
 def _parameters(selection: Selection) -> ParameterEstimate:
@@ -268,7 +268,7 @@ def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
 def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
     delays = _delays(fit, parameters)
-    found = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
+    verdicts = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
@@ -278,8 +278,8 @@ def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
                     f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{late}: encoders cannot lead "
                     "the gyro, so the mapping takes off too much delay of theirs, or the gyro has one"
                 )
-                found.append(Doubt("time shift", words))
+                verdicts.append(Doubt("time shift", words))
                 continue
             words = f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it"
-            found.append(Doubt("effect", words))
-    return found
+            verdicts.append(Doubt("effect", words))
+    return verdicts

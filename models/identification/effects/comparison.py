@@ -26,7 +26,7 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
         If the records are too short to hold blocks out.
     """
     experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
-    seen = joined(sensed(records, plain.yaw))
+    measured = joined(sensed(records, plain.yaw))
     powers: list[FloatArray] = []
     spread = []
     for row in range(2):
@@ -34,8 +34,8 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
         powers.append(hold_out(plain.fits[row], channel).powers[:, 0])
         spread.append(np.std(np.concatenate([one.outputs[one.counts] for one in channel])))
     with_effects = []
-    for (_, block), point in zip(blocks(seen), base.points, strict=True):
-        errors = [np.where(s.counts, free_run(point, s) - s.outputs, np.nan)[:, [0, -1]] for s in cut(seen, block)]
+    for (_, block), point in zip(blocks(measured), base.points, strict=True):
+        errors = [np.where(s.counts, free_run(point, s) - s.outputs, np.nan)[:, [0, -1]] for s in cut(measured, block)]
         with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
     rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
     fits = 100.0 * (1.0 - rms / np.array(spread))
@@ -43,5 +43,5 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
     if gained.min() > -settings.most_lost and gained.mean() > 0.0:
         return None
     shown = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
-    found = ", ".join(base.effects) or "a delay of the encoders"
-    return f"effects ({found}) predict held-out blocks no better than the plain model, FIT {shown}: left out"
+    effects = ", ".join(base.effects) or "a delay of the encoders"
+    return f"effects ({effects}) predict held-out blocks no better than the plain model, FIT {shown}: left out"

@@ -60,11 +60,11 @@ def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> F
     step = experiment.dt / PARTS
     first = experiment.first_readings
     start = np.array([first[0] / point["gain.v"], first[1] / (point["gain.omega"] * point["encoders.yaw_ratio"])])
-    asked = _asked(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
+    requested = _asked(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
     gains = np.array([point["gain.v"], point["gain.omega"]])
-    wheels = np.empty_like(asked)
+    wheels = np.empty_like(requested)
     for row, channel in enumerate(("v", "omega")):
-        drive = _late(asked[:, row], start[row], point[f"dead_time.{channel}"] / step)
+        drive = _late(requested[:, row], start[row], point[f"dead_time.{channel}"] / step)
         wheels[:, row] = gains[row] * two_lags(
             drive, start[row], point[f"lag.{channel}"], point.get(f"spread.{channel}", 0.0), step
         )
@@ -72,12 +72,12 @@ def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> F
     if "relaxation" in point:
         gyro = YawRelaxation.model_construct(angle=point["relaxation"]).follow(gyro, step, float(np.sign(gyro[0])))
     gyro = gyro + point.get("veer", 0.0) * wheels[:, 0] + point["gyro.offset"]
-    seen = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
+    readings = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
     if "encoders.lag" in point:
-        seen = _lagging(seen, point["encoders.lag"], step)
+        readings = _lagging(readings, point["encoders.lag"], step)
     at = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
-    fine = np.arange(len(seen))
-    by_encoders = [np.interp(at, fine, column) for column in seen.T]
+    fine = np.arange(len(readings))
+    by_encoders = [np.interp(at, fine, column) for column in readings.T]
     return np.column_stack([*by_encoders, gyro[::PARTS]][: experiment.outputs.shape[1]])
 
 
@@ -113,18 +113,20 @@ def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: f
 def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
     """(n, 2) twist that the motors are asked for."""
     most = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
-    asked = np.clip(commands, -most, most)
+    requested = np.clip(commands, -most, most)
     if "slew.v" in point:
-        asked = TwistSlew.model_construct(v=point["slew.v"], omega=point["slew.omega"]).follow(asked, step, start)
+        requested = TwistSlew.model_construct(v=point["slew.v"], omega=point["slew.omega"]).follow(
+            requested, step, start
+        )
     if "encoders.track" not in point:
-        return asked
+        return requested
     base = WheelCommand.model_construct(
         track=base_track(point),
         resolution=point.get("wheels.resolution", 0.0),
         coasting_speed=point.get("wheels.coasting", 0.0),
         top_speed=point.get("wheels.top_speed"),
     )
-    return smoothed(base, asked) if smooth and base.resolution else base.apply(asked)
+    return smoothed(base, requested) if smooth and base.resolution else base.apply(requested)
 
 
 def base_track(point: Point) -> float:

@@ -53,12 +53,12 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
     moved = np.array([window.moved for window in windows])
     keep = np.ones(len(windows), dtype=bool)
     for _ in range(3):
-        found = np.linalg.lstsq(rows[keep].reshape(-1, 4), moved[keep].ravel(), rcond=None)[0]
-        error = rows @ found - moved
+        solution = np.linalg.lstsq(rows[keep].reshape(-1, 4), moved[keep].ravel(), rcond=None)[0]
+        error = rows @ solution - moved
         keep = np.hypot(*error.T) < effect_settings().pose.outlier
     scale = float(np.sqrt(np.mean(error[keep] ** 2)))
     spread = sandwich([rows[keep] / scale], [error[keep] / scale]).covariance
-    linear = ParameterEstimate(("along", "across", "mount.ahead", "mount.left"), found, spread)
+    linear = ParameterEstimate(("along", "across", "mount.ahead", "mount.left"), solution, spread)
     place = linear.derived(
         ("pose.travel", "mount.heading", "mount.ahead", "mount.left"),
         lambda row: np.array([np.hypot(row[0], row[1]), np.arctan2(row[1], row[0]), row[2], row[3]]),

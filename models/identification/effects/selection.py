@@ -74,7 +74,7 @@ def tried(fit: EffectFit, data: Weighted) -> Tried:
     trial = effect_settings().trial
     folds = blocks(data.experiments)
     fits = [fit_effects(fit.point, fit.free, data.part(rest), trial, near=True) for rest, _ in folds]
-    return Tried(fit, tuple(found.point for found in fits))
+    return Tried(fit, tuple(fits_of_parts.point for fits_of_parts in fits))
 
 
 class Worth(NamedTuple):

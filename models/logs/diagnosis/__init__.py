@@ -78,14 +78,14 @@ def summary(log: Log) -> list[str]:
         fresh = [getattr(record, mask) for record in records if getattr(record, mask) is not None]
         if fresh:
             rates[name] = float(np.mean(np.concatenate(fresh))) / dt
-    told = [
+    entries = [
         f"{name} {rate:.3g} Hz" + (f" ({log.sources[name]})" if name in log.sources else "")
         for name, rate in rates.items()
     ]
     driven = sum(len(record.command) for record in records) * dt
     stretches = "1 stretch" if len(records) == 1 else f"{len(records)} stretches"
     lines = [
-        f"streams   {', '.join(told)}",
+        f"streams   {', '.join(entries)}",
         f"time      {records[0].start:.1f} to {records[-1].end:.1f} s, {driven:.0f} s of it in {stretches}, "
         f"one sample every {dt:.4g} s",
         "commands  " + "; ".join(_commanded(records, channel, settings) for channel in (0, 1)),
@@ -101,14 +101,14 @@ def _commanded(records: Sequence[Record], channel: int, settings: CheckSettings)
 
 def _driven(streams: Streams, channel: int, settings: CheckSettings) -> str:
     """How the sensors of a channel answer to its command, in words."""
-    told = []
+    lines = []
     for name in streams.present(channel):
-        found = answer(streams, *streams.pair(COMMAND, name, channel), settings)
-        if found is None:
-            told.append(f"{name} not driven")
+        response = answer(streams, *streams.pair(COMMAND, name, channel), settings)
+        if response is None:
+            lines.append(f"{name} not driven")
         else:
-            late = found.dead_time + 2 * found.lag
-            told.append(
-                f"{name} {found.gain[0, 0]:.3g} times, {late:.2f} s later, correlation {found.correlation[0]:.2f}"
+            late = response.dead_time + 2 * response.lag
+            lines.append(
+                f"{name} {response.gain[0, 0]:.3g} times, {late:.2f} s later, correlation {response.correlation[0]:.2f}"
             )
-    return "command -> " + "; ".join(told) if told else "measured by nothing"
+    return "command -> " + "; ".join(lines) if lines else "measured by nothing"

@@ -47,7 +47,7 @@ class Relation:
 
 def relations(streams: Streams, settings: CheckSettings) -> list[Relation]:
     """All pairs of streams that follow each other clearly."""
-    found = []
+    pairs = []
     for channel in (0, 1):
         for first, second in combinations([COMMAND, *streams.present(channel)], 2):
             a, b = streams.pair(first, second, channel)
@@ -58,8 +58,8 @@ def relations(streams: Streams, settings: CheckSettings) -> list[Relation]:
             gains, times = _by_part(streams, streams.lagged(a, how.lag), b, shift, settings)
             if len(gains):
                 response = how.dead_time + 2 * how.lag if first == COMMAND else np.nan
-                found.append(Relation(first, second, channel, gains, times, response))
-    return found
+                pairs.append(Relation(first, second, channel, gains, times, response))
+    return pairs
 
 
 def _by_part(

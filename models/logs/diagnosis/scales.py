@@ -214,9 +214,9 @@ def _votes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str,
     """How each sensor of the channel answers to the command; empty where that never changes."""
     votes = {}
     for name in streams.present(channel):
-        found = answer(streams, *streams.pair(COMMAND, name, channel), settings)
-        if found is not None:
-            votes[name] = _Vote(found.size, math.copysign(float(found.correlation[0]), found.size))
+        response = answer(streams, *streams.pair(COMMAND, name, channel), settings)
+        if response is not None:
+            votes[name] = _Vote(response.size, math.copysign(float(response.correlation[0]), response.size))
     return votes
 
 

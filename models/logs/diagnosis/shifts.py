@@ -23,9 +23,9 @@ def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int],
     answers = {}
     for channel in (0, 1):
         for name in streams.present(channel):
-            found = answer(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
-            if found is not None and abs(found.correlation[0]) > settings.clear_correlation:
-                answers[name, channel] = found
+            response = answer(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
+            if response is not None and abs(response.correlation[0]) > settings.clear_correlation:
+                answers[name, channel] = response
     return answers
 
 
@@ -35,11 +35,14 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
     for channel in (0, 1):
         for first, second in combinations(streams.present(channel), 2):
             a, b = streams.pair(first, second, channel)
-            found = answer(streams, a, b, settings, intervals=True, both_measured=True)
-            if found is None or found.correlation[0] < settings.clear_correlation:
+            response = answer(streams, a, b, settings, intervals=True, both_measured=True)
+            if response is None or response.correlation[0] < settings.clear_correlation:
                 continue
             if (first, second) not in apart or channel == 1:  # turns are sharper than straights
-                apart[first, second] = (found.dead_time, found.deviation if np.isfinite(found.deviation) else 0.0)
+                apart[first, second] = (
+                    response.dead_time,
+                    response.deviation if np.isfinite(response.deviation) else 0.0,
+                )
     shifted = {pair: value for pair, value in apart.items() if abs(value[0]) > max(settings.sensor_shift, 3 * value[1])}
     if not shifted:
         return []
@@ -69,7 +72,7 @@ def _odd_one(shifted: dict[tuple[str, str], tuple[float, float]], streams: Strea
     (first, second), (shift, _) = max(shifted.items(), key=lambda item: abs(item[1][0]))
     early, late = (first, second) if shift > 0 else (second, first)
     answers = _answers(streams, settings)
-    before = [found.dead_time for (name, _), found in answers.items() if name == early]
+    before = [response.dead_time for (name, _), response in answers.items() if name == early]
     return early if before and min(before) < -settings.earliest_response else late
 
 
@@ -87,9 +90,9 @@ def _commands(
 ) -> list[Finding]:
     if not answers:
         return []
-    times = [found.dead_time for found in answers.values()]
+    times = [response.dead_time for response in answers.values()]
     middle, scatter = float(np.median(times)), float(np.ptp(times) / 2 if len(times) > 1 else 0.0)
-    own = np.array([found.deviation for found in answers.values()])
+    own = np.array([response.deviation for response in answers.values()])
     deviation = float(np.hypot(scatter, np.nan_to_num(np.nanmedian(own)) if np.isfinite(own).any() else 0.0))
     # Certain to come first, not by chance: of a short drive the sensors say different things.
     early = middle + 2 * deviation < 0

@@ -25,8 +25,8 @@ def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Fi
 
 def _running_counts(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
     assert streams.twist is not None
-    found = answer(streams, streams.command, streams.twist, settings)
-    if found is None or found.correlation.max() > settings.clear_correlation:
+    response = answer(streams, streams.command, streams.twist, settings)
+    if response is None or response.correlation.max() > settings.clear_correlation:
         return None
     rate = streams.each(
         lambda part: np.gradient(part, streams.dt, axis=0) if len(part) > 1 else part * np.nan, streams.twist
@@ -57,15 +57,15 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         streams.twist = streams.wheels = None
         return Finding("dead wheel", "error", log, words)
     sides = _commanded_sides(streams)
-    found = None if sides is None else answer(streams, sides, streams.wheels, settings)
-    if sides is None or found is None or found.correlation.max() < settings.clear_correlation:
+    response = None if sides is None else answer(streams, sides, streams.wheels, settings)
+    if sides is None or response is None or response.correlation.max() < settings.clear_correlation:
         return None
-    gain = found.gain.T  # rows: wheels; columns: commanded left, right
+    gain = response.gain.T  # rows: wheels; columns: commanded left, right
     own = np.array([gain[i, i % 2] for i in range(len(names))])
     other = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
     # On a circle what is commanded of one side is that of the other but for a factor: which it follows cannot be told.
-    told = not _one_motion(sides, settings)
-    if told and (np.abs(other) > 2 * np.abs(own)).all():
+    distinct = not _one_motion(sides, settings)
+    if distinct and (np.abs(other) > 2 * np.abs(own)).all():
         if (other < 0).all():
             return None  # both sides exchanged and reversed: a robot that drives backwards, told by the sign of v
         streams.twist = streams.twist * [1.0, -1.0]
@@ -74,7 +74,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
             "the encoders, or of the commands"
         )
         return Finding("swapped sides", "error", log, words)
-    strong = (np.abs(own) > np.abs(other)) | (not told)
+    strong = (np.abs(own) > np.abs(other)) | (not distinct)
     # Where both sides move much alike, gains of both at once scatter widely; by its own side alone a wheel is told.
     alone = np.array([_size_of_one(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
     reversed_ = strong & (alone < 0)
@@ -86,12 +86,12 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     # A command in another unit, too, makes sides look uneven: not in the gains of both at once, or else of all wheels.
     lengths, (low, high) = np.abs(alone), settings.gain_of_v
     apart = lengths.min() * settings.uneven_wheels < lengths.max()
-    if told:
+    if distinct:
         apart &= np.abs(own).min() * settings.uneven_wheels < np.abs(own).max()
     else:
         apart &= ((low < lengths) & (lengths < high)).any()
     if strong.all() and apart:
-        odd = int(np.argmax(np.abs(np.log(lengths / np.median(lengths))))) if len(lengths) > 2 else _odd_side(found)
+        odd = int(np.argmax(np.abs(np.log(lengths / np.median(lengths))))) if len(lengths) > 2 else _odd_side(response)
         rest = float(np.median(np.delete(lengths, odd)))
         words = (
             f"the wheel '{names[odd]}' reads {lengths[odd] / rest:.3g} times as fast as the "
@@ -105,8 +105,8 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
 
 def _size_of_one(streams: Streams, side: FloatArray, wheel: int, settings: CheckSettings) -> float:
     assert streams.wheels is not None
-    found = answer(streams, side, streams.wheels[:, wheel], settings)
-    return np.nan if found is None else found.size
+    response = answer(streams, side, streams.wheels[:, wheel], settings)
+    return np.nan if response is None else response.size
 
 
 def _one_motion(sides: FloatArray, settings: CheckSettings) -> bool:
@@ -114,9 +114,9 @@ def _one_motion(sides: FloatArray, settings: CheckSettings) -> bool:
     return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinear)
 
 
-def _odd_side(found: Answer) -> int:
+def _odd_side(response: Answer) -> int:
     """Of two, the side whose gain is further from one."""
-    return int(np.argmax(np.abs(np.log(np.abs(np.diag(found.gain))))))
+    return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 
 
 def _commanded_sides(streams: Streams) -> FloatArray | None:
@@ -145,8 +145,8 @@ def _sides_of_twist(log: str, streams: Streams, settings: CheckSettings) -> Find
     twist, command = streams.twist[present], streams.command[present]
     if len(twist) < 2 or np.ptp(command, axis=0).min() == 0 or np.ptp(twist, axis=0).min() == 0:
         return None
-    together, asked = (float(np.corrcoef(*part.T)[0, 1]) for part in (twist, command))
-    if abs(together) < settings.collinear or abs(asked) > settings.clear_correlation:
+    together, commanded = (float(np.corrcoef(*part.T)[0, 1]) for part in (twist, command))
+    if abs(together) < settings.collinear or abs(commanded) > settings.clear_correlation:
         return None
     side = "left" if together > 0 else "right"
     streams.twist = None

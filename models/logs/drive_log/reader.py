@@ -57,7 +57,7 @@ class DriveLog:
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
         """Every column by name, (n,) each: numbers, NaN where there are none, and words; those of a run and more."""
-        kinds = {name: said["type"] for name, said in tick_schema()["properties"].items()}
+        kinds = {name: entry["type"] for name, entry in tick_schema()["properties"].items()}
         columns: dict[str, NDArray[Any]] = {}
         for name, kind in kinds.items():
             if kind == "number":
@@ -114,21 +114,21 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     models.checked_yaml.ConfigError
         If it cannot be read, or holds no tick.
     """
-    path, found = Path(path), _Found()
+    path, content = Path(path), _Found()
     try:
         for record in _records(path):
-            _take(record, found, plans=plans)
+            _take(record, content, plans=plans)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     except _broken() as error:
-        found.cut = True
-        if not found.rows:
+        content.cut = True
+        if not content.rows:
             raise ConfigError(f"{path}: is no MCAP file of a drive ({_words(error)})") from error
-    if not found.rows:
+    if not content.rows:
         raise ConfigError(f"{path}: no tick in it: there is no message on {topic.STATE}")
-    rows = tuple(row for _, row in found.rows)
-    kept = tuple(found.plans.get(now) for now, _ in found.rows) if plans else ()
-    return DriveLog(path, found.metadata, rows, kept, found.cut)
+    rows = tuple(row for _, row in content.rows)
+    kept = tuple(content.plans.get(now) for now, _ in content.rows) if plans else ()
+    return DriveLog(path, content.metadata, rows, kept, content.cut)
 
 
 def messages(path: Path) -> Iterator[tuple[str, Channel, Message]]:
@@ -139,16 +139,16 @@ def messages(path: Path) -> Iterator[tuple[str, Channel, Message]]:
         return
 
 
-def _take(record: Metadata | tuple[str, Channel, Message], found: _Found, *, plans: bool) -> None:
+def _take(record: Metadata | tuple[str, Channel, Message], content: _Found, *, plans: bool) -> None:
     if not isinstance(record, tuple):
-        found.metadata[record.name] = dict(record.metadata)
+        content.metadata[record.name] = dict(record.metadata)
         return
     _, channel, message = record
     if channel.topic == topic.STATE:
-        found.rows.append((message.log_time, json.loads(message.data)))
+        content.rows.append((message.log_time, json.loads(message.data)))
     elif plans and channel.topic == topic.PLAN:
         path = ros.decoded(topic.KINDS[topic.PLAN], message.data)
-        found.plans[message.log_time] = np.array([ros.planar(place.pose) for place in path.poses])
+        content.plans[message.log_time] = np.array([ros.planar(place.pose) for place in path.poses])
 
 
 def _records(path: Path) -> Iterator[Metadata | tuple[str, Channel, Message]]:
@@ -243,14 +243,14 @@ def _columns(log: DriveLog, there: set[str]) -> Columns:
     encoders = columns.encoders
     if "wheel_fl_rad_s" not in there:
         encoders = encoders.model_copy(update=dict.fromkeys(FOUR_WHEELS))
-    found = {
+    by_name = {
         "encoders": encoders if "v_wheel_m_s" in there else None,
         "gyro": columns.gyro if "omega_gyro_rad_s" in there else None,
         "pose": columns.pose if "pose_x_m" in there and log.pose_sensor else None,
     }
-    if not any(found.values()):
+    if not any(by_name.values()):
         raise ConfigError(f"{log.path}: no sensor has a reading in it")
-    return columns.model_copy(update=found).found_in(there)
+    return columns.model_copy(update=by_name).found_in(there)
 
 
 def _cut(log: DriveLog) -> tuple[Finding, ...]:

@@ -227,8 +227,8 @@ def _with_covariance(at: ArrayLike, covariance: ArrayLike | None) -> Message:
 
 
 def _list(values: ArrayLike) -> list[float]:
-    found: list[float] = np.asarray(values, dtype=float).tolist()
-    return found
+    numbers: list[float] = np.asarray(values, dtype=float).tolist()
+    return numbers
 
 
 def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> FloatArray:

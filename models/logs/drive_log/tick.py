@@ -69,13 +69,13 @@ TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
 @cache
 def tick_schema() -> dict[str, Any]:
     """The JSON schema of a row."""
-    found = json.loads(files(__package__).joinpath("tick.schema.json").read_text(encoding="utf-8"))
-    assert isinstance(found, dict)
+    schema = json.loads(files(__package__).joinpath("tick.schema.json").read_text(encoding="utf-8"))
+    assert isinstance(schema, dict)
     scalars = {
         name: {"type": "number", "description": f"{scalar.help} [{scalar.unit}]"}
         for name, scalar in step_scalars().items()
     }
-    return found | {"properties": found["properties"] | scalars}
+    return schema | {"properties": schema["properties"] | scalars}
 
 
 def to_json(row: TickRow) -> bytes:
@@ -159,8 +159,8 @@ def covariance_of(row: TickRow, field: str) -> FloatArray | None:
 
 def numbers(row: TickRow, names: tuple[str, ...]) -> list[float]:
     """The numbers of these names, or none if one of them is not there."""
-    found = [cell for name in names if isinstance(cell := row.get(name), float) and math.isfinite(cell)]
-    return found if len(found) == len(names) else []
+    cells = [cell for name in names if isinstance(cell := row.get(name), float) and math.isfinite(cell)]
+    return cells if len(cells) == len(names) else []
 
 
 def _reading(row: TickRow, sensor: _Sensor) -> Stamped | None:

@@ -239,13 +239,13 @@ class DriveBag:
 
     def __enter__(self) -> Self:
         """Look for the topics."""
-        seen: Counter[tuple[str, str]] = Counter()
+        names: Counter[tuple[str, str]] = Counter()
         times = set()
         for kind, channel, message in messages(self._path):
             times.add(message.log_time)
             if channel.message_encoding == "cdr":
-                seen[channel.topic, kind] += 1
-        self.connections = [Connection(*named, count) for named, count in seen.items()]
+                names[channel.topic, kind] += 1
+        self.connections = [Connection(*named, count) for named, count in names.items()]
         self.duration = max(times, default=0) - min(times, default=0)
         return self
 
