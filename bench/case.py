@@ -39,8 +39,8 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
     if not all(names):
         raise ValueError(f"{option} '{text}': give one name, or several with commas between them")
     if len(set(names)) < len(names):
-        seen: set[str] = set()
-        twice = next(name for name in names if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        taken: set[str] = set()
+        twice = next(name for name in names if name in taken or taken.add(name))  # type: ignore[func-returns-value]
         raise ValueError(f"{option} '{text}': '{twice}' is given twice")
     return names
 

@@ -31,20 +31,20 @@ UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)
 def _of_known(statistic: Callable[[FloatArray], Any]) -> Callable[[FloatArray], float]:
     """A statistic of the values that are known; NaN without any."""
 
-    def made(found: FloatArray) -> float:
-        known = found[np.isfinite(found)]
+    def made(numbers: FloatArray) -> float:
+        known = numbers[np.isfinite(numbers)]
         return float(statistic(known)) if known.size else float("nan")
 
     return made
 
 
 STATISTICS: dict[str, Callable[[FloatArray], float]] = {
-    "mean": lambda found: float(np.mean(found)),
-    "max": lambda found: float(np.max(found)),
-    "min": lambda found: float(np.min(found)),
-    "median": lambda found: float(np.median(found)),
-    "p90": lambda found: float(np.percentile(found, 90)),
-    "total": lambda found: float(np.sum(found)),
+    "mean": lambda values: float(np.mean(values)),
+    "max": lambda values: float(np.max(values)),
+    "min": lambda values: float(np.min(values)),
+    "median": lambda values: float(np.median(values)),
+    "p90": lambda values: float(np.percentile(values, 90)),
+    "total": lambda values: float(np.sum(values)),
     "mean_known": _of_known(np.mean),
     "max_known": _of_known(np.max),
 }
@@ -84,8 +84,8 @@ def cell(text: str, where: str = "column") -> Cell:
     factor, digits = UNITS[unit[0]] if unit else (1.0, 0 if statistic == "total" else 4)
     if len(places) > 1 or not all(word.isdecimal() for word in places):
         raise ConfigError(f"{where}: '{text}': after the column give a unit ({', '.join(UNITS)}) and decimal places")
-    found = figure(f"{statistic} {column}", where)
-    return lambda rows: number(factor * found(rows), int(places[0]) if places else digits)
+    value = figure(f"{statistic} {column}", where)
+    return lambda rows: number(factor * value(rows), int(places[0]) if places else digits)
 
 
 class TableSpec(StrictModel):
@@ -125,11 +125,11 @@ class TableSpec(StrictModel):
 def _among(made: Cell, part: DataFrame) -> Cell:
     """The cell of those rows of a group that are among `part`."""
 
-    def found(rows: DataFrame) -> str:
+    def of_part(rows: DataFrame) -> str:
         own = rows[rows.index.isin(part.index)]
         return made(own) if len(own) else "-"
 
-    return found
+    return of_part
 
 
 def load_tables(file: Path) -> dict[str, TableSpec]:

@@ -37,8 +37,8 @@ def draw_charts(charts: Sequence[Chart | GridMap], path: Path, width: float = _W
             axes.set_title(chart.title)
         handles: dict[str, Any] = {}
         for axes in panels:
-            found, labels = axes.get_legend_handles_labels()
-            handles |= dict(zip(labels, found, strict=True))
+            drawn_handles, labels = axes.get_legend_handles_labels()
+            handles |= dict(zip(labels, drawn_handles, strict=True))
         if rows:
             columns = min(len(names), _NAMES_IN_A_ROW * len(charts))
             figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)

@@ -161,19 +161,19 @@ def _moves_blind(
     times: NDArray[np.float64], commands: NDArray[np.float64], pose_came: NDArray[np.bool_], limits: Limits
 ) -> NDArray[np.bool_]:
     """(n,) whether a command is larger than a ramp allows that begins when poses have been away for too long."""
-    found = np.zeros(len(times), dtype=bool)
-    seen, ramp = -np.inf, np.zeros(2)
+    blind = np.zeros(len(times), dtype=bool)
+    last_pose, ramp = -np.inf, np.zeros(2)
     # A tick may come just before the age is reached, and the ramp begins with the one after it.
     patience = limits.max_pose_age + limits.sample_time
     for k, time in enumerate(times):
         if pose_came[k]:
-            seen = time
-        if time - seen <= patience + _ROUNDING:
+            last_pose = time
+        if time - last_pose <= patience + _ROUNDING:
             ramp = np.abs(commands[k])
             continue
         ramp = np.maximum(ramp - np.array(limits.braking) * limits.sample_time, 0.0)
-        found[k] = bool((np.abs(commands[k]) > ramp + _ROUNDING).any())
-    return found
+        blind[k] = bool((np.abs(commands[k]) > ramp + _ROUNDING).any())
+    return blind
 
 
 def _flat(data: Any, prefix: str = "") -> dict[str, Any]:  # noqa: ANN401 - plain YAML

@@ -74,11 +74,11 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
 
 def build_plant(case: Case) -> Plant:
     """Make the plant of a case; raises as `build` does."""
-    told: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     if case.controller not in PEERS:
-        told = plant_settings(controller_config(case.model, case.config, settings_of(case)))
+        options = plant_settings(controller_config(case.model, case.config, settings_of(case)))
     plant = make_plant(
-        case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world, **told
+        case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world, **options
     )
     return LatePlant(plant, case.late) if case.late > 0 else plant
 
@@ -205,8 +205,8 @@ def case_config(case: Case) -> ControllerConfig:
         return controller_config(case.model, case.config, settings_of(case))
     length, width = plant_outline(case.plant)
     corners = [[x * length / 2, y * width / 2] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    said = {"free_space.enabled": True, "free_space.footprint": json.dumps(corners)} | dict(settings_of(case))
-    return controller_config(case.model, case.config, tuple(said.items()))
+    overrides = {"free_space.enabled": True, "free_space.footprint": json.dumps(corners)} | dict(settings_of(case))
+    return controller_config(case.model, case.config, tuple(overrides.items()))
 
 
 @lru_cache(maxsize=256)
@@ -219,13 +219,13 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     Raises ConfigError if the model is unknown or the configuration has a mistake.
     """
     if config is not None:
-        found = load_config(config, {"model": _model_reference(model), **dict(overrides)})
+        loaded = load_config(config, {"model": _model_reference(model), **dict(overrides)})
     elif is_shipped(model):
-        found = load_config(model, dict(overrides))
+        loaded = load_config(model, dict(overrides))
     else:
         load_model(model)
-        found = load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
-    return prepared(found)
+        loaded = load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
+    return prepared(loaded)
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:

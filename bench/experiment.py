@@ -84,8 +84,8 @@ def values(rows: DataFrame, column: str) -> FloatArray:
 
 def mean(rows: DataFrame, column: str) -> float:
     """Mean of a column over runs; NaN without runs, and where one of them could not compute it."""
-    found = values(rows, column)
-    return float(np.mean(found)) if found.size else math.nan
+    column_values = values(rows, column)
+    return float(np.mean(column_values)) if column_values.size else math.nan
 
 
 def total(rows: DataFrame, column: str) -> int:

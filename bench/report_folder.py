@@ -44,9 +44,9 @@ class Contents:
     def of(cls, folder: Path) -> Contents:
         """Of what is in a folder; of nothing where it does not say, or says what cannot be read."""
         try:
-            said: Any = json.loads(read_input(folder / CONTENTS, _LARGEST))
-            owners = {str(name): str(one["by"]) for name, one in said.items()}
-            states = {str(name): (int(one["bytes"]), int(one["changed_ns"])) for name, one in said.items()}
+            stated: Any = json.loads(read_input(folder / CONTENTS, _LARGEST))
+            owners = {str(name): str(one["by"]) for name, one in stated.items()}
+            states = {str(name): (int(one["bytes"]), int(one["changed_ns"])) for name, one in stated.items()}
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return cls()
         whole = folder.resolve()
@@ -70,15 +70,15 @@ class Contents:
     def text(self, folder: Path, owner: str, new: set[str]) -> str:
         """What the folder is to say once the command has written `new`."""
         kept = {name: by for name, by in self.owners.items() if by != owner and name not in new}
-        said = {name: (by, self.states[name]) for name, by in kept.items()}
-        said |= {name: (owner, _state(folder / name)) for name in new}
-        rows = {name: {"by": by, "bytes": size, "changed_ns": time} for name, (by, (size, time)) in said.items()}
+        entries = {name: (by, self.states[name]) for name, by in kept.items()}
+        entries |= {name: (owner, _state(folder / name)) for name in new}
+        rows = {name: {"by": by, "bytes": size, "changed_ns": time} for name, (by, (size, time)) in entries.items()}
         return json.dumps(dict(sorted(rows.items())), indent=0) + "\n"
 
 
 def _state(path: Path) -> tuple[int, int]:
-    found = path.stat()
-    return found.st_size, found.st_mtime_ns
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
 
 
 @contextmanager

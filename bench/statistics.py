@@ -63,7 +63,7 @@ class Estimate:
         if sample.size < 2 or np.ptp(sample) == 0.0:
             same = value if sample.size > 1 else np.nan
             return cls(value, same, same)
-        found = bootstrap(
+        interval = bootstrap(
             (sample,),
             figure,
             n_resamples=_RESAMPLES,
@@ -72,7 +72,7 @@ class Estimate:
             method="percentile",
             random_state=np.random.default_rng(_SEED),
         ).confidence_interval
-        return cls(value, float(found.low), float(found.high))
+        return cls(value, float(interval.low), float(interval.high))
 
     @classmethod
     def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> Estimate:

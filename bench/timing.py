@@ -95,12 +95,12 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
     with quiet_core() as core:
         began, own, counted = time.perf_counter(), time.process_time(), CoreCounters.read(core)
         replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
-        found, best = take_turns(replays, core=core, on_replay=on_done)
+        durations, best = take_turns(replays, core=core, on_replay=on_done)
         busy = CoreCounters.read(core).since(counted).busy - (time.process_time() - own)
         others = max(0.0, busy) / (time.perf_counter() - began)
     times = {
         outcome.case: one
-        for place, several in zip(groups, found, strict=True)
+        for place, several in zip(groups, durations, strict=True)
         for outcome, one in zip(place, several, strict=True)
     }
     # What is left out of one controller's times is left out of all.

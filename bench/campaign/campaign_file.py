@@ -70,15 +70,15 @@ class Campaign(StrictModel):
         conditions = load_conditions(None if self.conditions is None else Path(self.conditions))
         sampled = [name for name, draw in self.varying.items() if draw.sampled]
         points = spread_points(self.sampler, count, len(sampled), self.draw_seed)
-        found = []
+        definitions = []
         for index, row in enumerate(points):
             at = dict(zip(sampled, row.tolist(), strict=True))
             values = {
                 name: draw.value(at.get(name, math.nan), index) if isinstance(draw, Draw) else draw
                 for name, draw in self.draws.items()
             }
-            found.append(Definition.of(_with_condition(values, conditions), f"run {index}"))
-        return found
+            definitions.append(Definition.of(_with_condition(values, conditions), f"run {index}"))
+        return definitions
 
 
 def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> FloatArray:

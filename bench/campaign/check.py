@@ -36,6 +36,6 @@ def _telling(definitions: Sequence[Definition]) -> dict[int, str]:
                 largest[name] = max(largest.get(name, (value, index)), (value, index))
             elif name != "seed":
                 named.setdefault((name, value), index)
-    found = {index: f"{name} = {value}" for (name, value), index in named.items()}
+    named_values = {index: f"{name} = {value}" for (name, value), index in named.items()}
     ends = [(name, end) for ends in (least, largest) for name, end in ends.items()]
-    return found | {index: f"{name} = {value:g}" for name, (value, index) in ends}
+    return named_values | {index: f"{name} = {value:g}" for name, (value, index) in ends}

@@ -31,8 +31,8 @@ def product_hash() -> str:
     rooms = [_folder(room) for room in (models, mpc, sim, peers)]
     single = [Path(str(one.__file__)) for one in (case, controllers, command_check, run_row)]
     single += [command_check.STATED, *(Path(__file__).with_name(name) for name in _HERE)]
-    found = [(path.relative_to(room.parent), path) for room in rooms for path in room.rglob("*")]
-    named = {str(name): path for name, path in found if path.suffix in _KINDS and path.is_file()}
+    sources = [(path.relative_to(room.parent), path) for room in rooms for path in room.rglob("*")]
+    named = {str(name): path for name, path in sources if path.suffix in _KINDS and path.is_file()}
     named |= {path.name: path for path in single}
     total = hashlib.sha256()
     for name in sorted(named):
@@ -74,11 +74,11 @@ def _by_content(name: str, value: object) -> object:
     return f"{kind}{colon}files {' '.join(sorted(contents))}{plus}{more}"
 
 
-def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
+def _with_named(path: Path, visited: set[Path]) -> Iterator[Path]:
     """A file, the weights beside it, and the files that its text names."""
-    if path in seen:
+    if path in visited:
         return
-    seen.add(path)
+    visited.add(path)
     yield path
     weights = path.with_suffix(".npz")
     if weights != path and weights.is_file():
@@ -86,7 +86,7 @@ def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
     if path.suffix in (".yaml", ".yml"):
         for text in _texts(read_yaml(path)):
             if _is_file(path.parent / text):
-                yield from _with_named((path.parent / text).resolve(), seen)
+                yield from _with_named((path.parent / text).resolve(), visited)
 
 
 def _texts(data: object) -> Iterator[str]:

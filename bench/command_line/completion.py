@@ -29,10 +29,14 @@ def choices(what: str, *, several: bool = False) -> Completer:
         before, comma, last = incomplete.rpartition(",") if several else ("", "", incomplete)
         taken = set(before.split(","))
         try:
-            offered = [(word, said) for word, said in _OFFERS[what]() if word.startswith(last) and word not in taken]
+            offered = [
+                (word, description)
+                for word, description in _OFFERS[what]()
+                if word.startswith(last) and word not in taken
+            ]
         except OSError:  # in a clone without schemas
             return []
-        return [(f"{before}{comma}{word}", said) for word, said in offered]
+        return [(f"{before}{comma}{word}", description) for word, description in offered]
 
     return complete
 
@@ -45,16 +49,16 @@ def offers(what: str) -> bool:
 def _shipped(kind: str) -> Callable[[], Offered]:
     def offered() -> Offered:
         for path in _kinds_of_files()[kind].files:
-            said = _DESCRIPTION.search(path.read_text(encoding="utf-8"))
-            yield path.stem, said[1] if said else ""
+            match = _DESCRIPTION.search(path.read_text(encoding="utf-8"))
+            yield path.stem, match[1] if match else ""
 
     return offered
 
 
 def _plants() -> Offered:
     yield "mujoco", "the physics"
-    for name, said in _shipped("robot")():
-        yield f"mujoco:{name}", said
+    for name, description in _shipped("robot")():
+        yield f"mujoco:{name}", description
     for name, _ in _shipped("model")():
         yield f"model:{name}", "a velocity model"
 
@@ -91,8 +95,8 @@ def _written(value: object) -> str:
 
 
 def _schema(kind: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(_kinds_of_files()[kind].text())
-    return found
+    schema: dict[str, Any] = json.loads(_kinds_of_files()[kind].text())
+    return schema
 
 
 def _kinds() -> Offered:

@@ -98,14 +98,14 @@ def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[
 def named_inputs(arguments: Sequence[str]) -> list[str]:
     """What in a command may name a file to be read: every word, and part of one, but what follows an output option."""
     outputs = {option for option, commands in OUTPUTS.items() if not commands or commands & set(arguments[:1])}
-    found: list[str] = []
+    parts: list[str] = []
     for before, word in zip(("", *arguments), arguments, strict=False):
         option, equals, value = word.partition("=")
         if before in outputs or (equals and option in outputs):
             continue
-        found += [word, value] if equals else [word]
-        found += re.split("[,:]", value or word)
-    return [one for one in found if one]
+        parts += [word, value] if equals else [word]
+        parts += re.split("[,:]", value or word)
+    return [one for one in parts if one]
 
 
 def command_line() -> str:

@@ -57,9 +57,9 @@ def order(rows: DataFrame) -> list[Place]:
     """Controllers by mean position RMSE, the best first; those with a run that has none are left out."""
     compared = by(rows, COMPARED)
     errors = {name: _errors(runs) for name, runs in compared.items()}
-    found = sorted((name for name in errors if np.isfinite(list(errors[name].values())).all()), key=_mean_of(errors))
+    ranked = sorted((name for name in errors if np.isfinite(list(errors[name].values())).all()), key=_mean_of(errors))
     places = []
-    for before, name in itertools.pairwise(["", *found]):
+    for before, name in itertools.pairwise(["", *ranked]):
         behind = interval(_differences(errors[before], errors[name])) if before else np.full(2, np.nan)
         means = [mean(runs, "position_rmse_m") for runs in by(compared[name], "seed").values()]
         places.append(Place(name, _mean_of(errors)(name), float(np.std(means)), behind))

@@ -215,14 +215,14 @@ def _scale(series: Sequence[Series]) -> Division:
 
 def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
     """Those of every run; where many runs have the same, the first and how many others."""
-    found: dict[tuple[str, str], list[Warned]] = {}
+    warned: dict[tuple[str, str], list[Warned]] = {}
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
             place = f"{name}, {case.labels['trajectory']}, seed {case.labels['seed']}"
             for one in run_warnings(run, case_config(case), place):
-                found.setdefault((name, one.remedy), []).append(one)
+                warned.setdefault((name, one.remedy), []).append(one)
     made = []
-    for alike in found.values():
+    for alike in warned.values():
         more = f" The same kind in {len(alike) - 1} more of its runs." if len(alike) > 1 else ""
         made.append(Warned(alike[0].what + more, alike[0].remedy))
     if len(made) > _WARNINGS_SHOWN:

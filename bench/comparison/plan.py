@@ -222,8 +222,8 @@ def _late(case: Case, ticks: int) -> Case:
         return replace(case, late=ticks)
     known = controller_config(case.model, case.config, case.overrides)
     for channel in ("v", "omega"):
-        told = getattr(known.extra_dead_time, channel) - ticks * known.sample_time
-        case = case.with_override(f"extra_dead_time.{channel}", round(told, 6))
+        stated = getattr(known.extra_dead_time, channel) - ticks * known.sample_time
+        case = case.with_override(f"extra_dead_time.{channel}", round(stated, 6))
     return replace(case, late=ticks)
 
 
@@ -241,9 +241,9 @@ def _check_labels(settings: ComparisonSettings) -> None:
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)
     dimensions["models"] = (*peers, *dimensions["models"]) if settings.ours else peers
     for dimension, names in dimensions.items():
-        seen: dict[str, str] = {}
+        labels: dict[str, str] = {}
         for name in names:
-            other = seen.setdefault(label(name).casefold(), name)
+            other = labels.setdefault(label(name).casefold(), name)
             if other != name:
                 raise ConfigError(
                     f"{dimension}: '{other}' and '{name}' would both be '{label(name)}' in tables and figures; "

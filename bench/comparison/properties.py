@@ -73,8 +73,8 @@ class Property:
 def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambda: None) -> list[Property]:
     """Of every pair of model and plant among `cases`, once."""
     wanted = dict.fromkeys(_property_case(case) for case in cases if case.controller not in PEERS)
-    found = run_tasks([partial(Property.of, case) for case in wanted], jobs, on_done)
-    return [one for one in found if one is not None]
+    measured = run_tasks([partial(Property.of, case) for case in wanted], jobs, on_done)
+    return [one for one in measured if one is not None]
 
 
 def _property_case(case: Case) -> Case:
@@ -134,5 +134,9 @@ def predicts(rows: Sequence[dict[str, object]]) -> str:
 
     error = [row["position_rmse_m"] for row in rows]
     names = {"fit_v_percent": "FIT of v", "fit_omega_percent": "FIT of omega", "drift_m": "drift"}
-    found = [f"{shown} {spearmanr([row[name] for row in rows], error).statistic:+.2f}" for name, shown in names.items()]
-    return f"Rank correlation with the position RMSE over {len(rows)} pairs of model and plant: {', '.join(found)}."
+    correlations = [
+        f"{shown} {spearmanr([row[name] for row in rows], error).statistic:+.2f}" for name, shown in names.items()
+    ]
+    return (
+        f"Rank correlation with the position RMSE over {len(rows)} pairs of model and plant: {', '.join(correlations)}."
+    )

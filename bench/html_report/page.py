@@ -184,8 +184,8 @@ class Configuration:
     @classmethod
     def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[Configuration]:
         """Those files of a folder, by name with their titles, that are there."""
-        found = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
-        return [cls(title, path.read_text(encoding="utf-8")) for title, path in found.items() if path.is_file()]
+        paths = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
+        return [cls(title, path.read_text(encoding="utf-8")) for title, path in paths.items() if path.is_file()]
 
 
 @dataclass(frozen=True)

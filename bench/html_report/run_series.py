@@ -99,14 +99,14 @@ def column(values: FloatArray, step: float) -> dict[str, object]:
 
 def spans(run: Run, words: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
     """By word, from when to when it stood [s]."""
-    found: dict[str, list[tuple[float, float]]] = {}
+    stretches: dict[str, list[tuple[float, float]]] = {}
     first = 0
     for word, ticks in groupby(words):
         last = first + len(list(ticks))
         end = run.time[min(last, len(run.time) - 1)]
-        found.setdefault(word, []).append((round(float(run.time[first]), 3), round(float(end), 3)))
+        stretches.setdefault(word, []).append((round(float(run.time[first]), 3), round(float(end), 3)))
         first = last
-    return found
+    return stretches
 
 
 def _columns(run: Run, kept: NDArray[np.intp]) -> dict[str, object]:

@@ -55,7 +55,7 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
         What each warning begins with where there are several runs.
     """
     of = remedies()
-    found = [
+    warned = [
         (_not_completed(run), of.not_completed),
         (_modes(run, ("BRAKING", "STOPPED")), of.waited),
         (_modes(run, ("REUSED_PLAN",)), of.fallback),
@@ -66,7 +66,7 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
         (_said(run), of.messages),
     ]
     before = f"{name}: " if name else ""
-    return [Warned(before + what, remedy) for what, remedy in found if what]
+    return [Warned(before + what, remedy) for what, remedy in warned if what]
 
 
 def _not_completed(run: Run) -> str:
@@ -77,12 +77,14 @@ def _not_completed(run: Run) -> str:
 
 def _modes(run: Run, asked: Sequence[str]) -> str:
     """At how many counted ticks it was in which of the modes that are asked for, and since when."""
-    seen = [(mode, t) for mode, t, one in zip(run.modes, run.time, run.counted, strict=True) if one and mode in asked]
-    if not seen:
+    entered = [
+        (mode, t) for mode, t, one in zip(run.modes, run.time, run.counted, strict=True) if one and mode in asked
+    ]
+    if not entered:
         return ""
-    counts = Counter(mode for mode, _ in seen)
-    told = ", ".join(f"{mode} at {_ticks(count)}" for mode, count in counts.items())
-    return f"The controller did without a fresh plan: {told}, first at {seen[0][1]:.2f} s."
+    counts = Counter(mode for mode, _ in entered)
+    counted_modes = ", ".join(f"{mode} at {_ticks(count)}" for mode, count in counts.items())
+    return f"The controller did without a fresh plan: {counted_modes}, first at {entered[0][1]:.2f} s."
 
 
 def _late(run: Run) -> str:
@@ -116,13 +118,15 @@ def _at_limit(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
     command, asked = np.abs(run.command[run.counted]), np.abs(run.reference_twist[run.counted])
     # A path that asks for the limit itself is driven at the limit.
     shares = 100.0 * np.mean((command >= limits - _SAME) & (asked < limits - _SAME), axis=0)
-    told = [
+    sentences = [
         f"{name} at {share:.0f} %"
         for name, share in zip(("v", "omega"), shares, strict=True)
         if share > of.share_at_limit
     ]
     return (
-        f"Commands are at their limit though the path asks for less: {' and '.join(told)} of the ticks." if told else ""
+        f"Commands are at their limit though the path asks for less: {' and '.join(sentences)} of the ticks."
+        if sentences
+        else ""
     )
 
 
@@ -132,11 +136,11 @@ def _on_backend(run: Run, of: Remedies) -> str:
 
 
 def _said(run: Run) -> str:
-    said = [message for message in dict.fromkeys(run.messages) if message]
-    if not said:
+    messages = [message for message in dict.fromkeys(run.messages) if message]
+    if not messages:
         return ""
-    more = f" And {len(said) - _SHOWN} more." if len(said) > _SHOWN else ""
-    return "The controller said: " + " ".join(f"“{one}”" for one in said[:_SHOWN]) + more
+    more = f" And {len(messages) - _SHOWN} more." if len(messages) > _SHOWN else ""
+    return "The controller said: " + " ".join(f"“{one}”" for one in messages[:_SHOWN]) + more
 
 
 def _ticks(count: int) -> str:

@@ -180,13 +180,13 @@ class RegulatedPurePursuit:
 
 def path_of(reference: Reference, spacing: float) -> FloatArray:
     """(n, 3) poses along `reference`, `spacing` [m] apart; the last is its end."""
-    found = reference.sample(np.arange(0.0, reference.duration, _FINEST).tolist() + [reference.duration])
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.pose[:, :2], axis=0).T))])
+    sampled = reference.sample(np.arange(0.0, reference.duration, _FINEST).tolist() + [reference.duration])
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(sampled.pose[:, :2], axis=0).T))])
     wanted = np.append(np.arange(0.0, travelled[-1], spacing), travelled[-1])
     keep = np.concatenate([[True], np.diff(travelled) > 0.0])
-    path = np.column_stack([np.interp(wanted, travelled[keep], found.pose[keep, i]) for i in range(3)])
+    path = np.column_stack([np.interp(wanted, travelled[keep], sampled.pose[keep, i]) for i in range(3)])
     # Where it turns on the spot at last, the goal is how it stands then.
-    path[-1, 2] = found.pose[-1, 2]
+    path[-1, 2] = sampled.pose[-1, 2]
     return path
 
 

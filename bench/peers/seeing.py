@@ -85,11 +85,11 @@ class DistanceField:
         (2,) the robot [m]: shapes are drawn into a square around it.
     """
 
-    def __init__(self, seen: Seen, here: FloatArray) -> None:
-        discs = np.array([[disc.x, disc.y, disc.radius] for disc in seen.discs]).reshape(-1, 3)
-        if seen.grid is not None:
-            self._resolution, self._origin = seen.grid.resolution, np.array(seen.grid.origin[:2])
-            occupied = seen.grid.cells >= OCCUPIED // 2
+    def __init__(self, obstacles: Seen, here: FloatArray) -> None:
+        discs = np.array([[disc.x, disc.y, disc.radius] for disc in obstacles.discs]).reshape(-1, 3)
+        if obstacles.grid is not None:
+            self._resolution, self._origin = obstacles.grid.resolution, np.array(obstacles.grid.origin[:2])
+            occupied = obstacles.grid.cells >= OCCUPIED // 2
             # To the near side of a cell, not to its middle.
             field = distance_transform_edt(~occupied) * self._resolution - 0.5 * self._resolution
             self._field = np.where(occupied, 0.0, field) if occupied.any() else np.full(occupied.shape, _FAR)
@@ -97,8 +97,8 @@ class DistanceField:
             count = round(2 * _HALF_SIDE / _FINE)
             self._resolution, self._origin = _FINE, here - _HALF_SIDE
             self._field = np.full((count, count), _FAR)
-        shapes = Shapes(seen.polygons, discs)
-        if len(discs) or seen.polygons:
+        shapes = Shapes(obstacles.polygons, discs)
+        if len(discs) or obstacles.polygons:
             rows, columns = self._field.shape
             x = self._origin[0] + self._resolution * (np.arange(columns) + 0.5)
             y = self._origin[1] + self._resolution * (np.arange(rows) + 0.5)
@@ -111,8 +111,8 @@ class DistanceField:
         """Distance [m] at points in the frame of the poses, of their shape; far away outside of the field."""
         column = np.clip(((x - self._origin[0]) / self._resolution + 1).astype(np.int32), 0, self._most[0])
         row = np.clip(((y - self._origin[1]) / self._resolution + 1).astype(np.int32), 0, self._most[1])
-        found: Floats32 = self._field[row, column]
-        return found
+        distances: Floats32 = self._field[row, column]
+        return distances
 
 
 class SeeingPeer(TrackingPeer):
@@ -130,9 +130,9 @@ class SeeingPeer(TrackingPeer):
         self._progress, self._last_time = 0.0, t0
         self._look, self._around = None, None
 
-    def set_obstacles(self, seen: Seen, /) -> None:
+    def set_obstacles(self, obstacles: Seen, /) -> None:
         """Take in what arrived of a look."""
-        self._look = seen
+        self._look = obstacles
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
         passed, self._last_time = t - self._last_time, t

@@ -242,8 +242,8 @@ def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own 
 
 def load_gains(name: str, path: Path = GAINS) -> Gains:
     """Gains of one peer from a file of gains by peer, by default the shipped one; raises ConfigError on a mistake."""
-    found: Gains = check(law_kind(name).gains, _read(path)[name], f"{path.name}: {name}")
-    return found
+    gains: Gains = check(law_kind(name).gains, _read(path)[name], f"{path.name}: {name}")
+    return gains
 
 
 @cache
