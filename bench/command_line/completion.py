@@ -83,8 +83,9 @@ def _settings() -> Offered:
 
 def _keys(group: Mapping[str, Any], defs: Mapping[str, Any], prefix: str) -> Offered:
     for name, field in group["properties"].items():
-        if "$ref" in field:
-            yield from _keys(defs[field["$ref"].rpartition("/")[2]], defs, f"{prefix}{name}.")
+        below = defs[field["$ref"].rpartition("/")[2]] if "$ref" in field else field
+        if "properties" in below:
+            yield from _keys(below, defs, f"{prefix}{name}.")
         elif field.get("type") != "array":
             for value in field.get("enum", [field.get("default")]):
                 yield f"{prefix}{name}={_written(value)}", field.get("description", "")

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import SmFile
+from diffdrive_mpc.mpc.config.rooms import side_by_side
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
 WHEELS = {"track": 0.5, "top_speed": 0.4}
@@ -75,7 +76,7 @@ def test_motors_that_saturate_bind_before_what_the_log_asked():
 def test_the_file_says_what_the_mapping_says(slew, geometry):
     found = configure("robot", identified(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry)
     text = found.text()
-    assert yaml.safe_load(text) == found.mapping()
+    assert side_by_side(yaml.safe_load(text)) == found.mapping()
     assert found.mapping()["sample_time"] == 0.05
     assert ("not in a log" in text) == (slew is None)
     assert ("Not in the log" in text) == (geometry is None)

@@ -96,7 +96,11 @@ def test_an_unknown_part_is_refused():
         ("variant: [as shipped, no", "variant: [long sight, no", "there is no 'long sight'; known: as shipped"),
         ("parts:", "part:", "key 'parts' is missing"),
         ("model: [ssm]", "model: []", "vary.model: Tuple should have at least 1 item"),
-        ("compensation.side_slip: false", "compensation.side_slop: false", "unknown key 'expert.compensation.side_slop'"),
+        (
+            "compensation.side_slip: false",
+            "compensation.side_slop: false",
+            "unknown key 'expert.compensation.side_slop'",
+        ),
         ("sensors: [slam]", "sensors: [slum]", "unknown sensor set 'slum'"),
         ("trajectory: [cane]", "trajectory: [can]", "can"),
         ('"model:sm"', '"model:foo"', "unknown model 'foo'"),
