@@ -43,14 +43,9 @@ def print_schema(part: str | None = None) -> None:
 
     Raises ConfigError if there is no such part.
     """
-    plain = "" if part is None else plain_key(part)
-    shown = [
-        row
-        for row in schema_rows()
-        if part is None or plain_key(row.key) == plain or plain_key(row.key).startswith((f"{plain}.", f"{plain}[]."))
-    ]
+    shown = [row for row in schema_rows() if part is None or _is_part(row.key, part)]
     if part is not None and not shown:
-        *groups, key = plain.split(".")
+        *groups, key = plain_key(part).split(".")
         unknown: dict[str, Any] = {key: None}
         for group in reversed(groups):
             unknown = {group: unknown}
@@ -59,3 +54,9 @@ def print_schema(part: str | None = None) -> None:
     rows = tuple((row.key, row.default, row.unit, row.range, row.help) for row in shown)
     table = Table("Controller configuration", ("key", "default", "unit", "range", "meaning"), rows, text_columns=5)
     output_console(width_elsewhere=240).print(table.rich())
+
+
+def _is_part(key: str, part: str) -> bool:
+    """Whether a key is `part` or stands in it, named with its room or without; `expert` is all of the second room."""
+    plain, whole = plain_key(key), plain_key(part)
+    return key.startswith(f"{part}.") or plain == whole or plain.startswith((f"{whole}.", f"{whole}[]."))

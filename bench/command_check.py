@@ -80,14 +80,10 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
 
     Raises KeyError or TypeError where a number is missing, OSError where a file is.
     """
-    values = _flat(yaml.safe_load(STATED.read_text(encoding="utf-8")))
+    values = _plain(_flat(yaml.safe_load(STATED.read_text(encoding="utf-8"))))
     if config is not None:
-        values |= _flat(yaml.safe_load(Path(config).read_text(encoding="utf-8")))
-    values |= dict(overrides)
-    # Files have a second room, and once had another name for a radius.
-    values = {key.removeprefix("expert."): value for key, value in values.items()}
-    least = "limits.least_commanded_radius"
-    values = {"limits.min_commanded_radius" if key == least else key: value for key, value in values.items()}
+        values |= _plain(_flat(yaml.safe_load(Path(config).read_text(encoding="utf-8"))))
+    values |= _plain(overrides)
 
     def pair(ending: str) -> tuple[float, float]:
         return float(values[f"limits.v{ending}"]), float(values[f"limits.omega{ending}"])
@@ -174,6 +170,13 @@ def _moves_blind(
         ramp = np.maximum(ramp - np.array(limits.braking) * limits.sample_time, 0.0)
         blind[k] = bool((np.abs(commands[k]) > ramp + _ROUNDING).any())
     return blind
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys as they are side by side: files have a second room, and once had another name for a radius."""
+    plain = {key.removeprefix("expert."): value for key, value in values.items()}
+    former = "limits.least_commanded_radius"
+    return {"limits.min_commanded_radius" if key == former else key: value for key, value in plain.items()}
 
 
 def _flat(data: Any, prefix: str = "") -> dict[str, Any]:  # noqa: ANN401 - plain YAML

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -13,7 +14,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
 # What can go wrong in a study that is no mistake of the user's; each is one line.
 
@@ -100,6 +101,8 @@ def _end_processes(*, at_once: bool) -> None:
 
 def _call(task: Callable[[], T]) -> T:
     _end_with_parent()
+    # The process that began this one has read the same file, and told of it.
+    warnings.simplefilter("ignore", FormerNameWarning)
     return task()
 
 

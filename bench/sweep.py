@@ -42,7 +42,7 @@ def parse_setting(text: str) -> tuple[str, list[object]]:
         raise ConfigError(f"--set {text}: '{listed}' cannot be read as values separated by commas") from error
     if not values or any(isinstance(value, (list, dict)) for value in values):
         raise ConfigError(f"--set {text}: each value must be a number, a word, true or false; groups have dotted keys")
-    if key.strip() == "model":
+    if _plain(key.strip()) == "model":
         raise ConfigError(f"--set {text}: models are chosen with --model (simulate) or --models (bench)")
     return key.strip(), [_number(value) for value in values]
 
@@ -62,13 +62,20 @@ def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
     """
     parsed = [parse_setting(text) for text in texts]
     keys = [key for key, _ in parsed]
+    plain_keys = [_plain(key) for key in keys]
     for key, values in parsed:
-        if keys.count(key) > 1:
+        if plain_keys.count(_plain(key)) > 1:
             raise ConfigError(f"--set {key}: given twice; list its values in one: {key}=V1,V2")
         if len(set(values)) < len(values):
             raise ConfigError(f"--set {key}: a value is listed twice")
     check_count(math.prod(len(values) for _, values in parsed))
     return [tuple(zip(keys, combination, strict=True)) for combination in itertools.product(*(v for _, v in parsed))]
+
+
+def _plain(key: str) -> str:
+    from diffdrive_mpc.mpc.config.rooms import plain_key  # noqa: PLC0415 - who sets nothing needs no configuration
+
+    return plain_key(key)
 
 
 def _number(value: object) -> object:

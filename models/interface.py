@@ -147,6 +147,11 @@ class ControlStep(Protocol):
         ...
 
 
+def solver_method(report: Any) -> str:  # noqa: ANN401 - every solver has its own report
+    """How a step was solved, in a word; a controller of one's own may have it under the former name `path`."""
+    return str(report.method if hasattr(report, "method") else report.path)
+
+
 class MotionEstimate(Protocol):
     """What a controller believes of the robot's motion at a tick, with standard deviations."""
 

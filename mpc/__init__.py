@@ -5,6 +5,7 @@ Everything is imported on first use: what shares this room with the controller d
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
     """Import a public name when it is first asked for."""
+    if name == "SolverPath":
+        warnings.warn("SolverPath is SolverMethod now", DeprecationWarning, stacklevel=2)
+        name = "SolverMethod"
     if name not in _HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module(f"diffdrive_mpc.{_HOMES[name]}"), name)

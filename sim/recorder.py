@@ -7,7 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Reference
+from diffdrive_mpc.models.interface import (
+    ControlStep,
+    FloatArray,
+    Measurement,
+    MotionEstimate,
+    Reference,
+    solver_method,
+)
 from diffdrive_mpc.models.step_scalars import scalar_row
 from diffdrive_mpc.sim.plants.drivetrain import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
@@ -120,9 +127,7 @@ class _Said(NamedTuple):
         solver = step.solver
         if solver is None:
             return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
-        # A controller of one's own may have a report with the former name.
-        method = str(solver.method if hasattr(solver, "method") else solver.path)
-        return cls(str(step.mode), step.message, str(solver.status), method, scalar_row(step))
+        return cls(str(step.mode), step.message, str(solver.status), solver_method(solver), scalar_row(step))
 
 
 def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, commission_settings
 from diffdrive_mpc.app.excitation import Excitation, check_drive, driven, excite_model, in_room
@@ -28,6 +27,7 @@ from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.log_csv import write_log
 
@@ -94,8 +94,8 @@ def learn(folder: Path, logs: Logs, config: str) -> Gate:
     if not gate.passed:
         return gate
     told = {"model": MODEL_FILE, "extra_dead_time": {}, "horizon": found.config["horizon"]}
-    changed = replace_values(load_config(config), told).model_dump(mode="json")
-    (folder / CONFIG_FILE).write_text(yaml.safe_dump(changed, sort_keys=False), encoding="utf-8")
+    changed = replace_values(load_config(config), told)
+    (folder / CONFIG_FILE).write_text(commented_yaml(changed), encoding="utf-8")
     return gate
 
 

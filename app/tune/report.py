@@ -30,6 +30,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
+from diffdrive_mpc.mpc.config.rooms import plain_key
 
 _LISTED = 12
 
@@ -73,7 +74,7 @@ def configuration(
     other = {key: value for key, value in chosen.items() if value != usual[key]}
     tuned = _beside(load_config(config, other), path.parent)
     worth = {one.key: one for one in verdict.put_back}
-    notes = {key: _note(usual[key], worth.get(key)) for key in other}
+    notes = {plain_key(key): _note(usual[key], worth.get(key)) for key in other}
     head = [
         f"Tuned from {Path(config).name}: {verdict.sentence}.",
         f"Plan: {plan.description}; {len(searched.points)} points, seeds from {plan.tuning.first_seed} on; verdict "

@@ -43,6 +43,7 @@ from diffdrive_mpc.bench.campaign.identity import key_of
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.config.rooms import plain_key
 
 # The points that a search tried: which can be used, which none beats, and how much each parameter matters.
 
@@ -353,6 +354,6 @@ class Search:
 
 def _value(config: object, key: str) -> Any:  # noqa: ANN401 - whatever the configuration holds
     try:
-        return reduce(getattr, key.split("."), config)
+        return reduce(getattr, plain_key(key).split("."), config)
     except AttributeError as error:
         raise ConfigError(f"parameters.{key}: the configuration has no such key; see `config schema`") from error

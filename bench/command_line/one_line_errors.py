@@ -76,6 +76,7 @@ class OneLineErrors(TyperGroup):
         given = args[0] if args else kwargs.get("args")
         try:
             with typed(sys.argv[1:] if given is None else given, self.program), warnings.catch_warnings():
+                _SHOWN_NOTES.clear()
                 warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)
         except typer.Abort:
@@ -107,6 +108,9 @@ class OneLineErrors(TyperGroup):
         sys.exit(code if isinstance(code, int) else 0)
 
 
+_SHOWN_NOTES: set[str] = set()
+
+
 def _show_warning(
     message: Warning | str,
     category: type[Warning],
@@ -117,7 +121,11 @@ def _show_warning(
 ) -> None:
     """Show what a file states under a former name as a note, any other warning as Python does."""
     if category.__name__ == "FormerNameWarning":
-        typer.echo(f"note: {plain_line(str(message))}", err=True)
+        # A file that is read twice is told of once.
+        note = f"note: {plain_line(str(message))}"
+        if note not in _SHOWN_NOTES:
+            _SHOWN_NOTES.add(note)
+            typer.echo(note, err=True)
     else:
         (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
 

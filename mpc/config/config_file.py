@@ -13,7 +13,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
-from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
+from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side, with_present_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
@@ -117,7 +117,7 @@ def _replaced(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -
     replaced = dict(data)
     for key, value in (overrides or {}).items():
         replaced = _with_value(replaced, plain_key(key).split("."), value, key)
-    return replaced
+    return with_present_names(replaced)
 
 
 def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: str) -> dict[str, Any]:

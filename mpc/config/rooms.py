@@ -104,19 +104,15 @@ def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     With a name of the file in `where`, one FormerNameWarning says the present names of what stands as in an earlier
     file.
 
-    Raises ConfigError if a key is stated in both rooms, or a user's key under `expert`.
+    Raises ConfigError if a value is stated twice, a user's key under `expert`, or a group as something else.
     """
     first = {key: value for key, value in data.items() if key != EXPERT}
     inner = data.get(EXPERT)
     if inner is not None and not isinstance(inner, Mapping):
         raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
     second = dict(inner or {})
+    _check_rooms(first, second, where or "configuration")
     stated = dict(_leaves(first))
-    for key in dict(_leaves(second)):
-        if key in stated:
-            raise ConfigError(f"{where or 'configuration'}: {key} stands twice, also under '{EXPERT}'; leave one out")
-        if is_for_users(key):
-            raise ConfigError(f"{where or 'configuration'}: {EXPERT}.{key}: write it outside '{EXPERT}', as {key}")
     moved = {key: shown_key(plain_key(key)) for key in stated if shown_key(plain_key(key)) != key}
     moved |= {f"{EXPERT}.{key}": shown_key(FORMER[key]) for key, _ in _leaves(second) if key in FORMER}
     if moved and where:
@@ -124,7 +120,24 @@ def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
         more = f", and {len(moved) - 1} more keys like it" if len(moved) > 1 else ""
         message = f"{where}: {old} is {new} now{more}; `diffdrive-mpc config show` prints the file as it is written now"
         warnings.warn(message, FormerNameWarning, stacklevel=3)
-    return _with_present_names(laid_over(first, second))
+    return with_present_names(laid_over(first, second))
+
+
+def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
+    """Raise ConfigError where one room would hide what the other one states."""
+    for group in first.keys() & second.keys():
+        for prefix, room in (("", first), (f"{EXPERT}.", second)):
+            if not isinstance(room[group], Mapping):
+                raise ConfigError(f"{where}: {prefix}{group}: expected groups of keys below it")
+    stated: dict[str, str] = {}
+    for prefix, room in (("", first), (f"{EXPERT}.", second)):
+        for key, _ in _leaves(room):
+            plain = FORMER.get(key, key)
+            if plain in stated:
+                raise ConfigError(f"{where}: {plain} stands twice, as {stated[plain]} and {prefix}{key}; leave one out")
+            if prefix and is_for_users(plain):
+                raise ConfigError(f"{where}: {prefix}{key}: write it outside '{EXPERT}', as {plain}")
+            stated[plain] = f"{prefix}{key}"
 
 
 def in_rooms(config: StrictModel) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -139,7 +152,8 @@ def in_rooms(config: StrictModel) -> tuple[dict[str, Any], dict[str, Any]]:
     return rooms
 
 
-def _with_present_names(data: dict[str, Any]) -> dict[str, Any]:
+def with_present_names(data: dict[str, Any]) -> dict[str, Any]:
+    """Groups side by side, with the present names of keys that stand in them under former ones."""
     for old, new in FORMER.items():
         group, _, name = old.partition(".")
         values = data.get(group)

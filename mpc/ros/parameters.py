@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import check
-from diffdrive_mpc.mpc.config.rooms import EXPERT, FORMER, plain_key, shown_key
+from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -69,31 +69,34 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
     rclpy.exceptions.ParameterException
         If an override from the command line or a parameter file has another type, or lies out of range.
     """
-    former = {} if read_only else _under_former_names(node, config)
+    _take_other_names(node, config)
     parameters = [
-        (key, former.get(key, _to_parameter(_value(config, key))), descriptor(field, read_only=read_only))
+        (key, _to_parameter(_value(config, key)), descriptor(field, read_only=read_only))
         for key, field in fields(type(config))
         if key not in skip
     ]
     node.declare_parameters("", parameters)
 
 
-def _under_former_names(node: Node, config: BaseModel) -> dict[str, Value]:
-    """Values that a parameter file or the command line states under names of an earlier version; each is told.
+def _take_other_names(node: Node, config: BaseModel) -> None:
+    """Take what a parameter file or the command line states under a former name or in the other room; each is told.
 
     ROS passes over a parameter that nobody declares: a limit that a file states would be lost without a word.
     """
     if not isinstance(config, ControllerConfig):
-        return {}
-    present = {key for key, _ in fields(ControllerConfig)}
-    known = {plain_key(key): key for key in present} | {old: shown_key(new) for old, new in FORMER.items()}
-    values: dict[str, Value] = {}
-    # The overrides of a node have no public name in rclpy 7.1.
-    for name, parameter in getattr(node, "_parameter_overrides", {}).items():
-        if name in known and name not in present:
-            values[known[name]] = parameter.value
-            node.get_logger().warning(f"parameter {name} is {known[name]} now; it was taken")
-    return values
+        return
+    present = {plain_key(key): key for key, _ in fields(ControllerConfig)}
+    # The overrides of a node have no public name in rclpy 7.1. Under their present names they are checked as all are.
+    overrides = getattr(node, "_parameter_overrides", {})
+    for name, parameter in list(overrides.items()):
+        key = present.get(plain_key(name), name)
+        if key == name:
+            continue
+        taken = key not in overrides
+        if taken:
+            overrides[key] = Parameter(key, parameter.type_, parameter.value)
+        outcome = "it was taken" if taken else "it was not taken, as that is stated, too"
+        node.get_logger().warning(f"parameter {name} is {key} now; {outcome}")
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:

@@ -65,6 +65,8 @@ def test_what_cannot_be_a_setting_is_refused(text: str, message: str) -> None:
 def test_a_key_given_twice_is_refused() -> None:
     with pytest.raises(ConfigError, match="given twice"):
         sweep_settings(["horizon=5", "horizon=10"])
+    with pytest.raises(ConfigError, match="given twice"):
+        sweep_settings(["limits.predicted_v=1", "expert.limits.predicted_v=0.5"])
 
 
 def test_one_run_takes_one_value_for_each_key() -> None:

@@ -55,6 +55,17 @@ def test_a_key_may_be_named_with_its_room_or_without():
     [
         ("expert: {weights: {along: 3.0}}", "expert.weights.along: write it outside 'expert', as weights.along"),
         ("expert: 3", "expert: expected groups of keys below it"),
+        ("limits: 3\nexpert: {limits: {predicted_v: 1.0}}", "limits: expected groups of keys below it"),
+        ("limits: {v: 0.3}\nexpert: {limits: }", "expert.limits: expected groups of keys below it"),
+        (
+            "limits: {least_turn_radius: 0.3, min_turn_radius: 0.5}",
+            "limits.min_turn_radius stands twice, as limits.least_turn_radius and limits.min_turn_radius",
+        ),
+        (
+            "limits: {least_commanded_radius: 0.3}\nexpert: {limits: {min_commanded_radius: 0.5}}",
+            "limits.min_commanded_radius stands twice, as limits.least_commanded_radius and "
+            "expert.limits.min_commanded_radius",
+        ),
         ("estimator: {history: 0.5}\nexpert: {estimator: {history: 0.4}}", "estimator.history stands twice"),
         (
             "expert: {estimator: {histroy: 0.5}}",
@@ -72,6 +83,10 @@ def test_a_mistake_names_the_room(tmp_path, text, message):
         load_config(path)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_group_as_an_override_may_have_former_names():
+    assert load_config("ssm", {"estimator": {"least_gain": 0.3}}).estimator.min_gain == 0.3
 
 
 def test_rooms_lose_nothing():

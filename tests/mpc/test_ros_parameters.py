@@ -4,12 +4,15 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.parameter import Parameter
 from ros_parts import CONFIG, stack
 from std_srvs.srv import Trigger
@@ -195,23 +198,55 @@ def test_a_limit_that_cannot_be_set_while_driving_is_refused_and_the_node_drives
         assert s.node._controller.config.limits.v == 0.7
 
 
+class Overridden(Shelf):
+    """A shelf of a node that was started with parameters, which ROS lays over what is declared."""
+
+    def __init__(self, overrides):
+        super().__init__()
+        self.said = []
+        self._parameter_overrides = {name: Parameter(name, value=value) for name, value in overrides.items()}
+
+    def declare_parameters(self, _, parameters):
+        super().declare_parameters(_, parameters)
+        self.held |= {name: value for name, value in self._parameter_overrides.items() if name in self.held}
+
+    def get_logger(self):
+        return SimpleNamespace(warning=self.said.append)
+
+
 def test_a_parameter_file_of_earlier_names_is_taken_and_told():
     """ROS passes over a parameter that nobody declares: a limit that a file states would be lost without a word."""
-
-    class Node(Shelf):
-        def __init__(self, overrides):
-            super().__init__()
-            self.said = []
-            self._parameter_overrides = {name: Parameter(name, value=value) for name, value in overrides.items()}
-
-        def get_logger(self):
-            return SimpleNamespace(warning=self.said.append)
-
-    node = Node({"failure.max_position_error": 0.4, "limits.least_turn_radius": 0.7, "limits.v": 0.9})
+    node = Overridden({"failure.max_position_error": 0.4, "limits.least_turn_radius": 0.7, "limits.v": 0.9})
     declare(node, CONFIG)
     config = read(node, ControllerConfig)
-    assert (config.failure.max_position_error, config.limits.min_turn_radius) == (0.4, 0.7)
+    assert (config.failure.max_position_error, config.limits.min_turn_radius, config.limits.v) == (0.4, 0.7, 0.9)
     assert node.said == [
         "parameter failure.max_position_error is expert.failure.max_position_error now; it was taken",
         "parameter limits.least_turn_radius is limits.min_turn_radius now; it was taken",
     ]
+
+
+def test_a_limit_in_the_other_room_is_taken_and_one_that_is_stated_twice_is_told():
+    twice = {"limits.least_commanded_radius": 0.3, "expert.limits.min_commanded_radius": 0.5}
+    node = Overridden({"expert.limits.v": 0.3, **twice})
+    declare(node, CONFIG)
+    config = read(node, ControllerConfig)
+    assert (config.limits.v, config.limits.min_commanded_radius) == (0.3, 0.5)
+    assert node.said == [
+        "parameter expert.limits.v is limits.v now; it was taken",
+        "parameter limits.least_commanded_radius is expert.limits.min_commanded_radius now; it was not taken, as that "
+        "is stated, too",
+    ]
+
+
+def test_a_former_name_takes_the_type_of_its_parameter():
+    arguments = ["--ros-args", "-p", "failure.max_position_error:=1"]
+    context = Context()
+    rclpy.init(args=arguments, context=context)
+    node = rclpy.create_node("typed", context=context)
+    try:
+        with pytest.raises(InvalidParameterTypeException):
+            declare(node, CONFIG)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
