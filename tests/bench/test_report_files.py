@@ -82,10 +82,10 @@ FIELDS = {
     "method_unlimited_percent": float,
     "method_active_set_percent": float,
     "method_backend_percent": float,
-    "path_unlimited_percent": float,
+    "not_solved": int,
+    "path_unlimited_percent": float,  # as it was called before
     "path_active_set_percent": float,
     "path_backend_percent": float,
-    "not_solved": int,
     "timed_clean_percent": float,
 }
 

@@ -185,6 +185,6 @@ def test_former_names_of_the_solver_s_method_warn() -> None:
     report = SolverReport(SolverStatus.SOLVED, "unlimited")
     with pytest.warns(DeprecationWarning, match=r"SolverReport\.path is SolverReport\.method now"):
         assert report.path == "unlimited"
-    run = run_along(Telling(), CIRCLE)
+    run = run_along(CIRCLE, [0, 0, 0], [0, 0, 0], [0, 1])
     with pytest.warns(DeprecationWarning, match=r"Run\.solver_paths is Run\.solver_methods now"):
         assert run.solver_paths == run.solver_methods
