@@ -155,7 +155,7 @@ pictures: $(READY) ## pictures of the documents that no study leaves
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header --quiet --output-file requirements.txt
-	echo 'setuptools>=77' | uv pip compile pyproject.toml - --constraint requirements.txt --no-emit-package pandas --universal --python-version 3.11 \
+	echo 'setuptools>=77' | uv pip compile pyproject.toml - --constraint requirements.txt --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate --quiet \
 		--output-file requirements-bench.txt
 	for list in .ci/colcon .ci/tools; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
