@@ -16,14 +16,6 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 import numpy as np
-from rosidl_adapter.action import convert_action_to_idl
-from rosidl_adapter.msg import convert_msg_to_idl
-from rosidl_generator_c.cli import GenerateC
-from rosidl_generator_py.cli import GeneratePython
-from rosidl_generator_type_description.cli import HashTypeDescription
-from rosidl_typesupport_c.cli import GenerateCTypesupport
-from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
-from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
 from diffdrive_mpc.models.compiled.cache import user_folder
 from diffdrive_mpc.models.compiled.compiler import digest_of
@@ -186,48 +178,3 @@ def _content(folder: Path) -> str:
 
 def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
-
-
-# The source files of a package of ROS types, by the generators of ROS 2 Jazzy; a process of its own runs it.
-
-
-_CONVERT = {".msg": convert_msg_to_idl, ".action": convert_action_to_idl}
-
-
-def generate(package: str, definitions: Path, shares: Path, folder: Path) -> None:
-    """Write Python, C and C++ of `package`, defined by the files in `definitions`, to `folder`.
-
-    Parameters
-    ----------
-    package
-        Its name.
-    definitions
-        Folder with `msg/*.msg` and `action/*.action`, absolute.
-    shares
-        Where the definitions of all other packages are, one folder for each.
-    folder
-        A new folder, absolute: it gets one folder for each generator, `py` for that of Python.
-    """
-    files = [path.relative_to(definitions) for path in sorted(definitions.rglob("*")) if path.suffix in _CONVERT]
-    plain = folder / "idl" / package
-    for file in files:
-        _CONVERT[file.suffix](definitions, package, file, plain / file.parent)
-    interfaces = [f"{plain}:{file.with_suffix('.idl')}" for file in files]
-    others = [str(shares)]
-    described = HashTypeDescription("description").generate_type_hashes(package, interfaces, others, plain)
-    GenerateC("c").generate(package, interfaces, others, folder / "c" / package, described)
-    both = {"typesupport_implementations": list(TYPE_SUPPORTS)}
-    entry = {"typesupport_implementations": ["rosidl_typesupport_c"]}
-    # In folders of their own: two generators give the same name to different files.
-    for name, generator in {
-        "fastrtps_c": GenerateFastRTPSCTypesupport("fastrtps_c"),
-        "introspection_c": GenerateIntrospectionCTypesupport("introspection_c"),
-        "typesupport_c": GenerateCTypesupport("c", **both),
-        "py": GeneratePython("py", **entry),
-    }.items():
-        generator.generate(package, interfaces, others, folder / name / package)
-
-
-if __name__ == "__main__":
-    _package, *_folders = sys.argv[1:]
-    generate(_package, *map(Path, _folders))
