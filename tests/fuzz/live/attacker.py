@@ -36,8 +36,8 @@ _LIMITS = (
     "limits.omega",
     "limits.v_slew",
     "limits.omega_slew",
-    "limits.v_braking",
-    "limits.omega_braking",
+    "expert.limits.v_braking",
+    "expert.limits.omega_braking",
     "sample_time",
 )
 # Where it writes to is no door, and a robot that nobody drives is not the matter.
@@ -211,7 +211,9 @@ class Attacker:
             ):
                 values[name] = max(values[name], value.double_value)
         dt = values["sample_time"]
-        rate = tuple(max(values[f"limits.{name}_slew"], values[f"limits.{name}_braking"]) for name in ("v", "omega"))
+        rate = tuple(
+            max(values[f"limits.{name}_slew"], values[f"expert.limits.{name}_braking"]) for name in ("v", "omega")
+        )
         self.account.allowed.append(
             Allowed(time.monotonic(), (values["limits.v"], values["limits.omega"]), (dt * rate[0], dt * rate[1]))
         )

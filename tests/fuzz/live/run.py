@@ -207,7 +207,8 @@ def _named_fault(attacker: Attacker, random: Random, done: list[Any], result: Re
     """One fault in a good drive, after which the command has to be zero within the time that is stated."""
     values = {name: value.double_value for name, value in attacker.known.items()}
     braking = max(
-        values["limits.v"] / values["limits.v_braking"], values["limits.omega"] / values["limits.omega_braking"]
+        values["limits.v"] / values["expert.limits.v_braking"],
+        values["limits.omega"] / values["expert.limits.omega_braking"],
     )
     blind = values["odom_timeout"] + braking + _TICKS
     # Where poses come from elsewhere nobody looks at the orientation of odometry.
