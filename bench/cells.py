@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from pandas import DataFrame
-from pydantic import Field
 
 from diffdrive_mpc.bench.experiment import by, nested, total, values, with_mean
+from diffdrive_mpc.bench.experiment_file import TableFile
 from diffdrive_mpc.bench.table import Table, duration, number
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray
 
 Cell = Callable[[DataFrame], str]
@@ -88,19 +88,8 @@ def cell(text: str, where: str = "column") -> Cell:
     return lambda rows: number(factor * value(rows), int(places[0]) if places else digits)
 
 
-class TableSpec(StrictModel):
-    """A table over groups of runs; cells that only the program can make stand under a name of one word."""
-
-    title: str
-    part: tuple[str, ...] = Field((), description="parts of the experiment whose runs it shows; none for all runs")
-    where: dict[str, bool | int | float | str] = Field({}, description="value that a column has in the runs it shows")
-    by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="columns to group by, by their heading")
-    columns: dict[str, str] = Field(description="what a cell states, by the heading of its column")
-    across: str = Field(
-        "", description="column each of whose values has the columns once, with its name in place of {}"
-    )
-    mean: bool = Field(False, description="whether a row below each block holds all of it")
-    note: str = ""
+class TableSpec(TableFile):
+    """A table over groups of runs, as a file states it."""
 
     def table(self, rows: DataFrame, cells: Mapping[str, Cell] | None = None, note: str = "") -> Table:
         """The table of those of `rows` that it shows.

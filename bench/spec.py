@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 from pandas import DataFrame
 from pydantic import Field
@@ -15,27 +15,21 @@ from diffdrive_mpc.bench.case import DIMENSIONS, Case, check_count
 from diffdrive_mpc.bench.cells import Cell, TableSpec
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, run_case
 from diffdrive_mpc.bench.experiment import Drive, Measure, drive_all, json_rows
+from diffdrive_mpc.bench.experiment_file import ExperimentFile, Value, Varied
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import ConfigError, load_checked
 from diffdrive_mpc.sim import Run
 
-Value = bool | int | float | str
-Varied = dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]]
-"""Values of dimensions of `bench.case.Case`, of configuration values by dotted key, and of `variant`."""
 VARIANT = "variant"
 _DIMENSIONS = {one.name for one in DIMENSIONS}
 
 
-class Experiment(StrictModel):
-    """What is driven and what is shown of it."""
+class Experiment(ExperimentFile):
+    """What a file states to be driven and shown."""
 
-    title: str = Field(description="heading of the report")
-    vary: Varied = Field({}, description="values for every part that does not state its own; the last varies fastest")
-    variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
-    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part: every combination of its values")
     tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
 
     def drives(self, only: Sequence[str] = ()) -> dict[str, list[Drive]]:

@@ -24,7 +24,7 @@ from diffdrive_mpc.bench.campaign.definition import FACTORS_OF_A_CASE, GROUPS
 from diffdrive_mpc.bench.campaign.draws import KINDS as DRAWS
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import Conditions
-from diffdrive_mpc.bench.spec import Experiment
+from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.logs.mapping import LogMapping
@@ -248,7 +248,7 @@ _MADE: dict[str, Callable[[], Schema]] = {
     "sensors": lambda: only_what_differs(SensorSet.model_json_schema(), load_sensor_set(DEFAULT).model_dump()),
     "scenario": lambda: with_draws(Scenario.model_json_schema()),
     "world": _worlds,
-    "experiment": _as_it_is(Experiment),
+    "experiment": _as_it_is(ExperimentFile),
     "campaign": _with_factors(Campaign),
     "proof": _with_factors(Proof),
     "tune": _with_factors(TunePlan),

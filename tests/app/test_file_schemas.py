@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -218,3 +220,12 @@ def test_a_wrong_question_gets_one_line(words: list[str], line: str) -> None:
     assert result.exit_code == 2
     assert result.stderr.startswith(line)
     assert result.stderr.count("\n") == 1
+
+
+def test_a_wheel_is_built_without_what_drives_and_shows() -> None:
+    """The build has what `build-system` of pyproject.toml names, and nothing else."""
+    looked = (
+        "import diffdrive_mpc.app.schemas.generate, sys; print(*sorted({'pandas', 'rich', 'mujoco'} & {*sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", looked], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

@@ -1,0 +1,39 @@
+"""What the file of an experiment holds. A wheel is built with its schema, where nothing that drives is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel
+
+Value = bool | int | float | str
+Varied = dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]]
+"""Values of dimensions of `bench.case.Case`, of configuration values by dotted key, and of `variant`."""
+
+
+class TableFile(StrictModel):
+    """A table over groups of runs; cells that only the program can make stand under a name of one word."""
+
+    title: str
+    part: tuple[str, ...] = Field((), description="parts of the experiment whose runs it shows; none for all runs")
+    where: dict[str, Value] = Field({}, description="value that a column has in the runs it shows")
+    by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="columns to group by, by their heading")
+    columns: dict[str, str] = Field(description="what a cell states, by the heading of its column")
+    across: str = Field(
+        "", description="column each of whose values has the columns once, with its name in place of {}"
+    )
+    mean: bool = Field(False, description="whether a row below each block holds all of it")
+    note: str = ""
+
+
+class ExperimentFile(StrictModel):
+    """What is driven and what is shown of it."""
+
+    title: str = Field(description="heading of the report")
+    vary: Varied = Field({}, description="values for every part that does not state its own; the last varies fastest")
+    variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
+    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part: every combination of its values")
+    tables: Mapping[str, TableFile] = Field({}, description="tables of the report, in order")
