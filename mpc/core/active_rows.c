@@ -1,3 +1,5 @@
+/* The active rows of ddmpc_solve_limited: which press, on which piece, and the factorised system of their multipliers, kept up
+ * to date as rows come and leave. Every loop runs over rows, inputs or lanes. */
 #include "active_rows.h"
 
 #include <string.h>
@@ -7,11 +9,12 @@ enum { LANES = DDMPC_LANES };
 /* From how many columns on it pays to find them side by side. */
 enum { SIDE_BY_SIDE = 3 };
 
+/* A row is taken to depend on others where less than this part of its square is left: some 30 roundings of the number type in
+   single precision, some 5000 in double, which has them to spare. */
 #ifdef DDMPC_FLOAT
-/* A row is taken to depend on others where less than this part of its square is left. */
-#define DEPENDENT R(4e-6)
+static const real DEPENDENT = R(4e-6);
 #else
-#define DEPENDENT R(1e-12)
+static const real DEPENDENT = R(1e-12);
 #endif
 
 int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory)

@@ -1,3 +1,5 @@
+/* The active set: the two methods that active_set.h names, and the proof of what they find. Every loop is over rows or inputs, or
+ * is bounded where it stands; each system that is solved counts as an iteration, of which there are `most_iterations`. */
 #include "active_set.h"
 
 #include <float.h>
@@ -5,18 +7,23 @@
 
 #include "active_rows.h"
 
-enum { MOST_ROUNDS = 12, PATIENCE = 2, MOST_STALLS = 20, MOST_REFINEMENTS = 3, FEW = DDMPC_LANES };
+enum {
+    MOST_ROUNDS = 12,     /* of the primal-dual method; it ends after one to three, or not at all */
+    PATIENCE = 2,         /* rounds in which fewer rows have to be wrong */
+    MOST_STALLS = 20,     /* times that the dual objective need not rise: rounding, no more */
+    MOST_REFINEMENTS = 3, /* of one solution */
+    FEW = DDMPC_LANES     /* rows that are let in at once by the dual method: one block of columns */
+};
 
+/* By the number type: its rounding; steps that are none beside the largest; and the share of the largest term that the gradient
+   of the Lagrangian may keep. */
 #ifdef DDMPC_FLOAT
-#define EPSILON FLT_EPSILON
-#define NEGLIGIBLE R(1e-3)
-#define STATIONARY R(3e-4)
+static const real EPSILON = FLT_EPSILON, NEGLIGIBLE = R(1e-3), STATIONARY = R(3e-4);
 #else
-#define EPSILON DBL_EPSILON
-#define NEGLIGIBLE R(1e-7)
-#define STATIONARY R(1e-8)
+static const real EPSILON = DBL_EPSILON, NEGLIGIBLE = R(1e-7), STATIONARY = R(1e-8);
 #endif
-#define ROUNDING (R(16.0) * EPSILON)
+/* Roundings that a sum over a plan adds up to. */
+static const real ROUNDINGS = R(16.0);
 
 /* The range of a multiplier on the piece of its row. */
 typedef struct {
@@ -284,6 +291,7 @@ typedef enum { SETTLED, RAN_OUT, UNBOUNDED } outcome;
 /* From multipliers on their pieces climb to the maximum of the dual on the active rows, or a part of them. */
 static outcome settle(ddmpc_rows *rows, int *iterations)
 {
+    /* Each round solves a system: it ends after `most_iterations` of them at the latest. */
     for (;;) {
         real length = R(0.0), rise = R(0.0); /* find_step sets what its answer needs */
         if (*iterations >= rows->problem->most_iterations)
@@ -334,12 +342,14 @@ static real height(const ddmpc_rows *rows)
 static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
 {
     real highest = -DDMPC_LARGEST;
+    /* Each round settles, and so takes an iteration, of which there are `most_iterations`. */
     for (int stalls = 0; stalls < MOST_STALLS;) {
         const outcome end = settle(rows, iterations);
         int refinements = 0, entered, broken[2];
         if (end != SETTLED)
             return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
         ddmpc_plan_of_rows(rows, plan);
+        /* MOST_REFINEMENTS rounds at most. */
         while (!is_met(rows)) {
             if (refinements++ == MOST_REFINEMENTS)
                 return DDMPC_NOT_PROVEN;
@@ -366,6 +376,7 @@ static void warm_start(ddmpc_rows *rows, const real *multipliers)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     int count = 0;
+    /* One row less each time, of `most_active`. */
     while (rows->active > 0)
         ddmpc_leave_row(rows, rows->active - 1);
     for (int row = 0; row < rows->m && count < rows->most_active; row++) {
@@ -445,7 +456,7 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     }
     result->dual = dual;
     allowed += STATIONARY * largest;
-    return sound && (dual <= allowed || dual <= allowed + ROUNDING * size_of_gradient(rows, plan));
+    return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * size_of_gradient(rows, plan));
 }
 
 /* What the limits must be for there to be a problem. */

@@ -1,16 +1,9 @@
-/* Which measurements may be believed: stamps, numbers, ranges and jumps. */
+/* Which measurements may be believed: stamps, numbers, ranges and jumps. What is refused is noted in the result with its
+ * numbers, and never reaches the filter. The thresholds are said in mpc/config/plausibility.yaml, and ranges and jumps in the
+ * configuration's `estimator`. */
 #include <string.h>
 
 #include "internal.h"
-
-/* A variance of a square kilometre says nothing about a robot, and would overflow the filter before long. */
-#define LARGEST_VARIANCE R(1e6)
-/* Share by which two mirrored entries may differ: rounding on the way here. */
-#define ASYMMETRY R(1e-6)
-/* Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s]. */
-#define FUTURE 1e-3
-/* Poses by which their rate is judged. */
-#define RATED 5
 
 void ddmpc_reject(ddmpc_result *result, int subject, int fault, real a, real b)
 {
@@ -29,16 +22,16 @@ static int all_finite(const real *values, int count)
 }
 
 /* Whether k x k `entries` are a symmetric positive definite matrix, by its leading minors' pivots. */
-static int possible_covariance(const real *entries, int k)
+static int possible_covariance(const ddmpc_constants *constants, const real *entries, int k)
 {
     real work[9];
     if (!all_finite(entries, k * k))
         return 0;
     for (int i = 0; i < k * k; i++) {
         const int mirrored = i % k * k + i / k;
-        if (ddmpc_fabs(entries[i]) > LARGEST_VARIANCE)
+        if (ddmpc_fabs(entries[i]) > constants->largest_variance)
             return 0;
-        if (ddmpc_fabs(entries[i] - entries[mirrored]) > ASYMMETRY * ddmpc_fabs(entries[i]))
+        if (ddmpc_fabs(entries[i] - entries[mirrored]) > constants->largest_asymmetry * ddmpc_fabs(entries[i]))
             return 0;
         work[i] = entries[i];
     }
@@ -53,19 +46,19 @@ static int possible_covariance(const real *entries, int k)
 }
 
 /* What is wrong with a stamp at tick `t`, after one at `last`; `number` gets what belongs to it. */
-static int stamp_fault(ddmpc_time stamp, ddmpc_time t, ddmpc_time last, real history, real *number)
+static int stamp_fault(const ddmpc_constants *constants, ddmpc_time stamp, ddmpc_time t, ddmpc_time last, real *number)
 {
     const ddmpc_time age = t - stamp;
     if (!isfinite(stamp))
         return DDMPC_BAD_STAMP;
     *number = (real)age;
-    if (age < -FUTURE) {
+    if (age < -constants->clock_error) {
         *number = (real)-age;
         return DDMPC_IN_FUTURE;
     }
     if (stamp <= last)
         return DDMPC_NOT_NEWER;
-    if (age > (ddmpc_time)history)
+    if (age > (ddmpc_time)constants->stamp_history)
         return DDMPC_TOO_OLD;
     return DDMPC_NO_FAULT;
 }
@@ -77,10 +70,10 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     real number = R(0.0);
     if (!pose->present)
         return 0;
-    int fault = stamp_fault(pose->stamp, t, estimator->pose_stamp, constants->stamp_history, &number);
+    int fault = stamp_fault(constants, pose->stamp, t, estimator->pose_stamp, &number);
     if (!all_finite(pose->value, 3))
         fault = DDMPC_NOT_NUMBERS;
-    else if (pose->has_covariance && !possible_covariance(pose->covariance, 3))
+    else if (pose->has_covariance && !possible_covariance(constants, pose->covariance, 3))
         fault = DDMPC_BAD_COVARIANCE;
     if (fault == DDMPC_TOO_OLD)
         estimator->too_old = (ddmpc_time)number;
@@ -107,10 +100,11 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     real a = R(0.0), b = R(0.0);
     if (!stamped->present)
         return 0;
-    int fault = stamp_fault(stamped->stamp, t, *last_stamp, constants->stamp_history, &a);
+    int fault = stamp_fault(constants, stamped->stamp, t, *last_stamp, &a);
     if (!all_finite(stamped->value, count)) {
         fault = DDMPC_NOT_NUMBERS;
     } else {
+        /* The first number out of range, of `count` at most. */
         int excess = 0;
         while (excess < count && !(ddmpc_fabs(stamped->value[excess]) > constants->largest_twist[first + excess]))
             excess++;
@@ -118,7 +112,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
             fault = DDMPC_TOO_LARGE;
             a = stamped->value[excess];
             b = constants->largest_twist[first + excess];
-        } else if (stamped->has_covariance && !possible_covariance(stamped->covariance, count)) {
+        } else if (stamped->has_covariance && !possible_covariance(constants, stamped->covariance, count)) {
             fault = DDMPC_BAD_COVARIANCE;
         }
     }
@@ -202,7 +196,7 @@ static void look_at_rate(ddmpc_controller *c, ddmpc_time stamp)
         estimator->pose_latency = latency;
         estimator->rare = estimator->rare || estimator->overdue != 0;
     }
-    estimator->overdue = (estimator->overdue << 1 | (unsigned int)overdue) & ((1U << RATED) - 1U);
+    estimator->overdue = (estimator->overdue << 1 | (unsigned int)overdue) & ((1U << c->constants->rated_poses) - 1U);
     estimator->rare = estimator->rare && estimator->overdue != 0;
 }
 

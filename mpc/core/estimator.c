@@ -4,9 +4,6 @@
 
 #include "internal.h"
 
-/* A base rounds what it says it got. */
-#define ROUNDED R(1.001)
-
 static ddmpc_node *node_at(const ddmpc_controller *c, int index)
 {
     return &c->estimator.node[(c->estimator.first + index) % HISTORY(c)];
@@ -94,7 +91,7 @@ int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
 {
     for (int i = 0; i < 2; i++)
         /* Not the other way round: NaN must not pass. */
-        if (!(ddmpc_fabs(got[i]) <= ROUNDED * ddmpc_max(c->constants->largest_command[i], ddmpc_fabs(c->last[i]))))
+        if (!(ddmpc_fabs(got[i]) <= c->constants->sent_rounding * ddmpc_max(c->constants->largest_command[i], ddmpc_fabs(c->last[i]))))
             return 0;
     ddmpc_estimator_correct_last(c, got);
     return 1;

@@ -5,14 +5,6 @@
 
 #include "internal.h"
 
-/* A robot that stands too far out may move on, but no further out than this beyond where it has been since [m]: what poses
-   scatter by. */
-#define PLAY R(0.02)
-/* At rest: slower than this with no command on its way [m/s]. */
-#define AT_REST R(0.005)
-/* Longer than this after its last command no model rolls on [s]. */
-#define ROLLS_ON 2.0
-
 void ddmpc_fence_clear(ddmpc_controller *c)
 {
     c->left_fence = 0;
@@ -69,10 +61,11 @@ static real stops_beyond(const ddmpc_controller *c)
     real *here = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
     real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
     const real ramps = ddmpc_max(ddmpc_fabs(c->last[0]) / k->braking[0], ddmpc_fabs(c->last[1]) / k->braking[1]);
-    const int longest = (int)ramps + window + (int)(ROLLS_ON / k->sample_time);
+    const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
     memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)Z);
     real command[2] = {c->last[0], c->last[1]};
+    /* `longest` is bounded: ramps by range over braking, the window by its size, rolling on by a constant. */
     for (int i = 0; i < longest; i++) {
         memmove(commands, commands + 2, sizeof(real) * (size_t)(2 * (window - 1)));
         memcpy(newest, command, sizeof command);
@@ -81,7 +74,7 @@ static real stops_beyond(const ddmpc_controller *c)
         if (!(out <= most)) /* true for NaN, too */
             most = out;
         ddmpc_velocity_output(c, next, y, 0);
-        if (!is_commanded(commands, window) && ddmpc_fabs(y[0]) < AT_REST)
+        if (!is_commanded(commands, window) && ddmpc_fabs(y[0]) < k->fence_rest)
             break;
         real *swapped = here;
         here = next;
@@ -97,7 +90,7 @@ int ddmpc_fence_holds(ddmpc_controller *c)
         return 1;
     const real here = ddmpc_max(beyond(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
     c->allowed = ddmpc_min(c->allowed, here);
-    const real most = c->allowed > R(0.0) ? c->allowed + PLAY : R(0.0);
+    const real most = c->allowed > R(0.0) ? c->allowed + c->constants->fence_play : R(0.0);
     c->left_fence = c->left_fence || !(stops_beyond(c) <= most);
     return !c->left_fence;
 }

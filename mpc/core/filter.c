@@ -1,6 +1,11 @@
 /* The extended Kalman filter's steps over one sample. The state is z = (x, slip, gyro bias, pose): the n states of the
  * velocity model, what lies between the model's twist and the true one, the gyro's bias and x, y, theta. Only algebra
- * stands here: motion, sensors and their gradients are generated from mpc/problem/formulas.py. */
+ * stands here: motion, sensors and their gradients are generated from mpc/problem/formulas.py.
+ *
+ *     predict   z = f(z, u),  P = F P F' + Q          F the gradient of f, Q the noise of a sample
+ *     correct   S = H P H' + R,  K = P H' / S,  z += K (measured - h(z)),  P -= K S K'
+ *
+ * Numbers of a measurement are entered one after the other where their noise is independent, a pose as a whole. */
 #include <string.h>
 
 #include "internal.h"

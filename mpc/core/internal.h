@@ -366,6 +366,20 @@ void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses);
 void ddmpc_limit_values(const void *context, const real *plan, real *values);
 void ddmpc_limit_row(const void *context, int index, real *row, int *first, int *last);
 
+/* ladder.c */
+/* Take over the plan that was found if it may be driven, else go down the ladder; DDMPC_DONE. */
+int ddmpc_use_plan(ddmpc_controller *c);
+/* The rest of the last good plan, for a few ticks; then braking. */
+int ddmpc_reuse(ddmpc_controller *c);
+/* The command ramps to zero for `reason`; a `failure` may latch. */
+int ddmpc_brake(ddmpc_controller *c, unsigned int reason, int failure);
+void ddmpc_ramp(ddmpc_controller *c);
+/* Zero at once. */
+void ddmpc_stand(ddmpc_controller *c);
+
+/* wheel_watch.c */
+void ddmpc_watch_wheels(ddmpc_controller *c);
+
 /* solve.c */
 /* Without limits, then with the active set; DDMPC_DONE or DDMPC_NEEDS_BACKEND, with the report filled. */
 int ddmpc_solve(ddmpc_controller *c);

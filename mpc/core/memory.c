@@ -1,4 +1,5 @@
-/* Lays out a controller in memory that the caller gives. */
+/* Lays out a controller in memory that the caller gives: how much it needs by its sizes, and where each array begins. Nothing
+ * is allocated after this, here or anywhere in the core. */
 #include <string.h>
 
 #include "internal.h"

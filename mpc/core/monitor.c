@@ -172,6 +172,7 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *found)
     int low = 0, high = m->moves - 1;
     if (high < 0 || past(m, high)->time > time)
         return 0;
+    /* The range is halved: seven rounds for MONITORED instants. */
     while (low < high) {
         const int middle = (low + high) / 2;
         if (past(m, middle)->time <= time)

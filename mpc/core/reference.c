@@ -12,6 +12,7 @@ static ddmpc_time clamp(ddmpc_time t, ddmpc_time duration)
 static int piece_at(const ddmpc_time *breaks, int count, ddmpc_time t)
 {
     int low = 0, high = count;
+    /* The range is halved: as many rounds as `count` has binary digits. */
     while (high - low > 1) {
         const int middle = (low + high) / 2;
         if (breaks[middle] <= t)

@@ -1,12 +1,13 @@
 /* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and so
  * solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven by its
- * multipliers. Where that fails somebody else has to solve it: a backend. */
+ * multipliers. Where that fails somebody else has to solve it: a backend. H = R'R is factorised by Cholesky's method, block by
+ * block. */
 #include <string.h>
 
 #include "internal.h"
 
 /* Numbers beyond this are no robot's. */
-#define LARGEST R(1e15)
+static const real LARGEST = R(1e15);
 
 /* Whether every number is one: of H the diagonal, which bounds the rest of a positive definite matrix. */
 static int is_sound(const ddmpc_controller *c)

@@ -1,10 +1,14 @@
-/* The velocity model over one sample: linear with dead time, or a function with its Jacobian. */
+/* The velocity model over one sample: linear with dead time, x+ = A x + B0 u[k - d] + B1 u[k - d - 1] and y = C x with a dead
+ * time d of whole samples for v and for omega and the rest of it shared between B0 and B1 (mpc/problem, from the models of
+ * models/structures); or a function with its Jacobian, from there, too. */
 #include <string.h>
 
 #include "internal.h"
 
-/* Newton's steps converge quadratically: after one that is smaller than this there is nothing left to find. */
-#define SMALL_STEP R(1e-4)
+/* Newton's steps converge quadratically: after one that is smaller than this there is nothing left to find. In units of
+   states and commands [m/s, rad/s]. */
+static const real SMALL_STEP = R(1e-4);
+enum { NEWTON_STEPS = 8 };
 
 static void linear_step(const ddmpc_controller *c, const real *x, const real *newest, real *after)
 {
@@ -117,7 +121,7 @@ int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc
             unknowns[i >= n][i >= n ? i - n : i] += at->by_output[2 * i + j] * (wanted[j] - at->output[j]);
     memcpy(at->output, wanted, sizeof at->output);
     at->found = 0;
-    for (int iteration = 0; iteration < 8 && !at->found; iteration++) {
+    for (int iteration = 0; iteration < NEWTON_STEPS && !at->found; iteration++) {
         settling_equations(c, wanted, at->state, at->command);
         if (!eliminate(c->problem.settling, n + 2, columns))
             return 0;

@@ -130,7 +130,7 @@ class Problem:
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
         merged: Constants = {}
-        for part in (*parts, self._solution(), self._ladder(), self._fence(), self._monitor()):
+        for part in (*parts, self._solution(), self._ladder(), self._fence(), self._monitor(), _plausibility()):
             merged |= part
         return merged
 
@@ -308,6 +308,13 @@ class Problem:
             "fence_middle": [fence.x, fence.y, fence.heading],
             "fence_reach": [0.5 * fence.length - fence.margin, 0.5 * fence.width - fence.margin],
         }
+
+
+@cache
+def _plausibility() -> dict[str, Any]:
+    """Thresholds that no robot has to change, by their fields in C."""
+    data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / "plausibility.yaml")
+    return data
 
 
 @cache

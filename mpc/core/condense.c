@@ -1,0 +1,205 @@
+/* Condensing: the cost of the linearised problem as a dense quadratic program in the commands alone,
+ *
+ *     minimise  U' H U / 2 + g' U,   H = S' S + what is constant,
+ *
+ * where S stacks the weighted rows of the errors along, across and in heading and of the user's residuals. Step k answers to
+ * the commands before it only, so its rows end there, and what is zero is left out. Errors and their gradients are generated
+ * from mpc/problem/formulas.py, or are the user's. */
+#include <string.h>
+
+#include "problem.h"
+#include "tile.h"
+
+/* Displacement of one arc per unit of mean v, mean omega and heading before it; heading of the path, roots of the
+   weights and weighted residuals at its end. */
+typedef struct {
+    real x[3], y[3];
+    real cosine, sine, along, across;
+    real along_residual, across_residual, heading_residual;
+} row_weights;
+
+/* The rows of one sample: positions, errors along and across, and their part of the gradient. The compiler is told that
+   nothing overlaps, and so works on whole lanes. */
+static void fill_row(int count, const row_weights *w, const real *restrict mean_v,
+                               const real *restrict mean_omega, const real *restrict before,
+                               const real *restrict after, real *restrict moves_x, real *restrict moves_y,
+                               real *restrict x, real *restrict y, real *restrict along, real *restrict across,
+                               real *restrict gradient)
+{
+    const row_weights r = *w;
+    for (int j = 0; j < count; j++) {
+        const real move_x = moves_x[j] + r.x[0] * mean_v[j] + r.x[1] * mean_omega[j] + r.x[2] * before[j];
+        const real move_y = moves_y[j] + r.y[0] * mean_v[j] + r.y[1] * mean_omega[j] + r.y[2] * before[j];
+        const real ahead = r.along * (r.cosine * move_x + r.sine * move_y);
+        const real beside = r.across * (r.cosine * move_y - r.sine * move_x);
+        moves_x[j] = x[j] = move_x;
+        moves_y[j] = y[j] = move_y;
+        along[j] = ahead;
+        across[j] = beside;
+        gradient[j] += r.along_residual * ahead + r.across_residual * beside + r.heading_residual * after[j];
+    }
+}
+
+void ddmpc_through_slip(const ddmpc_problem *p, const real *by_body, int step, real gradient[TERM_INPUTS])
+{
+    for (int i = 0; i < TERM_INPUTS; i++)
+        gradient[i] = by_body[step * i];
+    gradient[4] = p->gains[1] * gradient[4] + p->turn_gain * gradient[3];
+    gradient[3] *= p->gains[0];
+    gradient[2] *= p->gains[1];
+}
+
+void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_INPUTS], real *row)
+{
+    const ddmpc_problem *p = &c->problem;
+    const int width = WIDTH(c), count = 2 * (k + 1);
+    const real *x = p->position + 2 * k * width, *y = x + width;
+    const real *heading = ddmpc_heading_row(c, k + 1), *v = ddmpc_twist_row(c, k + 1, 0), *omega = ddmpc_twist_row(c, k + 1, 1);
+    for (int j = 0; j < count; j++)
+        row[j] = gradient[0] * x[j] + gradient[1] * y[j] + gradient[2] * heading[j] + gradient[3] * v[j] +
+                 gradient[4] * omega[j];
+    row[count - 2] += gradient[5];
+    row[count - 1] += gradient[6];
+}
+
+void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, int rows, const real *command,
+                      const real *parameters, real *out)
+{
+    const ddmpc_problem *p = &c->problem;
+    /* No command acts at once: what is now does not hang on the plan. */
+    const real twist[2] = {ddmpc_speed_at(c, p->by_plan, k + 1),
+                           p->free_twist[2 * k + 3] + p->gains[1] * p->by_plan[STEPS(c) + 2 + k]};
+    const real *arguments[5] = {p->poses + 3 * (k + 1), twist, command, p->aim + 4 * (k + 1), parameters};
+    real *results[2] = {out, out + rows};
+    function(arguments, results, 0, 0, 0);
+}
+
+static real dot(const real *a, const real *b, int count)
+{
+    real sum = R(0.0);
+    for (int i = 0; i < count; i++)
+        sum += a[i] * b[i];
+    return sum;
+}
+
+/* Rows of the user's residuals at sample k + 1 behind those along and across, and their part of the gradient. */
+static void fill_residuals(ddmpc_controller *c, int k)
+{
+    ddmpc_problem *p = &c->problem;
+    const int width = WIDTH(c), count = 2 * (k + 1);
+    real *row = p->stack + (k * STACKED(c) + 2) * width;
+    for (int t = 0; t < TERMS(c); t++) {
+        const ddmpc_term *term = c->functions.terms + t;
+        if (term->soft)
+            continue;
+        ddmpc_call_term(c, term->function, k, term->rows, p->guess + 2 * k, ddmpc_parameters_at(c, k + 1, term), p->term);
+        for (int r = 0; r < term->rows; r++, row += width) {
+            real gradient[TERM_INPUTS];
+            ddmpc_through_slip(p, p->term + term->rows + r, term->rows, gradient);
+            memset(row, 0, (size_t)width * sizeof(real));
+            ddmpc_term_row(c, k, gradient, row);
+            const real residual = p->term[r] - dot(row, p->guess, count);
+            for (int j = 0; j < count; j++)
+                p->gradient[j] += residual * row[j];
+        }
+    }
+}
+
+/* Rows of the errors along and across at the samples 1 to N, and with the residuals of the plan their gradient. */
+static void fill_rows(ddmpc_controller *c)
+{
+    const ddmpc_constants *constants = c->constants;
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c), width = WIDTH(c);
+    const real omega_gain = p->gains[1];
+    real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
+    ddmpc_linear_moves(c, p->by_plan, moves, headings);
+    memset(p->moves, 0, (size_t)(2 * width) * sizeof(real));
+    memset(p->gradient, 0, (size_t)width * sizeof(real));
+    for (int k = 0; k < N; k++) {
+        real error[3], J[3 * TERM_INPUTS];
+        const real *arguments[5] = {p->poses + 3 * (k + 1), 0, 0, p->aim + 4 * (k + 1), 0};
+        real *results[2] = {error, J};
+        ddmpc_f_errors(arguments, results, 0, 0, 0);
+        const real cosine = p->cosine[k] = J[0], sine = p->sine[k] = J[3];
+        /* The error less what the plan itself has brought about: the error at a plan of zeros, linearised here. */
+        const real along = error[0] - (cosine * moves[k] + sine * moves[N + k]);
+        const real across = error[1] - (cosine * moves[N + k] - sine * moves[k]);
+        const real turned = error[2] - omega_gain * headings[k + 1];
+        real *stack = p->stack + k * STACKED(c) * width, *position = p->position + 2 * k * width;
+        const row_weights weights = {
+            {p->arc[2 * N + k], p->arc[3 * N + k], p->arc[4 * N + k]},
+            {p->arc[5 * N + k], p->arc[6 * N + k], p->arc[7 * N + k]},
+            cosine, sine, constants->along[k], constants->across[k],
+            constants->along[k] * along, constants->across[k] * across, omega_gain * constants->heading[k] * turned,
+        };
+        fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, ddmpc_mean_row(c, k, 0), ddmpc_mean_row(c, k, 1), ddmpc_heading_row(c, k),
+                 ddmpc_heading_row(c, k + 1), p->moves, p->moves + width, position, position + width, stack, stack + width,
+                 p->gradient);
+        if (RESIDUALS(c))
+            fill_residuals(c, k);
+        if (ROWS(c)) {
+            real *row = stack + (STACKED(c) - 1) * width;
+            const real root = omega_gain * ddmpc_sqrt(constants->heading[k]);
+            for (int j = 0; j < width; j++)
+                row[j] = root * ddmpc_heading_row(c, k + 1)[j];
+        }
+    }
+}
+
+/* The rows' squares, tile by tile. A row is zero beyond the commands that it answers to. */
+static void square_stack(const real *stack, int steps, int stacked, int width, int inputs, real *H)
+{
+    for (int i = 0; i < inputs; i += DDMPC_LANES) {
+        const int first = stacked * (i / 2);
+        const real *left = stack + first * width + i;
+        for (int j = 0; j <= i; j += DDMPC_LANES) {
+            real sum[DDMPC_LANES][DDMPC_LANES];
+            memset(sum, 0, sizeof sum);
+            ddmpc_tile(left, stack + first * width + j, stacked * steps - first, width, sum);
+            const int rows = inputs - i < DDMPC_LANES ? inputs - i : DDMPC_LANES;
+            const int columns = inputs - j < DDMPC_LANES ? inputs - j : DDMPC_LANES;
+            for (int a = 0; a < rows; a++)
+                for (int b = 0; b < columns; b++)
+                    H[(i + a) * inputs + j + b] = sum[a][b];
+        }
+    }
+}
+
+/* H: the rows' squares and what is constant. */
+static void fill_hessian(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    ddmpc_problem *p = &c->problem;
+    const int inputs = INPUTS(c);
+    const real scale = p->gains[1] * p->gains[1];
+    square_stack(p->stack, STEPS(c), STACKED(c), WIDTH(c), inputs, p->H);
+    for (int i = 0; i < inputs; i++) {
+        real *row = p->H + i * inputs;
+        for (int j = 0; !ROWS(c) && j <= i; j++)
+            row[j] += scale * k->heading_hessian[i * inputs + j];
+        const real increment = k->increment_weight[i % 2];
+        row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
+        if (i >= 2)
+            row[i - 2] -= increment;
+        for (int j = 0; j < i; j++)
+            p->H[j * inputs + i] = row[j];
+    }
+}
+
+static void fill_gradient(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    ddmpc_problem *p = &c->problem;
+    for (int i = 0; i < INPUTS(c); i++)
+        p->g[i] = p->gradient[i] - k->command_weight[i % 2] * p->feed_forward[i];
+    for (int channel = 0; channel < 2; channel++)
+        p->g[channel] -= k->increment_weight[channel] * p->last[channel];
+}
+
+void ddmpc_problem_condense(ddmpc_controller *c)
+{
+    fill_rows(c);
+    fill_hessian(c);
+    fill_gradient(c);
+}

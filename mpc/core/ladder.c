@@ -1,0 +1,133 @@
+/* The ladder: what is sent when a part of a tick fails. A fresh plan, else the rest of the last good one for a few ticks,
+ * else braking to a stop. Whatever is sent lies inside range and slew, and turns no tighter than commands may. */
+#include <string.h>
+
+#include "internal.h"
+
+/* The nearest command inside `share` of range, and inside `step` of the last one. */
+static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[2], real command[2])
+{
+    for (int i = 0; i < 2; i++) {
+        const real last = c->last[i], reachable = ddmpc_fabs(last) - step[i];
+        const real most = ddmpc_max(reachable, share * c->constants->largest_command[i]);
+        const real lower = ddmpc_max(last - step[i], -most), upper = ddmpc_min(last + step[i], most);
+        command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
+    }
+}
+
+/* Turn a command inside range and slew no tighter than the least commanded radius, if there is one. Its yaw rate gives
+ * way, as far as `step` allows; where that is not enough its speed is held, but never raised above that of the last one:
+ * so slew is kept, and after a command that turned no tighter there is always one. */
+static void widen(ddmpc_controller *c, real share, const real step[2], real command[2])
+{
+    const real radius = c->constants->min_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
+    if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
+        return;
+    const real widest = v / radius, asked = command[1];
+    const real lower = ddmpc_max(last - step[1], -widest), upper = ddmpc_min(last + step[1], widest);
+    if (lower <= upper) {
+        command[1] = ddmpc_min(ddmpc_max(asked, lower), upper);
+    } else {
+        const real before = ddmpc_fabs(c->last[0]), needed = radius * (ddmpc_fabs(last) - step[1]);
+        const real most = ddmpc_max(before - step[0], share * c->constants->largest_command[0]);
+        const real held = ddmpc_min(needed, ddmpc_min(before, most));
+        command[1] = last < R(0.0) ? last + step[1] : last - step[1];
+        if (held > v || (command[0] < R(0.0)) != (c->last[0] < R(0.0)))
+            command[0] = c->last[0] < R(0.0) ? -held : held;
+    }
+    if (ddmpc_fabs(asked - command[1]) > c->constants->turn_held_from[0])
+        c->result.reasons |= DDMPC_TURN_HELD;
+}
+
+/* Say whether the path itself, or the way back to it, turns tighter than commands may. */
+static void report_turn(ddmpc_controller *c)
+{
+    const real *asked = c->problem.feed_forward;
+    if (COMMAND_TURNS(c) &&
+        ddmpc_fabs(asked[1]) * c->constants->min_commanded_radius > c->constants->turn_held_share * ddmpc_fabs(asked[0]) + c->constants->turn_held_from[1])
+        c->result.reasons |= DDMPC_TURN_HELD;
+}
+
+/* The command ramps to zero. */
+void ddmpc_ramp(ddmpc_controller *c)
+{
+    const real zero[2] = {R(0.0), R(0.0)};
+    clip(c, zero, R(1.0), c->constants->braking, c->result.command);
+    /* What rounding leaves of the last step is no motion. */
+    for (int i = 0; i < 2; i++)
+        if (ddmpc_fabs(c->result.command[i]) < R(1e-13))
+            c->result.command[i] = R(0.0);
+}
+
+int ddmpc_brake(ddmpc_controller *c, unsigned int reason, int failure)
+{
+    ddmpc_result *result = &c->result;
+    result->reasons |= reason;
+    result->has_plan = 0;
+    c->plan_age = -1;
+    ddmpc_solver_reset(c);
+    /* Waiting for the first pose is no failure to be latched. */
+    c->latched = c->latched || (failure && c->has_driven && !c->constants->resume);
+    ddmpc_ramp(c);
+    result->mode = result->command[0] != R(0.0) || result->command[1] != R(0.0) ? DDMPC_BRAKING : DDMPC_STOPPED;
+    return DDMPC_DONE;
+}
+
+void ddmpc_stand(ddmpc_controller *c)
+{
+    c->result.command[0] = c->result.command[1] = R(0.0);
+    c->result.mode = DDMPC_STOPPED;
+}
+
+static void shift_guess(ddmpc_controller *c)
+{
+    const int inputs = INPUTS(c);
+    real *guess = c->problem.guess;
+    memcpy(guess, c->kept + 2, (size_t)(inputs - 2) * sizeof(real));
+    memcpy(guess + inputs - 2, c->kept + inputs - 2, 2 * sizeof(real));
+    c->problem.has_guess = 1;
+}
+
+/* Take over a plan that may be driven. */
+static int accept(ddmpc_controller *c)
+{
+    ddmpc_result *result = &c->result;
+    const size_t size = (size_t)INPUTS(c) * sizeof(real);
+    memcpy(c->kept, c->problem.plan, size);
+    ddmpc_problem_poses(c, c->kept, result->planned_poses);
+    memcpy(result->planned_commands, c->kept, size);
+    memcpy(result->aim, c->problem.aim, (size_t)(4 * (STEPS(c) + 1)) * sizeof(real));
+    shift_guess(c);
+    c->plan_age = 0;
+    result->has_plan = 1;
+    result->mode = DDMPC_TRACKING;
+    clip(c, c->kept, c->share, c->constants->slew, result->command);
+    widen(c, c->share, c->constants->slew, result->command);
+    report_turn(c);
+    return DDMPC_DONE;
+}
+
+/* The rest of the last good plan, a few ticks at most. */
+int ddmpc_reuse(ddmpc_controller *c)
+{
+    const int usable = c->constants->max_reused_ticks < STEPS(c) - 1 ? c->constants->max_reused_ticks : STEPS(c) - 1;
+    c->result.reasons |= DDMPC_SOLVE_FAILED;
+    ddmpc_solver_reset(c);
+    if (c->plan_age < 0 || ++c->plan_age > usable)
+        return ddmpc_brake(c, 0, 1);
+    c->result.mode = DDMPC_REUSED_PLAN;
+    c->result.has_plan = 1;
+    clip(c, c->kept + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
+    widen(c, R(1.0), c->constants->slew, c->result.command);
+    return DDMPC_DONE;
+}
+
+static int is_usable(int status) { return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY; }
+
+int ddmpc_use_plan(ddmpc_controller *c)
+{
+    real sum = R(0.0);
+    for (int i = 0; i < INPUTS(c); i++)
+        sum += c->problem.plan[i] * c->problem.plan[i];
+    return is_usable(c->result.solver.status) && isfinite(sum) ? accept(c) : ddmpc_reuse(c);
+}

@@ -1,0 +1,203 @@
+/* The limits of the quadratic program, one row a kind and sample, in the order of `lower` and `upper`: range of v and omega,
+ * slew of v and omega (all hard), then the soft ones: predicted twist, wheels, corridor, least turn radius, the user's.
+ * A soft one is linearised along the guess, as the rest of the problem is. */
+#include <string.h>
+
+#include "problem.h"
+
+real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel)
+{
+    /* A limit that was tightened below the last command is reached at the slew limit. */
+    const real reachable = ddmpc_fabs(c->problem.last[channel]) - (real)(step + 1) * c->constants->slew[channel];
+    return ddmpc_max(reachable, c->constants->largest_command[channel]);
+}
+
+static void bound_commands(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c);
+    for (int channel = 0; channel < 2; channel++)
+        for (int k = 0; k < N; k++) {
+            const real most = ddmpc_largest_command(c, k, channel), slew = c->constants->slew[channel];
+            const real base = k == 0 ? p->last[channel] : R(0.0);
+            p->upper[channel * N + k] = most;
+            p->lower[channel * N + k] = -most;
+            p->upper[(2 + channel) * N + k] = base + slew;
+            p->lower[(2 + channel) * N + k] = base - slew;
+        }
+}
+
+/* Where the reference drives at sample k: 1 forwards, -1 backwards; where it stands, as it does next up to the sample
+   `end`, or did last. */
+static real direction_at(const ddmpc_controller *c, int k, int end)
+{
+    const real *v = c->reference_twist;
+    int at = k;
+    /* Either loop takes as many rounds as there are samples at most. */
+    while (at < end && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+        at++;
+    while (at > 0 && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+        at--;
+    return v[2 * at] < R(0.0) ? R(-1.0) : R(1.0);
+}
+
+/* One kind of soft limit at sample k + 1, or now (k = -1): its value and gradient. */
+typedef struct {
+    ddmpc_function function;
+    int rows, first;
+    real radius;            /* the least of a turn that it keeps, from above only [m]; 0: it is about something else */
+    int commanded;          /* whether that turn is the command's, and not the body's */
+    const ddmpc_term *term; /* of the user; none for the shipped ones */
+} soft_group;
+
+static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
+{
+    const ddmpc_problem *p = &c->problem;
+    real shipped[DDMPC_MOST_SLIPS + 1];
+    if (group->radius > R(0.0)) {
+        shipped[0] = group->radius;
+        /* A command acts a lag later; what is so of the last one is its own. */
+        if (group->commanded)
+            shipped[1] = k >= 0            ? direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1)
+                         : p->last[0] < R(0.0) ? R(-1.0)
+                                               : R(1.0);
+        else
+            shipped[1] = direction_at(c, k + 1, STEPS(c));
+    } else {
+        memcpy(shipped, p->slip, (size_t)SLIPS(c) * sizeof(real));
+        shipped[SLIPS(c)] = c->constants->half_track;
+    }
+    ddmpc_call_term(c, group->function, k, group->rows, k < 0 ? p->last : p->guess + 2 * k,
+              group->term ? ddmpc_parameters_at(c, k + 1, group->term) : shipped, p->term);
+}
+
+/* What a plan adds to something at sample k + 1 whose gradient is that of `ddmpc_through_slip`. */
+static real value_of(const real *gradient, int k, int N, const real *moves, const real *headings, const real *by_plan,
+                     const real *plan)
+{
+    return gradient[0] * moves[k] + gradient[1] * moves[N + k] + gradient[2] * headings[k + 1] +
+           gradient[3] * by_plan[k + 1] + gradient[4] * by_plan[N + 1 + k + 1] + gradient[5] * plan[2 * k] +
+           gradient[6] * plan[2 * k + 1];
+}
+
+/* Soft limits of one function. Where the robot is beyond a shipped limit already, its present value is the limit: back
+   inside leads the reference. Nothing else may lead back inside a limit of the user, so those stand as they are given. */
+static void limit_softly(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c), rows = group->rows;
+    if (!group->term)
+        soft_at(c, group, -1);
+    for (int r = 0; r < rows; r++) {
+        const int kind = group->first + r;
+        if (group->radius > R(0.0)) {
+            p->upper[(HARD + kind) * N] = ddmpc_max(R(0.0), p->term[r]);
+            p->lower[(HARD + kind) * N] = -(real)INFINITY;
+            continue;
+        }
+        const int wheel = !group->term && (r == 2 || r == 3);
+        const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->rim_reach) : c->constants->soft_upper[kind];
+        const real down = wheel ? -up : c->constants->soft_lower[kind];
+        const real now = ddmpc_fabs(p->term[r]);
+        p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, now);
+        p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -now);
+    }
+    for (int k = 0; k < N; k++) {
+        soft_at(c, group, k);
+        for (int r = 0; r < rows; r++) {
+            const int kind = group->first + r;
+            real *gradient = p->soft_gradient + (kind * N + k) * TERM_INPUTS;
+            ddmpc_through_slip(p, p->term + rows + r, rows, gradient);
+            const real by_plan = value_of(gradient, k, N, moves, headings, p->by_plan, p->guess);
+            p->soft_value[kind * N + k] = p->term[r] - by_plan;
+        }
+    }
+    for (int r = 0; r < rows; r++) {
+        const int kind = group->first + r;
+        real *upper = p->upper + (HARD + kind) * N, *lower = p->lower + (HARD + kind) * N;
+        for (int k = N - 1; k >= 0; k--) {
+            upper[k] = upper[0] - p->soft_value[kind * N + k];
+            lower[k] = lower[0] - p->soft_value[kind * N + k];
+        }
+    }
+}
+
+static void bound_softly(ddmpc_controller *c)
+{
+    real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
+    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, R(0.0), 0, 0};
+    ddmpc_linear_moves(c, c->problem.by_plan, moves, headings);
+    limit_softly(c, &group, moves, headings);
+    if (TURNS(c)) {
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, c->constants->min_turn_radius, 0, 0};
+        limit_softly(c, &group, moves, headings);
+    }
+    if (COMMAND_TURNS(c)) {
+        const int first = group.first + group.rows;
+        group = (soft_group){ddmpc_f_command_turn, TURN_ROWS, first, c->constants->min_commanded_radius, 1, 0};
+        limit_softly(c, &group, moves, headings);
+    }
+    group.radius = R(0.0);
+    for (int t = 0; t < TERMS(c); t++) {
+        const ddmpc_term *term = c->functions.terms + t;
+        if (!term->soft)
+            continue;
+        group.first += group.rows;
+        group.rows = term->rows;
+        group.function = term->function;
+        group.term = term;
+        limit_softly(c, &group, moves, headings);
+    }
+}
+
+void ddmpc_problem_limit(ddmpc_controller *c)
+{
+    bound_commands(c);
+    bound_softly(c);
+}
+
+/* What limits are about, as far as it is linear in `plan` (4 + K, N): to be compared with lower and upper. */
+void ddmpc_limit_values(const void *context, const real *plan, real *values)
+{
+    const ddmpc_controller *c = (const ddmpc_controller *)context;
+    const ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c);
+    real by_plan[2 * (DDMPC_MOST_STEPS + 1)], moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
+    ddmpc_add_plan(c, plan, by_plan);
+    ddmpc_linear_moves(c, by_plan, moves, headings);
+    for (int channel = 0; channel < 2; channel++) {
+        real before = R(0.0);
+        for (int k = 0; k < N; k++) {
+            const real now = plan[2 * k + channel];
+            values[channel * N + k] = now;
+            values[(2 + channel) * N + k] = now - before;
+            before = now;
+        }
+    }
+    for (int kind = 0; kind < SOFT(c); kind++) {
+        real *out = values + (HARD + kind) * N;
+        const real *gradient = p->soft_gradient + kind * N * TERM_INPUTS;
+        for (int k = 0; k < N; k++, gradient += TERM_INPUTS)
+            out[k] = value_of(gradient, k, N, moves, headings, by_plan, plan);
+    }
+}
+
+void ddmpc_limit_row(const void *context, int index, real *row, int *first, int *last)
+{
+    const ddmpc_controller *c = (const ddmpc_controller *)context;
+    const int N = STEPS(c), kind = index / N, k = index % N, at = 2 * k + kind % 2;
+    memset(row, 0, (size_t)INPUTS(c) * sizeof(real));
+    if (kind >= HARD) {
+        ddmpc_term_row(c, k, c->problem.soft_gradient + ((kind - HARD) * N + k) * TERM_INPUTS, row);
+        *first = 0;
+        *last = 2 * (k + 1);
+        return;
+    }
+    row[at] = R(1.0);
+    *first = at;
+    *last = at + 1;
+    if (kind >= 2 && k > 0) {
+        row[at - 2] = R(-1.0);
+        *first = at - 2;
+    }
+}

@@ -1,0 +1,351 @@
+/* The tracking problem linearised along a guess: how twists, headings and poses of the robot answer to the commands
+ * U = (v_ref[0], omega_ref[0], v_ref[1], ...).
+ *
+ * Of a linear model twists and headings answer as a linear time-invariant system does, so their matrices are Toeplitz, and
+ * one row stands for all: y[k] = C A^k x + sum over j of C A^(k-1-j) B u[j], with the commands on their way in x. A nonlinear
+ * model is linearised along the guess, and has a row for each sample. So is curved slip: then outputs and rows are those of
+ * the body's twist itself, and no gain lies beyond them. Poses follow by exact arcs; motion, slip and aim with their
+ * gradients are generated from mpc/problem/formulas.py. */
+#include <string.h>
+
+#include "problem.h"
+
+/* The command that a nonlinear model needs for a twist of the body, where it has one; its gain at rest gave `command`.
+   `last` is where it settles at the sample before, near which this one is sought; most often it is the same. */
+static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
+{
+    static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
+    real y[2];
+    const real *arguments[3] = {wanted, c->problem.slip, no_gain};
+    real *results[1] = {y};
+    WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
+    const int same = last->found && y[0] == last->output[0] && y[1] == last->output[1];
+    if (same || ddmpc_velocity_settle(c, y, last))
+        memcpy(command, last->command, sizeof last->command);
+}
+
+/* What to aim at, and the commands that would keep the reference's twist, one lag ahead. */
+static void look_ahead(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    ddmpc_problem *p = &c->problem;
+    const real two_pi = R(2.0) * DDMPC_PI;
+    /* The estimate counts its turns itself: meet it on the turn it is on. */
+    const real turns = two_pi * ddmpc_rint((p->pose[2] - c->reference_pose[2]) / two_pi);
+    for (int i = 0; i <= STEPS(c); i++) {
+        const real *pose = c->reference_pose + 3 * i;
+        const real turned[3] = {pose[0], pose[1], pose[2] + turns};
+        const real *arguments[3] = {turned, c->reference_twist + 2 * i, p->slip};
+        real *results[1] = {p->aim + 4 * i};
+        WITH_SLIP(c, aim)(arguments, results, 0, 0, 0);
+    }
+    ddmpc_settled last;
+    last.found = 0;
+    for (int i = 0; i < STEPS(c); i++) {
+        real wanted[2];
+        for (int channel = 0; channel < 2; channel++) {
+            const real *now = c->reference_twist + 2 * (i + LAG(c, channel)) + channel;
+            wanted[channel] = now[0] + k->lag_rest[channel] * (now[2] - now[0]);
+        }
+        const real *arguments[3] = {wanted, p->slip, k->inverse_gain};
+        real *results[1] = {p->feed_forward + 2 * i};
+        WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
+        if (NONLINEAR(c))
+            settle(c, wanted, &last, p->feed_forward + 2 * i);
+    }
+}
+
+/* Twist of the body for the model's free output, and what a plan adds per unit of the model's: slip is affine. Where it
+   is not, the outputs are the body's already. */
+static void free_twists(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    real J[2 * (2 + FLAT_SLIPS)];
+    if (CURVED(c)) {
+        memcpy(p->free_twist, p->free_output, (size_t)(2 * (STEPS(c) + 1)) * sizeof(real));
+        p->gains[0] = p->gains[1] = R(1.0);
+        p->turn_gain = R(0.0);
+        return;
+    }
+    for (int k = 0; k <= STEPS(c); k++) {
+        const real *arguments[2] = {p->free_output + 2 * k, p->slip};
+        real *results[2] = {p->free_twist + 2 * k, J};
+        ddmpc_f_twist(arguments, results, 0, 0, 0);
+    }
+    p->gains[0] = J[0];
+    p->gains[1] = J[3];
+    p->turn_gain = J[2];
+}
+
+/* Where the robot turns about along the guess. It stays there when the plan is sought: an acceleration moves it too
+   little to be worth a gradient. */
+static void find_turning_points(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    for (int k = 0; k < STEPS(c); k++) {
+        const real gain = ddmpc_speed_at(c, p->by_plan, k + 1) - ddmpc_speed_at(c, p->by_plan, k);
+        const real acceleration = gain / (real)c->constants->sample_time;
+        const real *arguments[2] = {p->slip, &acceleration};
+        real *results[1] = {p->ahead + k};
+        WITH_SLIP(c, turning_point)(arguments, results, 0, 0, 0);
+    }
+}
+
+void ddmpc_problem_begin(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const int n = STATES(c), past = 2 * WINDOW(c);
+    const real *z = c->result.estimate.mean, *commands = ddmpc_commands(c);
+    ddmpc_problem *p = &c->problem;
+    memcpy(p->pose, z + n + POSE(c), sizeof p->pose);
+    memcpy(p->slip, z + n, (size_t)SLIPS(c) * sizeof(real));
+    memcpy(p->last, c->last, sizeof p->last);
+    look_ahead(c);
+    if (NONLINEAR(c))
+        return;
+    real *said = CURVED(c) ? p->said : p->free_output;
+    for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
+        const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
+        real free = R(0.0);
+        for (int j = 0; j < n; j++)
+            free += from_state[j] * z[j];
+        for (int j = 0; j < past; j++)
+            free += from_past[j] * commands[j];
+        said[i] = free;
+    }
+    if (!CURVED(c))
+        free_twists(c);
+}
+
+void ddmpc_problem_guess(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    for (int i = 0; i < INPUTS(c); i++) {
+        const real most = ddmpc_largest_command(c, i / 2, i % 2);
+        p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], -most), most);
+    }
+    p->has_guess = 1;
+}
+
+/* What a plan adds to the twists of a linear model at the samples: a convolution. */
+static void convolve(const real *response, const real *plan, int N, real *by_plan)
+{
+    memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
+    for (int channel = 0; channel < 2; channel++) {
+        const real *to_v = response + 2 * channel * (N + 1), *to_omega = to_v + N + 1;
+        real *sum = by_plan + channel * (N + 1);
+        for (int j = 0; j < N; j++) {
+            const real v = plan[2 * j], omega = plan[2 * j + 1];
+            for (int m = 1; m <= N - j; m++)
+                sum[j + m] += to_v[m] * v + to_omega[m] * omega;
+        }
+    }
+}
+
+/* The same from rows. */
+static void add_rows(const ddmpc_controller *c, const real *plan, real *by_plan)
+{
+    const int N = STEPS(c);
+    for (int channel = 0; channel < 2; channel++)
+        for (int k = 0; k <= N; k++) {
+            const real *row = ddmpc_twist_row(c, k, channel);
+            real sum = R(0.0);
+            for (int j = 0; j < 2 * k; j++)
+                sum += row[j] * plan[j];
+            by_plan[channel * (N + 1) + k] = sum;
+        }
+}
+
+void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan)
+{
+    if (ROWS(c))
+        add_rows(c, plan, by_plan);
+    else
+        convolve(c->constants->response, plan, STEPS(c), by_plan);
+}
+
+/* The outputs (2) of a nonlinear model at the samples under `plan`; `rows` says whether to keep its rows, too. */
+static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+{
+    ddmpc_problem *p = &c->problem;
+    const int n = STATES(c), N = STEPS(c), W = WINDOW(c), width = WIDTH(c);
+    real line[2 * (DDMPC_MOST_WINDOW + DDMPC_MOST_STEPS)], state[DDMPC_MOST_STATES], next[DDMPC_MOST_STATES];
+    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES], by_output[2 * DDMPC_MOST_STATES];
+    real *now = p->sensitivity, *after = p->sensitivity + n * width;
+    memcpy(line, ddmpc_commands(c), (size_t)(2 * W) * sizeof(real));
+    memcpy(line + 2 * W, plan, (size_t)(2 * N) * sizeof(real));
+    memcpy(state, c->result.estimate.mean, (size_t)n * sizeof(real));
+    memset(now, 0, (size_t)(n * width) * sizeof(real));
+    for (int k = 0; k <= N; k++) {
+        ddmpc_velocity_output(c, state, outputs + 2 * k, by_output);
+        for (int channel = 0; rows && channel < 2; channel++) {
+            real *row = p->twist_rows + (2 * k + channel) * width;
+            memset(row, 0, (size_t)width * sizeof(real));
+            for (int i = 0; i < n; i++)
+                for (int j = 0; j < 2 * k; j++)
+                    row[j] += by_output[channel * n + i] * now[i * width + j];
+        }
+        if (k == N)
+            break;
+        ddmpc_velocity_step(c, state, line + 2 * (W + k), next, rows ? by_state : 0, rows ? p->by_window : 0);
+        memcpy(state, next, (size_t)n * sizeof(real));
+        if (!rows)
+            continue;
+        memset(after, 0, (size_t)(n * width) * sizeof(real));
+        for (int i = 0; i < n; i++) {
+            for (int m = 0; m < n; m++)
+                for (int j = 0; j < 2 * k; j++)
+                    after[i * width + j] += by_state[i * n + m] * now[m * width + j];
+            /* The window's commands from the first of the plan on. */
+            for (int w = k < W ? W - k : 0; w <= W; w++)
+                for (int channel = 0; channel < 2; channel++)
+                    after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
+        }
+        real *swapped = now;
+        now = after;
+        after = swapped;
+    }
+}
+
+/* The same of a linear model. */
+static void run_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c), width = WIDTH(c);
+    real added[2 * (DDMPC_MOST_STEPS + 1)];
+    convolve(c->constants->response, plan, N, added);
+    for (int i = 0; i < 2 * (N + 1); i++)
+        outputs[i] = p->said[i] + added[(i % 2) * (N + 1) + i / 2];
+    for (int k = 0; rows && k <= N; k++)
+        for (int channel = 0; channel < 2; channel++) {
+            real *row = p->twist_rows + (2 * k + channel) * width;
+            memset(row, 0, (size_t)width * sizeof(real));
+            memcpy(row, ddmpc_model_row(c, k, channel), (size_t)(2 * k) * sizeof(real));
+        }
+}
+
+/* From what the model says to the body's twist. */
+static void curve(ddmpc_controller *c, real *outputs, int rows)
+{
+    ddmpc_problem *p = &c->problem;
+    const int width = WIDTH(c);
+    for (int k = 0; k <= STEPS(c); k++) {
+        real twist[2], J[2 * (2 + DDMPC_MOST_SLIPS)];
+        const real *arguments[2] = {outputs + 2 * k, p->slip};
+        real *results[2] = {twist, rows ? J : 0};
+        WITH_SLIP(c, twist)(arguments, results, 0, 0, 0);
+        memcpy(outputs + 2 * k, twist, sizeof twist);
+        real *v = p->twist_rows + 2 * k * width, *omega = v + width;
+        for (int j = 0; rows && j < 2 * k; j++) {
+            const real says[2] = {v[j], omega[j]};
+            v[j] = J[0] * says[0] + J[2] * says[1];
+            omega[j] = J[1] * says[0] + J[3] * says[1];
+        }
+    }
+}
+
+static void run(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+{
+    if (NONLINEAR(c))
+        run_model(c, plan, outputs, rows);
+    else
+        run_linear_model(c, plan, outputs, rows);
+    if (CURVED(c))
+        curve(c, outputs, rows);
+}
+
+/* Rows along the guess, and what the output would be without a plan. */
+static void linearise_rows(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c), width = WIDTH(c);
+    const real dt = (real)c->constants->sample_time;
+    run(c, p->guess, p->free_output, 1);
+    add_rows(c, p->guess, p->by_plan);
+    for (int i = 0; i < 2 * (N + 1); i++)
+        p->free_output[i] -= p->by_plan[(i % 2) * (N + 1) + i / 2];
+    memset(p->heading_rows, 0, (size_t)width * sizeof(real));
+    for (int k = 0; k < N; k++)
+        for (int j = 0; j < width; j++) {
+            for (int channel = 0; channel < 2; channel++)
+                p->mean_rows[(2 * k + channel) * width + j] =
+                    R(0.5) * (ddmpc_twist_row(c, k, channel)[j] + ddmpc_twist_row(c, k + 1, channel)[j]);
+            p->heading_rows[(k + 1) * width + j] =
+                p->heading_rows[k * width + j] + dt * p->mean_rows[(2 * k + 1) * width + j];
+        }
+    free_twists(c);
+}
+
+/* Poses by exact arcs, from the twists that the plan adds; with their gradients where `arcs` is given. */
+static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs, real *poses)
+{
+    const ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c);
+    const real dt = (real)c->constants->sample_time, v_gain = p->gains[0], omega_gain = p->gains[1];
+    real speed = ddmpc_speed_at(c, by_plan, 0);
+    memcpy(poses, p->pose, sizeof p->pose);
+    for (int k = 0; k < N; k++) {
+        const real *free = p->free_twist + 2 * k, *at = poses + 3 * k;
+        const real *omega = by_plan + N + 1 + k, next = ddmpc_speed_at(c, by_plan, k + 1);
+        const real mean_v = R(0.5) * (speed + next);
+        const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
+        real move[2], J[2 * 3];
+        const real *arguments[6] = {at + 2, &mean_v, &mean_omega, p->slip, p->ahead + k, &dt};
+        real *results[2] = {move, arcs ? J : 0};
+        WITH_SLIP(c, arc)(arguments, results, 0, 0, 0);
+        speed = next;
+        poses[3 * k + 3] = at[0] + move[0];
+        poses[3 * k + 4] = at[1] + move[1];
+        poses[3 * k + 5] = at[2] + dt * mean_omega;
+        for (int i = 0; arcs && i < 2; i++) {
+            arcs[i * N + k] = move[i];
+            arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
+            arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
+            arcs[(4 + 3 * i) * N + k] = omega_gain * J[i + 4];
+        }
+    }
+}
+
+void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c);
+    ddmpc_add_plan(c, plan, p->by_plan);
+    if (ROWS(c)) {
+        real outputs[2 * (DDMPC_MOST_STEPS + 1)];
+        run(c, plan, outputs, 0);
+        /* Not linearised: what the plan really adds. */
+        for (int i = 0; i < 2 * (N + 1); i++)
+            p->by_plan[(i % 2) * (N + 1) + i / 2] = outputs[i] - p->free_output[i];
+    }
+    roll_out(c, p->by_plan, 0, poses);
+}
+
+void ddmpc_linear_moves(const ddmpc_controller *c, const real *by_plan, real *moves, real *headings)
+{
+    const int N = STEPS(c);
+    const real *arc = c->problem.arc, *v_added = by_plan, *omega_added = by_plan + N + 1;
+    const real dt = (real)c->constants->sample_time;
+    real x = R(0.0), y = R(0.0);
+    headings[0] = R(0.0);
+    for (int k = 0; k < N; k++) {
+        const real v = R(0.5) * (v_added[k] + v_added[k + 1]);
+        const real omega = R(0.5) * (omega_added[k] + omega_added[k + 1]);
+        x += arc[2 * N + k] * v + arc[3 * N + k] * omega + arc[4 * N + k] * headings[k];
+        y += arc[5 * N + k] * v + arc[6 * N + k] * omega + arc[7 * N + k] * headings[k];
+        headings[k + 1] = headings[k] + dt * omega;
+        moves[k] = x;
+        moves[N + k] = y;
+    }
+}
+
+void ddmpc_problem_linearise(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    if (ROWS(c))
+        linearise_rows(c);
+    else
+        ddmpc_add_plan(c, p->guess, p->by_plan);
+    find_turning_points(c);
+    roll_out(c, p->by_plan, p->arc, p->poses);
+}

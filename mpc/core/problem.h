@@ -1,0 +1,67 @@
+/* What linearising, condensing and limiting share: the rows by which things answer to the commands. */
+#ifndef DDMPC_PROBLEM_H
+#define DDMPC_PROBLEM_H
+
+#include "internal.h"
+
+/* The model's own row, where it is linear. */
+static inline const real *ddmpc_model_row(const ddmpc_controller *c, int k, int channel)
+{
+    return c->constants->twist_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
+}
+
+/* Rows by the commands: twist of the model at the sample k, its mean over the arc k, heading at the sample k. */
+static inline const real *ddmpc_twist_row(const ddmpc_controller *c, int k, int channel)
+{
+    if (ROWS(c))
+        return c->problem.twist_rows + (2 * k + channel) * WIDTH(c);
+    return ddmpc_model_row(c, k, channel);
+}
+
+static inline const real *ddmpc_mean_row(const ddmpc_controller *c, int k, int channel)
+{
+    if (ROWS(c))
+        return c->problem.mean_rows + (2 * k + channel) * WIDTH(c);
+    return c->constants->mean_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k - 1);
+}
+
+static inline const real *ddmpc_heading_row(const ddmpc_controller *c, int k)
+{
+    if (ROWS(c))
+        return c->problem.heading_rows + k * WIDTH(c);
+    return c->constants->heading_row + 2 * (STEPS(c) - k);
+}
+
+/* Forward speed of the body at the sample k under a plan that adds `by_plan`. */
+static inline real ddmpc_speed_at(const ddmpc_controller *c, const real *by_plan, int k)
+{
+    const ddmpc_problem *p = &c->problem;
+    return p->free_twist[2 * k] + p->gains[0] * by_plan[k] + p->turn_gain * by_plan[STEPS(c) + 1 + k];
+}
+
+static inline const real *ddmpc_parameters_at(const ddmpc_controller *c, int sample, const ddmpc_term *term)
+{
+    return c->parameters + sample * PARAMETERS(c) + term->first_parameter;
+}
+
+/* linearise.c */
+/* What a plan adds to the twists of the model at the samples, (2, N + 1). */
+void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan);
+/* Displacements (2, N) at the samples 1 to N that the linearised arcs owe to a plan, and its headings (N + 1). */
+void ddmpc_linear_moves(const ddmpc_controller *c, const real *by_plan, real *moves, real *headings);
+
+/* condense.c */
+/* What a function of (pose, twist, command, reference, parameters) says at sample k + 1: value, then Jacobian. */
+void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, int rows, const real *command,
+                     const real *parameters, real *out);
+/* A gradient by pose, twist of the body and command, made one by what the model says instead of the twist; the heading
+   counts as turned by the model, too. `step` lies between its entries. */
+void ddmpc_through_slip(const ddmpc_problem *p, const real *by_body, int step, real gradient[TERM_INPUTS]);
+/* The row by the commands of something at sample k + 1 whose gradient is that of `ddmpc_through_slip`. */
+void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_INPUTS], real *row);
+
+/* limits.c */
+/* The most that may be commanded at a step of the plan [m/s, rad/s]. */
+real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel);
+
+#endif

@@ -1,0 +1,115 @@
+/* Wheels at the end of their speed, or of their force: which one falls short of what reference and commands ask, and what
+ * it reaches. Speeds are those at the rim: v + b omega on the right, v - b omega on the left, with half the track b. What the
+ * numbers of the test are is said in mpc/config/sensor_test.yaml. */
+#include "internal.h"
+
+/* Speeds of the right and left wheels at the rim for a twist of the body. */
+static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
+{
+    real parameters[DDMPC_MOST_SLIPS + 1], value[SHIPPED_SOFT];
+    const real nowhere[4] = {R(0.0), R(0.0), R(0.0), R(0.0)};
+    const real *arguments[5] = {nowhere, twist, 0, nowhere, parameters};
+    real *results[2] = {value, 0};
+    memcpy(parameters, c->result.estimate.mean + STATES(c), (size_t)SLIPS(c) * sizeof(real));
+    parameters[SLIPS(c)] = c->constants->half_track;
+    WITH_SLIP(c, soft)(arguments, results, 0, 0, 0);
+    rim[0] = value[2];
+    rim[1] = value[3];
+}
+
+/* The least and the most that commands have asked of each wheel since a while before their lag, in the directions
+ * `sign`; 0 where that is longer ago than commands are remembered. */
+static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
+{
+    const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
+    const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1), newest = COMMANDS(c) - 1;
+    const int since = lag + (int)(c->constants->short_for / (real)c->constants->sample_time);
+    if (since > newest)
+        return 0;
+    for (int ago = 0; ago <= since; ago++) {
+        const real *u = c->estimator.commands + 2 * (newest - ago);
+        const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
+        const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
+        /* Wheels turn as the model says: the body slips, not they. */
+        const real rim[2] = {sign[0] * (forward + turning), sign[1] * (forward - turning)};
+        for (int i = 0; i < 2; i++) {
+            least[i] = ago == 0 ? rim[i] : ddmpc_min(least[i], rim[i]);
+            most[i] = ago == 0 ? rim[i] : ddmpc_max(most[i], rim[i]);
+        }
+    }
+    return 1;
+}
+
+/* The wheel that falls the furthest short of what its reference and the commands ask (`asked`, in its direction); -1: none.
+   One that hardly turns is held, or dead; one that is just being stopped passes by all speeds. */
+static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *asked)
+{
+    const ddmpc_constants *k = c->constants;
+    const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
+    real least[2], most[2], worst = R(0.0);
+    int found = -1;
+    if (!asked_for(c, sign, least, most))
+        return -1;
+    for (int i = 0; i < 2; i++) {
+        const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], least[i]);
+        const real lacks = wanted - along;
+        /* Wheels that turn faster than asked follow somebody else's commands. */
+        if (along > most[i] + k->short_by[0])
+            return -1;
+        if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && lacks > worst &&
+            ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
+            worst = lacks;
+            found = i;
+            *asked = least[i];
+        }
+    }
+    return found;
+}
+
+/* Whether more command has given the wheel `found` no more speed: a wheel that only answers with another gain does gain. */
+static int gains_nothing(ddmpc_controller *c, int found, real asked)
+{
+    const ddmpc_constants *k = c->constants;
+    const real speed = ddmpc_fabs(c->rim[found]), more = asked - c->tried, gained = speed - c->tried_speed;
+    if (found != c->short_one || more < R(0.0) || (more > k->trial[0] * asked && gained > k->trial[1] * more)) {
+        c->short_one = found;
+        c->tried = asked;
+        c->tried_speed = speed;
+        return 0;
+    }
+    return more > k->trial[0] * asked;
+}
+
+/* Wheels at the end of their speed, or of their force, hold the reference up. What they reach is learned from their encoders
+ * (on slippery floors the estimate trusts the gyro more), and slowly forgotten. */
+void ddmpc_watch_wheels(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
+    const real *wheels = c->estimator.last_wheels, turning = k->half_track * wheels[1] / k->wheel_yaw_ratio;
+    const real read[2] = {wheels[0] + turning, wheels[0] - turning};
+    real by_reference[2], asked = R(0.0);
+    int found = -1;
+    for (int i = 0; i < 2; i++)
+        c->rim[i] += k->smoothed * (read[i] - c->rim[i]);
+    /* Wheels that answer with another gain fall short of the model, too, but the robot keeps up with its reference. */
+    const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose + 3, wanted);
+    const int behind = stray.late > k->astray[0] || ddmpc_fabs(stray.across) > k->astray[1] * k->band || stray.outside;
+    if (behind && c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < (ddmpc_time)k->short_for) {
+        rims(c, wanted, by_reference);
+        found = short_wheel(c, by_reference, read, &asked);
+    }
+    if (found >= 0 && gains_nothing(c, found, asked)) {
+        c->rim_reach = ddmpc_fabs(c->rim[found]);
+        c->reach = ddmpc_fabs(c->rim[found] / by_reference[found]) *
+                   (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
+    } else {
+        c->rim_reach *= R(1.0) + k->regain * dt;
+        c->reach *= R(1.0) + k->regain * dt;
+    }
+    /* Wheels that turn faster after all, or are not believed, say nothing of their end. */
+    const int faster = ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
+    if (faster || !(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
+        c->reach = c->rim_reach = (real)HUGE_VAL;
+    c->result.reach = c->reach;
+}
