@@ -30,12 +30,12 @@ def robot_defaults(config: ControllerConfig) -> list[str]:
     if is_shipped(config.model):
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
-    found = []
+    defaults = []
     for key, unit in _OF_THE_ROBOT.items():
         group, _, name = key.rpartition(".")
         if name not in groups[group].model_fields_set:
-            found.append(f"{key} {getattr(groups[group], name):g} {unit}")
-    return found
+            defaults.append(f"{key} {getattr(groups[group], name):g} {unit}")
+    return defaults
 
 
 def print_schema(part: str | None = None) -> None:

@@ -83,7 +83,7 @@ class Excitation:
         """How well the parameters will be known."""
         shown = self.expected.derived(
             [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
-            lambda values: np.concatenate([[*told, told[1] + told[2]] for told in values.reshape(2, -1)]),
+            lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
         )
         rows = []
         for name, *numbers in zip(shown.names, shown.values, shown.standard_deviation, strict=True):

@@ -72,11 +72,11 @@ class RerunView:
             for name in names:
                 if value := numbers(row, (name,)):
                     stream.log(f"{folder}/{name}", rerun.Scalars(value[0]))
-        said = str(row["mode"]), str(row["message"])
-        if said != self._said:
-            self._said = said
-            level = "INFO" if said[0] in ("TRACKING", "FINISHED") and not said[1] else "WARN"
-            stream.log("mode", rerun.TextLog(": ".join(filter(None, said)), level=level))
+        text = str(row["mode"]), str(row["message"])
+        if text != self._said:
+            self._said = text
+            level = "INFO" if text[0] in ("TRACKING", "FINISHED") and not text[1] else "WARN"
+            stream.log("mode", rerun.TextLog(": ".join(filter(None, text)), level=level))
 
     def _line(self, entity: str, poses: FloatArray, colour: tuple[int, int, int], *, static: bool = False) -> None:
         strip = [[float(pose[0]), float(pose[1]), 0.0] for pose in poses]

@@ -81,10 +81,10 @@ def _told(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
     """What the file says of the run, by name of the record."""
     labels = {name: str(value) for name, value in case.labels.items()}
     version = {"version": project_version(), "repeat": shlex.join([*_SIMULATE, *command])}
-    told: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}
+    metadata: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}
     if case.controller not in PEERS:
         config = controller_config(case.model, case.config, case.overrides)
         values = config.model_dump(mode="json") | {"model": label(config.model)}
-        told["configuration"] = {"yaml": yaml.safe_dump(values, sort_keys=False, allow_unicode=True)}
-        told["model"] = {"yaml": model_path(config.model).read_text(encoding="utf-8")}
-    return told
+        metadata["configuration"] = {"yaml": yaml.safe_dump(values, sort_keys=False, allow_unicode=True)}
+        metadata["model"] = {"yaml": model_path(config.model).read_text(encoding="utf-8")}
+    return metadata

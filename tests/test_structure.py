@@ -163,7 +163,7 @@ WORDS = {"found", "said", "told", "seen"}
 """What a name is, is said by the field's word for it: a response, a covariance, the lines of a file."""
 
 
-@pytest.mark.parametrize("room", ["models", "mpc", "sim", "bench"])
+@pytest.mark.parametrize("room", sorted(ALLOWED))
 def test_a_variable_is_named_for_what_it_holds(room):
     """Fields of data keep their names: files and callers know them."""
     variables = {

@@ -147,8 +147,8 @@ def write_mp4(path: Path, pictures: Iterator[Picture], fps: int) -> None:
     height, width, _ = first.shape
     source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-")
     command = ["ffmpeg", "-v", "error", "-y", *source, *_ENCODING, "-f", "mp4", str(path)]
-    with tempfile.TemporaryFile() as said:
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said) as process:
+    with tempfile.TemporaryFile() as messages:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=messages) as process:
             assert process.stdin is not None
             try:
                 for picture in itertools.chain((first,), pictures):
@@ -160,8 +160,8 @@ def write_mp4(path: Path, pictures: Iterator[Picture], fps: int) -> None:
                 process.kill()
                 raise
         if process.returncode != 0:
-            said.seek(0)
-            lines = said.read().decode(errors="replace").split("\n")
+            messages.seek(0)
+            lines = messages.read().decode(errors="replace").split("\n")
             raise ConfigError(f"{path.name}: ffmpeg failed: {lines[0]}; name a .webp or .gif file")
 
 

@@ -105,11 +105,11 @@ def from_columns(
     tracked = np.isfinite(reference).all(axis=1) & np.isfinite(pose).all(axis=1)
     position_error, lateral_error = np.full((2, len(time)), np.nan)
     if tracked.sum() > 1:
-        told = ReferenceSample(
+        reference_samples = ReferenceSample(
             reference[tracked], rows("reference_v_m_s", "reference_omega_rad_s")[tracked], _arc(reference[tracked])
         )
-        along = RecordedReference(time[tracked], told)
-        errors = tracking_errors(along, told, pose[tracked], twist[tracked])
+        along = RecordedReference(time[tracked], reference_samples)
+        errors = tracking_errors(along, reference_samples, pose[tracked], twist[tracked])
         position_error[tracked], lateral_error[tracked] = errors.position, errors.lateral
     return Playback(
         time=time,
@@ -149,9 +149,9 @@ class RecordedReference:
 
     def sample(self, times: Any) -> ReferenceSample:  # noqa: ANN401 - ArrayLike
         """Between two ticks on the straight line."""
-        told = self._told
+        reference = self._told
         pose, twist = (
             np.column_stack([np.interp(times, self._time, column) for column in rows.T])
-            for rows in (told.pose, told.twist)
+            for rows in (reference.pose, reference.twist)
         )
-        return ReferenceSample(pose, twist, np.interp(times, self._time, told.arc_length))
+        return ReferenceSample(pose, twist, np.interp(times, self._time, reference.arc_length))

@@ -55,10 +55,10 @@ def from_drive_log(log: DriveLog, limits: tuple[float, float] | None = None) -> 
     for row, plan in zip(plans, log.plans, strict=False):
         if plan is not None:
             row[: len(plan)] = plan
-    told, case = log.metadata.get("configuration", {}).get("yaml"), log.metadata.get("case", {})
-    if limits is None and told is not None:
-        said = parse_yaml(told)["limits"]
-        limits = said["v"], said["omega"]
+    config_text, case = log.metadata.get("configuration", {}).get("yaml"), log.metadata.get("case", {})
+    if limits is None and config_text is not None:
+        config_limits = parse_yaml(config_text)["limits"]
+        limits = config_limits["v"], config_limits["omega"]
     return replace(from_columns(log.columns, plans, limits), plant=case.get("plant"), surface=case.get("surface"))
 
 

@@ -98,9 +98,9 @@ class ViewFromAbove:
 
 
 def _extent(playback: Playback, shown: slice) -> tuple[FloatArray, FloatArray]:
-    seen = np.concatenate([playback.pose[shown, :2], playback.reference[:, :2]])
-    seen = seen[np.isfinite(seen).all(axis=1)]
-    return seen.min(axis=0), seen.max(axis=0)
+    points = np.concatenate([playback.pose[shown, :2], playback.reference[:, :2]])
+    points = points[np.isfinite(points).all(axis=1)]
+    return points.min(axis=0), points.max(axis=0)
 
 
 def _draw_path(axes: Axes, reference: FloatArray, band: float, thickness: float) -> list[Line2D]:

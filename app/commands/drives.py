@@ -288,8 +288,8 @@ def simulate(
     if from_run is not None:
         from diffdrive_mpc.app.simulate.single import simulate_again  # noqa: PLC0415 - --help does without it
 
-        said = {name: value for name, value in values.items() if value != DEFAULTS[name]}
-        if said or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
+        changed = {name: value for name, value in values.items() if value != DEFAULTS[name]}
+        if changed or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
             raise ValueError(
                 "--from-run: the file says what is driven; give --out, --log and --details beside it, nothing else"
             )

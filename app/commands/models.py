@@ -81,6 +81,6 @@ def compare(
             most_rows=settings.most_rows["effects"],
         )
         chosen = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
-        found = compare_models(data, chosen, parts, on_progress=lambda text: bar.begin(text, 1))
-    output_console().print(rich_table(found.table()))
-    typer.echo(found.sentence())
+        comparison = compare_models(data, chosen, parts, on_progress=lambda text: bar.begin(text, 1))
+    output_console().print(rich_table(comparison.table()))
+    typer.echo(comparison.sentence())

@@ -181,10 +181,10 @@ def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float)
 
 def read_room(text: str) -> tuple[float, float]:
     """Length and width [m] of `4x3`; raises ValueError for anything else."""
-    found = re.fullmatch(r"\s*([0-9.]+)\s*[x,]\s*([0-9.]+)\s*", text)
+    match = re.fullmatch(r"\s*([0-9.]+)\s*[x,]\s*([0-9.]+)\s*", text)
     try:
-        if found:
-            return float(found[1]), float(found[2])
+        if match:
+            return float(match[1]), float(match[2])
     except ValueError:
         pass
     raise ValueError(f"--inside '{text}': give length and width in metres, such as 4x3")

@@ -219,14 +219,14 @@ def doctor(
     from diffdrive_mpc.app.doctor import examination  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.progress import output_console  # noqa: PLC0415
 
-    found = examination.examine()
+    findings = examination.examine()
     if as_json:
-        typer.echo(examination.as_json(found))
+        typer.echo(examination.as_json(findings))
     else:
         console = output_console()
         console.print(examination.heading(), markup=False, highlight=False)
-        for table in examination.tables(found):
+        for table in examination.tables(findings):
             typer.echo()
             console.print(table.rich())
-    if not examination.can_run(found):
+    if not examination.can_run(findings):
         raise typer.Exit(FAILED)

@@ -42,16 +42,16 @@ def schema(
         return
     from diffdrive_mpc.app.schemas.generate import placed, schema_text  # noqa: PLC0415 - the list does without it
 
-    found = kind_of(kind)
+    described = kind_of(kind)
     if out is not None and path:
         raise ConfigError("--path names a file that is there already; give --path or --out")
     if path:
-        typer.echo(placed(found))
+        typer.echo(placed(described))
     elif out is None:
-        typer.echo(schema_text(found), nl=False)
+        typer.echo(schema_text(described), nl=False)
     else:
         with whole_file(out) as draft:
-            draft.write_text(schema_text(found), encoding="utf-8")
+            draft.write_text(schema_text(described), encoding="utf-8")
 
 
 def _list_kinds() -> None:

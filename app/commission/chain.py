@@ -44,10 +44,10 @@ class Logs:
 
 def excite(folder: Path, config: str, room: Room, asked: DriveSettings, seed: int) -> Gate:
     """Look for the drive; it must promise enough."""
-    found = _excitation(config, room, asked, seed)
-    found.write(folder / DRIVE)
-    print(found.table())  # noqa: T201 - into the step's own file
-    gates, expected = commission_settings().gates, found.expected
+    excitation = _excitation(config, room, asked, seed)
+    excitation.write(folder / DRIVE)
+    print(excitation.table())  # noqa: T201 - into the step's own file
+    gates, expected = commission_settings().gates, excitation.expected
     late = expected.derived(
         CHANNELS, lambda values: np.array([values[1] + values[2], values[4] + values[5]])
     ).standard_deviation
@@ -88,27 +88,27 @@ def take(folder: Path, logs: Logs) -> Gate:
 
 def learn(folder: Path, logs: Logs, config: str) -> Gate:
     """From the slow log to a configuration for the full drive: its model, otherwise what the first drive had."""
-    found = identify(logs.files, logs.mapping, structure="sm")
-    found.write(folder)
-    gate = _explained(found)
+    identification = identify(logs.files, logs.mapping, structure="sm")
+    identification.write(folder)
+    gate = _explained(identification)
     if not gate.passed:
         return gate
-    told = {"model": MODEL_FILE, "extra_dead_time": {}, "horizon": found.config["horizon"]}
-    changed = replace_values(load_config(config), told)
+    changes = {"model": MODEL_FILE, "extra_dead_time": {}, "horizon": identification.config["horizon"]}
+    changed = replace_values(load_config(config), changes)
     (folder / CONFIG_FILE).write_text(commented_yaml(changed), encoding="utf-8")
     return gate
 
 
 def identify_all(folder: Path, logs: Logs) -> Gate:
     """Identify from all logs, with where the filter may begin; the configuration must drive."""
-    found = _with_slip(identify(logs.files, logs.mapping, structure="sm"), logs)
-    found.write(folder, draw_identification(found.report, folder, lambda: None))
-    gate = _explained(found)
+    identification = _with_slip(identify(logs.files, logs.mapping, structure="sm"), logs)
+    identification.write(folder, draw_identification(identification.report, folder, lambda: None))
+    gate = _explained(identification)
     if not gate.passed:
         return gate
     config = load_config(folder / CONFIG_FILE)
-    (folder / FIRST_CIRCLE).write_text(first_circle(config, found.model).text(), encoding="utf-8")
-    drives = trial_drives(found, config)
+    (folder / FIRST_CIRCLE).write_text(first_circle(config, identification.model).text(), encoding="utf-8")
+    drives = trial_drives(identification, config)
     doubts = trial_doubts(drives)
     worst = max(drive.lateral_share for drive in drives)
     if doubts or worst > commission_settings().gates.lateral_share:
@@ -159,12 +159,12 @@ def twin_proof(plant: Path, runs: int, *, scaled: bool = False) -> Proof:
     for name, (low, high) in settings.spread.items():
         value = stated(name, factors)
         factors[name] = {"uniform": [low * value, high * value]}
-    told = {
+    from_twin = {
         "description": "the fitted twin, robots around it, pose sensors and faults",
         "runs": runs,
         "factors": factors,
     }
-    return Proof.model_validate({"draw_seed": shipped.draw_seed, "sampler": shipped.sampler} | told)
+    return Proof.model_validate({"draw_seed": shipped.draw_seed, "sampler": shipped.sampler} | from_twin)
 
 
 def _excitation(config: str, room: Room, asked: DriveSettings, seed: int) -> Excitation:

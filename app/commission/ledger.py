@@ -132,7 +132,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _quietly(step: Callable[[Path], Gate], folder: Path) -> Gate:
-    with (folder / SAID).open("w", encoding="utf-8") as said, redirect_stdout(said):
+    with (folder / SAID).open("w", encoding="utf-8") as output, redirect_stdout(output):
         return step(folder)
 
 

@@ -77,10 +77,10 @@ def write_informed(robot: Path, folder: Path) -> Path:
         records.append(Record(name, 0.0, plant.sample_time, drive.command, twist=body, yaw_rate=drive.true_twist[:, 2]))
         motions.append(drive.true_twist)
         slopes.append(np.gradient(drive.true_twist[:, 0], plant.sample_time))
-    found = identify_sm(records, limits=False)
-    fit = validate(found.system, records).fit_percent
+    identified = identify_sm(records, limits=False)
+    fit = validate(identified.system, records).fit_percent
     content = model_file(
-        found,
+        identified,
         name="true parameters",
         source=f"exact drives of {build.description}",
         records=[record.name for record in records],
@@ -91,7 +91,7 @@ def write_informed(robot: Path, folder: Path) -> Path:
     )
     (v, lateral, omega), slope = np.concatenate(motions).T, np.concatenate(slopes)
     side_slip, load_shift = np.linalg.lstsq(np.column_stack([-v * omega, slope * omega]), lateral, rcond=None)[0]
-    pace = choose_pace(found.model, records[0].dt)
+    pace = choose_pace(identified.model, records[0].dt)
     config = {
         "model": MODEL_FILE,
         "horizon": pace.horizon,
@@ -165,16 +165,16 @@ def compare(robot: Path, config: Path, shipped: str, folder: Path, jobs: int | N
     }
     plant = {"plant": f"mujoco:{robot.resolve()}"}
     runs = {
-        (name, path): [Definition.of(dict(told) | plant | {"trajectory": path, "seed": seed}) for seed in SEEDS]
-        for name, told in controllers.items()
+        (name, path): [Definition.of(dict(factors) | plant | {"trajectory": path, "seed": seed}) for seed in SEEDS]
+        for name, factors in controllers.items()
         for path in PATHS
     }
     with ProgressBar("comparing") as bar:
         driven = drive_all([one for group in runs.values() for one in group], Place(folder, jobs), bar, "comparing")
-    found = iter(driven)
+    results = iter(driven)
     errors: dict[str, dict[str, float]] = {name: {} for name in controllers}
     for (name, path), group in runs.items():
-        values = [next(found).number("position_rmse_m") for _ in group]
+        values = [next(results).number("position_rmse_m") for _ in group]
         errors[name][path] = float(np.sqrt(np.mean(np.square(values))))
     return Comparison(errors)
 
@@ -287,15 +287,15 @@ def _cost(steps: Mapping[str, Done]) -> Chart:
 
 
 def _proof(out: Path) -> list[View]:
-    found = sorted((out / "prove" / "figures").glob("*.png"))
-    return [Picture(f"Proof: {path.stem.replace('-', ' ')}", picture(path), broad=False) for path in found]
+    figures = sorted((out / "prove" / "figures").glob("*.png"))
+    return [Picture(f"Proof: {path.stem.replace('-', ' ')}", picture(path), broad=False) for path in figures]
 
 
 def _warnings(steps: Mapping[str, Done], out: Path, runs: Mapping[str, Run]) -> list[Warned]:
-    found = [
+    warnings = [
         Warned(f"{name}: {step.sentence}.", f"what the step printed is in {name}/said.txt; mend it and call again")
         for name, step in steps.items()
         if not step.passed
     ]
     config = load_config(out / RESULT / CONFIG_FILE) if runs else None
-    return found + [one for path, run in runs.items() for one in run_warnings(run, config, f"{path} on the twin")]
+    return warnings + [one for path, run in runs.items() for one in run_warnings(run, config, f"{path} on the twin")]

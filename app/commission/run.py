@@ -80,22 +80,22 @@ def commission_into(asked: Asked, out: Path, *, one: bool = False, drawn: int | 
         _say(name, step, new)
 
     passed = commission(asked, out, one=one, on_step=done)
-    found = None
+    comparison = None
     if passed and (out / RESULT).is_dir():
         _print(f"{out / RESULT}: model, configuration, twin, proof and report.")
-        found = None if drawn is None else _compared(asked, out, drawn)
+        comparison = None if drawn is None else _compared(asked, out, drawn)
     with whole_file(out / REPORT) as draft:
-        write_page(commission_page(asked, out, steps, found, time.perf_counter() - began), draft)
+        write_page(commission_page(asked, out, steps, comparison, time.perf_counter() - began), draft)
     return passed
 
 
 def _compared(asked: Asked, out: Path, drawn: int) -> Comparison:
     """Compare what was commissioned on the robot that was drawn, print it and keep it."""
-    found = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, asked.config, out / "compare", asked.jobs)
-    _write(found, drawn, out / COMPARISON)
-    output_console().print(found.table().rich())
-    _print(_sentence(found))
-    return found
+    comparison = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, asked.config, out / "compare", asked.jobs)
+    _write(comparison, drawn, out / COMPARISON)
+    output_console().print(comparison.table().rich())
+    _print(_sentence(comparison))
+    return comparison
 
 
 def _sentence(found: Comparison) -> str:

@@ -12,23 +12,23 @@ _CPUS = "sys/devices/system/cpu"
 
 def processor(machine: Machine) -> Finding:
     """Model, cores, frequency."""
-    said = machine.values("proc/cpuinfo")
-    name = said.get("model name") or said.get("Model") or said.get("Hardware") or platform.machine()
-    mhz = said.get("cpu MHz", "").partition(".")[0]
+    values = machine.values("proc/cpuinfo")
+    name = values.get("model name") or values.get("Model") or values.get("Hardware") or platform.machine()
+    mhz = values.get("cpu MHz", "").partition(".")[0]
     top = machine.number(f"{_CPUS}/cpu0/cpufreq/cpuinfo_max_freq")
     speed = f", at {mhz} MHz" if mhz else ""
     speed += f" of {top // 1000}" if top else ""
     cores = available_cores()
     share = _quota(machine)
-    found = f"{name}, {cores} cores{speed}"
+    description = f"{name}, {cores} cores{speed}"
     if share is not None and share < cores:
         return Finding(
             "processor",
             "warn",
-            f"{found}, of which this container may use {share:g}",
+            f"{description}, of which this container may use {share:g}",
             "studies take longer; raise its limit (--cpus)",
         )
-    return Finding("processor", "ok", found, "studies use all cores, a controller one")
+    return Finding("processor", "ok", description, "studies use all cores, a controller one")
 
 
 def _quota(machine: Machine) -> float | None:
@@ -39,13 +39,13 @@ def _quota(machine: Machine) -> float | None:
 
 def governor(machine: Machine) -> Finding:
     """Who chooses the frequency."""
-    found = sorted(set(machine.texts(f"{_CPUS}/cpu[0-9]*/cpufreq/scaling_governor")))
-    if not found:
+    governors = sorted(set(machine.texts(f"{_CPUS}/cpu[0-9]*/cpufreq/scaling_governor")))
+    if not governors:
         return Finding("CPU governor", "unknown", "not to be seen", "as usual in virtual machines; the host decides")
-    if found == ["performance"]:
+    if governors == ["performance"]:
         return Finding("CPU governor", "ok", "performance", "full frequency at all times")
     means = "a step may take two or three times as long after a pause: sudo cpupower frequency-set -g performance"
-    return Finding("CPU governor", "warn", ", ".join(found), means)
+    return Finding("CPU governor", "warn", ", ".join(governors), means)
 
 
 def turbo(machine: Machine) -> Finding:
@@ -60,17 +60,19 @@ def turbo(machine: Machine) -> Finding:
 
 def memory(machine: Machine) -> Finding:
     """Memory that is left, for this container too."""
-    said = machine.values("proc/meminfo")
-    available = _kilobytes(said.get("MemAvailable")) or _kilobytes(said.get("MemFree"))
-    total = _kilobytes(said.get("MemTotal"))
+    values = machine.values("proc/meminfo")
+    available = _kilobytes(values.get("MemAvailable")) or _kilobytes(values.get("MemFree"))
+    total = _kilobytes(values.get("MemTotal"))
     limit = machine.number("sys/fs/cgroup/memory.max")
     if available is None or total is None:
         return Finding("memory", "unknown", "not to be seen", "a controller needs 0.2 GB, a study 0.3 GB a process")
     left = min(available, limit) if limit is not None else available
-    found = f"{in_bytes(left)} of {in_bytes(total)} free" + (f", limit {in_bytes(limit)}" if limit is not None else "")
+    description = f"{in_bytes(left)} of {in_bytes(total)} free" + (
+        f", limit {in_bytes(limit)}" if limit is not None else ""
+    )
     if left < doctor_settings().least_memory:
-        return Finding("memory", "warn", found, "studies may be ended by the system: fewer --jobs")
-    return Finding("memory", "ok", found, "a controller needs 0.2 GB, a study 0.3 GB a process")
+        return Finding("memory", "warn", description, "studies may be ended by the system: fewer --jobs")
+    return Finding("memory", "ok", description, "a controller needs 0.2 GB, a study 0.3 GB a process")
 
 
 def _kilobytes(text: str | None) -> int | None:

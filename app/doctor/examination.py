@@ -51,8 +51,8 @@ def examine(machine: Machine | None = None) -> dict[str, list[Finding]]:
 
 def _careful(look: Look, machine: Machine) -> list[Finding]:
     try:
-        found = look(machine)
-        return [found] if isinstance(found, Finding) else list(found)
+        findings = look(machine)
+        return [findings] if isinstance(findings, Finding) else list(findings)
     except Exception as error:
         name = look.__name__.replace("_", " ")
         reason = " ".join(f"{type(error).__name__}: {error}".split())

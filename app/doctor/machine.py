@@ -47,10 +47,10 @@ class Machine:
 
     def texts(self, pattern: str) -> list[str]:
         """The files that match, those that can be read."""
-        found = []
+        contents = []
         with suppress(OSError):
-            found = [self.text(str(path.relative_to(self.root))) for path in sorted(self.root.glob(pattern))]
-        return [text for text in found if text]
+            contents = [self.text(str(path.relative_to(self.root))) for path in sorted(self.root.glob(pattern))]
+        return [text for text in contents if text]
 
     def there(self, path: str) -> bool:
         """Whether there is such a file or folder."""
@@ -66,11 +66,11 @@ class Machine:
 
     def values(self, path: str) -> dict[str, str]:
         """A file with lines `key : value`; of a key that is there more than once, the first."""
-        found: dict[str, str] = {}
+        entries: dict[str, str] = {}
         for line in (self.text(path) or "").splitlines():
             key, _, value = line.partition(":")
-            found.setdefault(key.strip(), value.strip())
-        return found
+            entries.setdefault(key.strip(), value.strip())
+        return entries
 
     def program(self, name: str) -> str | None:
         """Where a program is."""

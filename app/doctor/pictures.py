@@ -22,7 +22,7 @@ def off_screen(machine: Machine) -> Finding:
     """OpenGL without a display."""
     there = [name for name in _BACKENDS if machine.library(name)]
     chosen = machine.variable("MUJOCO_GL")
-    found = (
+    libraries = (
         ", ".join(there)
         + (f", MUJOCO_GL={chosen}" if chosen else "")
         + (", /dev/dri" if machine.there("dev/dri") else "")
@@ -31,13 +31,13 @@ def off_screen(machine: Machine) -> Finding:
         return Finding(
             "OpenGL off screen",
             "missing",
-            found.strip(", ") or "none",
+            libraries.strip(", ") or "none",
             "MuJoCo's own pictures cannot be rendered: apt install libegl1 libosmesa6",
         )
     if chosen and chosen not in (*(_BACKENDS[name] for name in there), "glfw"):
         means = f"its library is not there: set MUJOCO_GL={_BACKENDS[there[0]]}"
-        return Finding("OpenGL off screen", "warn", found, means)
-    return Finding("OpenGL off screen", "ok", found, "MuJoCo's own pictures can be rendered")
+        return Finding("OpenGL off screen", "warn", libraries, means)
+    return Finding("OpenGL off screen", "ok", libraries, "MuJoCo's own pictures can be rendered")
 
 
 def ffmpeg(machine: Machine) -> Finding:

@@ -64,12 +64,12 @@ def core(machine: Machine) -> Finding:  # noqa: ARG001
 def compiler(machine: Machine) -> Finding:  # noqa: ARG001
     """The C compiler."""
     try:
-        path, said = find_compiler()
+        path, version = find_compiler()
     except NotCompiledError:
         means = "functions of yours (costs, limits, models) cannot be compiled: apt install gcc; a wheel does the rest"
         return Finding("C compiler", "missing", "none", means)
     return Finding(
-        "C compiler", "ok", f"{Path(path).name}: {said.splitlines()[0]}", "your own functions can be compiled"
+        "C compiler", "ok", f"{Path(path).name}: {version.splitlines()[0]}", "your own functions can be compiled"
     )
 
 
@@ -107,8 +107,8 @@ def dependencies(machine: Machine) -> Finding:
     if faults:
         return Finding("dependencies", "warn", "; ".join(faults), "pip install --upgrade diffdrive-mpc")
     shown = ("numpy", "scipy", "casadi", "osqp", "daqp")
-    found = ", ".join(f"{name} {machine.installed(name)}" for name in shown)
-    return Finding("dependencies", "ok", found, f"all {len(core_ones)} are there, in their ranges")
+    versions = ", ".join(f"{name} {machine.installed(name)}" for name in shown)
+    return Finding("dependencies", "ok", versions, f"all {len(core_ones)} are there, in their ranges")
 
 
 def _faults(wanted: list[Requirement], machine: Machine) -> Iterator[str]:
@@ -140,12 +140,12 @@ def extras(machine: Machine) -> Iterator[Finding]:
 
 def blas_threads(machine: Machine) -> Finding:
     """Threads of NumPy's linear algebra."""
-    said = [f"{name}={machine.variable(name)}" for name in _THREADS if machine.variable(name)]
+    settings = [f"{name}={machine.variable(name)}" for name in _THREADS if machine.variable(name)]
     one = any(machine.variable(name) == "1" for name in _THREADS)
     if one:
-        return Finding("BLAS threads", "ok", ", ".join(said), "one thread: matrices are small")
+        return Finding("BLAS threads", "ok", ", ".join(settings), "one thread: matrices are small")
     means = "the controller's core uses none; studies limit them: export OMP_NUM_THREADS=1 for your own scripts"
-    return Finding("BLAS threads", "ok", ", ".join(said) or "not limited", means)
+    return Finding("BLAS threads", "ok", ", ".join(settings) or "not limited", means)
 
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

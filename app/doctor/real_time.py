@@ -18,12 +18,12 @@ def timer(machine: Machine) -> Finding:
     """Resolution of the clock, and where it comes from."""
     resolution = time.get_clock_info("perf_counter").resolution
     source = machine.text(_CLOCK_SOURCE)
-    found = f"{resolution * 1e9:.0f} ns" + (f", {source}" if source else "")
+    description = f"{resolution * 1e9:.0f} ns" + (f", {source}" if source else "")
     if resolution > 1e-5:
-        return Finding("timer", "warn", found, "step times are told in steps of this size")
+        return Finding("timer", "warn", description, "step times are told in steps of this size")
     if source and source not in _GOOD_CLOCKS:
-        return Finding("timer", "warn", found, "a slow clock: each look at it costs about a microsecond")
-    return Finding("timer", "ok", found, "fine enough for step times")
+        return Finding("timer", "warn", description, "a slow clock: each look at it costs about a microsecond")
+    return Finding("timer", "ok", description, "fine enough for step times")
 
 
 def sleep_jitter(machine: Machine) -> Finding:
@@ -31,11 +31,13 @@ def sleep_jitter(machine: Machine) -> Finding:
     settings = doctor_settings()
     late = np.array(machine.lateness(settings.jitter_period, settings.jitter_time)) * 1e3
     middle, high = np.percentile(late, [50, 99])
-    found = f"{middle:.2f} ms late in the middle, {high:.2f} ms at the 99th percentile, {late.max():.2f} ms at most"
+    description = (
+        f"{middle:.2f} ms late in the middle, {high:.2f} ms at the 99th percentile, {late.max():.2f} ms at most"
+    )
     if high > settings.most_lateness * 1e3:
         means = "a loop on this computer is late: other programs, power saving or the host; see governor and kernel"
-        return Finding("sleep jitter", "warn", found, means)
-    return Finding("sleep jitter", "ok", found, "small beside a sample time of 20 ms")
+        return Finding("sleep jitter", "warn", description, means)
+    return Finding("sleep jitter", "ok", description, "small beside a sample time of 20 ms")
 
 
 def kernel(machine: Machine) -> Finding:
@@ -66,11 +68,11 @@ def real_time_permission(machine: Machine) -> Finding:
             f"this is root; memlock {locked_said}",
             "`chrt -f 80` works; better a user with limits",
         )
-    found = f"rtprio {'unlimited' if priority == -1 else priority}, memlock {locked_said}"
+    description = f"rtprio {'unlimited' if priority == -1 else priority}, memlock {locked_said}"
     if priority == -1 or priority >= doctor_settings().least_rtprio:
-        return Finding("real-time permission", "ok", found, "start the node with `chrt -f 80` on a busy robot")
+        return Finding("real-time permission", "ok", description, "start the node with `chrt -f 80` on a busy robot")
     means = f"`chrt -f 80` is refused; on a robot: 'USER - rtprio 98', 'USER - memlock unlimited' in {_LIMITS_FILE}"
-    return Finding("real-time permission", "warn", found, means)
+    return Finding("real-time permission", "warn", description, means)
 
 
 def clock(machine: Machine) -> Finding:

@@ -194,8 +194,8 @@ def _link(target: str, folder: Path, program: Path) -> bool:
         return False
     if done.returncode:
         lines = done.stderr.splitlines()
-        said = next((line for line in lines if "error: " in line), lines[-1] if lines else "it does not say why")
-        raise ConfigError(f"{target}: {compiler} failed: {said.rpartition('error: ')[2]}")
+        reason = next((line for line in lines if "error: " in line), lines[-1] if lines else "it does not say why")
+        raise ConfigError(f"{target}: {compiler} failed: {reason.rpartition('error: ')[2]}")
     return True
 
 

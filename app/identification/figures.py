@@ -251,18 +251,18 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
 
 def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:
     """Real and imaginary part of each pole whose uncertainty is known, and their standard deviations [rad/s]."""
-    found = identified.parameters
+    parameters = identified.parameters
     rows = []
-    for name in found.names:
+    for name in parameters.names:
         pole, _, part = name.partition(".")
         damping = name.replace("natural_frequency", "damping")
-        if damping != name and damping in found.names:
-            pair = found.part([name, damping])
+        if damping != name and damping in parameters.names:
+            pair = parameters.part([name, damping])
             rows += [_row(pair.derived(("real", "imag"), parts)) for parts in _POLES[bool(pair.values[1] < 1.0)]]
         elif pole.startswith("pole_") and part == "real":
-            rows.append(_row(found.part([name, f"{pole}.imag"])))
+            rows.append(_row(parameters.part([name, f"{pole}.imag"])))
         elif pole.startswith("pole_") and not part:
-            rows.append((found.value(name), 0.0, found.deviation(name), 0.0))
+            rows.append((parameters.value(name), 0.0, parameters.deviation(name), 0.0))
     return rows
 
 

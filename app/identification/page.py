@@ -39,8 +39,8 @@ _PICTURES = {"What residuals still hold": "residuals.png", "Poles": "poles.png"}
 @cache
 def remedies() -> dict[str, str]:
     """What to do about each kind of warning."""
-    found: dict[str, str] = read_yaml(Path(__file__).with_name("remedies.yaml"))
-    return found
+    texts: dict[str, str] = read_yaml(Path(__file__).with_name("remedies.yaml"))
+    return texts
 
 
 def identification_page(
@@ -142,10 +142,10 @@ def _pictures(folder: Path) -> list[View]:
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
     """Of log, estimate and drives; those that matter for driving first."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
-    told = [(one.verdict, str(one), one.kind) for one in findings]
-    told += [(one.verdict, str(one), one.kind) for one in (*report.doubts, *trial_doubts(drives))]
-    told.sort(key=lambda one: one[0] is None or not one[0].matters)
-    return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in told]
+    shown = [(one.verdict, str(one), one.kind) for one in findings]
+    shown += [(one.verdict, str(one), one.kind) for one in (*report.doubts, *trial_doubts(drives))]
+    shown.sort(key=lambda one: one[0] is None or not one[0].matters)
+    return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in shown]
 
 
 def _sentence(words: str) -> str:

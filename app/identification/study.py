@@ -153,8 +153,8 @@ def _print(found: Identification, out: Path) -> None:
     for setting in found.configuration.bounds:
         _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
     if found.configuration.room:
-        told = ", ".join(f"{setting.name} {setting.value:g} m" for setting in found.configuration.room)
-        _print_line(f"room, more than usual as the robot is larger or faster: {told}")
+        room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in found.configuration.room)
+        _print_line(f"room, more than usual as the robot is larger or faster: {room}")
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 

@@ -147,7 +147,7 @@ def trial_table(drives: Sequence[TrialDrive]) -> Table:
 
 def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
     """A doubt for each drive that failed."""
-    found = [
+    doubts = [
         f"the configuration does not drive '{drive.path}' on {drive.plant}: "
         + (
             f"{100 * drive.lateral_share:.0f} % of its turning circle beside the path"
@@ -157,7 +157,7 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
         for drive in drives
         if not drive.metrics.completed or drive.lateral_share > _FAR
     ]
-    return [Doubt("failed drive", words) for words in found]
+    return [Doubt("failed drive", words) for words in doubts]
 
 
 # The first drive of an identified configuration on the robot: a slow circle, and a recipe in the report.

@@ -109,11 +109,11 @@ def facts(driven: Sequence[Driven], others: int) -> list[str]:
     ticks = sum(one.number("steps") for one in driven if math.isfinite(one.number("steps")))
     failures = sum(one.row["error"] != "" for one in driven)
     unsafe = Outcomes.of(driven).unsafe
-    seen = f"{unsafe.count} of {unsafe.of} runs had an unsafe command"
     return [
         f"{len(driven)} runs drawn, {others} more for maps and boundaries; {ticks:.0f} ticks were checked.",
         f"Processor time of a run: mean {np.mean(times):.2f} s, 95th percentile {np.percentile(times, 95):.2f} s.",
-        f"{seen}: with {100 * CONFIDENCE:.0f} % confidence fewer than {percent(unsafe.bound)} % of all such runs have.",
+        f"{unsafe.count} of {unsafe.of} runs had an unsafe command: "
+        f"with {100 * CONFIDENCE:.0f} % confidence fewer than {percent(unsafe.bound)} % of all such runs have.",
         *([f"{failures} runs ended in an error; errors are those of the others."] if failures else []),
     ]
 
@@ -232,8 +232,8 @@ def _boundaries(found: Sequence[Boundary], seeds: int) -> Table:
 
 def _worst(files: Mapping[str, Driven]) -> Table:
     def words(one: Driven) -> str:
-        said = one.row["error"] or one.row.get("ended") or one.row.get("message") or ""
-        return str(said)
+        reason = one.row["error"] or one.row.get("ended") or one.row.get("message") or ""
+        return str(reason)
 
     return Table.of(
         "Worst runs",
@@ -332,11 +332,11 @@ def _interval(rate: Rate) -> str:
 
 def tail_charts(driven: Sequence[Driven]) -> list[Chart]:
     """The share of completed runs with a larger error than a given one, and CVaR; empty without such runs."""
-    found = 1e3 * errors([one for one in driven if one.row["completed"] is True])
-    if not found.size:
+    rmse = 1e3 * errors([one for one in driven if one.row["completed"] is True])
+    if not rmse.size:
         return []
     worst = 1e3 * error_estimates(driven)[f"{CVAR}, completed runs"].value
-    series = Series("completed runs", *tail(found), 0, "line")
+    series = Series("completed runs", *tail(rmse), 0, "line")
     axes = Axis("position RMSE [mm]", "log"), Axis("share of completed runs with more", "log")
     marks = [Mark(TAIL, f"{100 * TAIL:g} %"), Mark(round(worst, 2), f"{CVAR}: {worst:.1f} mm", upright=True)]
     return [Chart("How large the error is", *axes, [series], marks=marks)]
@@ -384,23 +384,23 @@ def _boundary(one: Boundary, seeds: int) -> Chart:
 
 
 def _warnings(driven: Sequence[Driven], boundaries: Sequence[Boundary]) -> list[Warned]:
-    of, found = Outcomes.of(driven), []
+    of, warnings = Outcomes.of(driven), []
     failed = sum(one.row["error"] != "" for one in driven)
     band = f"{1e3 * metric_settings().band:g} mm"
     if of.unsafe.count:
         words = f"{of.unsafe.count} runs had an unsafe command: not finite, or beyond what the configuration allows."
-        found.append(Warned(words, f"do not drive with it; {_WORDS_AGAIN}, and send it to the authors"))
+        warnings.append(Warned(words, f"do not drive with it; {_WORDS_AGAIN}, and send it to the authors"))
     if failed:
-        found.append(Warned(f"{failed} runs ended in an error and count as not completed.", _WORDS_AGAIN))
+        warnings.append(Warned(f"{failed} runs ended in an error and count as not completed.", _WORDS_AGAIN))
     if of.stopped.count:
         words = f"In {of.stopped.count} runs the robot stopped by itself: safe, but not at its end."
-        found.append(Warned(words, f"look in the tables which scenario that is; {remedies().waited}"))
+        warnings.append(Warned(words, f"look in the tables which scenario that is; {remedies().waited}"))
     beyond = of.completed.count - of.in_band.count
     if beyond:
         words = f"{beyond} completed runs were further than {band} from the path at some time."
-        found.append(Warned(words, f"leave that much room beside the path, or drive slower; {_WORDS_AGAIN}"))
+        warnings.append(Warned(words, f"leave that much room beside the path, or drive slower; {_WORDS_AGAIN}"))
     for boundary in boundaries:
         if boundary.held is None:
             words = f"{boundary.factor}: not even {boundary.search.holds:g} holds, which should."
-            found.append(Warned(words, "look at the maps for what else is at its limit there"))
-    return found
+            warnings.append(Warned(words, "look at the maps for what else is at its limit there"))
+    return warnings

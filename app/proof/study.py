@@ -97,9 +97,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
         named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
         if named:
             raise ConfigError(f"factors.{named[0]}: it is {self._config} that is to be proven; leave it out")
-        told = told_of(self._config)
-        probe = Definition.of(dict(self._proof.probe.factors) | dict(told), "probe")
-        return ProofPlan([one.changed(told) for one in self._proof.definitions(self._runs)], probe)
+        factors = told_of(self._config)
+        probe = Definition.of(dict(self._proof.probe.factors) | dict(factors), "probe")
+        return ProofPlan([one.changed(factors) for one in self._proof.definitions(self._runs)], probe)
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:
         """The run that the maps change a factor of."""
@@ -115,9 +115,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
         tried: dict[str, Driven] = {one.key: one for one in mapped}
 
         def drive(runs: list[Definition]) -> list[Driven]:
-            found = drive_all(runs, place, bar, "searching boundaries")
-            tried.update((one.key, one) for one in found)
-            return found
+            outcomes = drive_all(runs, place, bar, "searching boundaries")
+            tried.update((one.key, one) for one in outcomes)
+            return outcomes
 
         boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive)
         listed = worst(driven, self._kept)

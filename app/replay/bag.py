@@ -101,7 +101,7 @@ def recorded_drive(
         raise ConfigError(f"{path}: no tick at which the controller drove is in it")
     by_number = dict(drives)
     config_of = {key: configs.read(drive.config, drive.model) for key, drive in drives}
-    found: list[Tick] = []
+    recorded: list[Tick] = []
     approximated: list[str] = []
     now: tuple[int, int] | None = None
     for key, record in ticks:
@@ -111,7 +111,7 @@ def recorded_drive(
         if key != now:
             tick = _begin(tick, by_number.get(key), config_of.get(key), now is None, approximated)
         now = key
-        found.append(tick)
+        recorded.append(tick)
     numbers = np.diff([record.number for _, record in ticks])
     missing = int((numbers[numbers > 1] - 1).sum())
     if missing:
@@ -119,7 +119,7 @@ def recorded_drive(
             f"{missing} ticks are missing from the bag: commands differ after each gap until the estimate has settled."
         )
     config = next(iter(config_of.values()), None)
-    return Recording(path.name, source, tuple(found), config=config, approximated=tuple(approximated))
+    return Recording(path.name, source, tuple(recorded), config=config, approximated=tuple(approximated))
 
 
 def _begin(
@@ -146,13 +146,13 @@ def _begin(
 
 def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
     """Each with the activation of the node and the drive that it belongs to: numbers begin anew with an activation."""
-    activation, last, found = 0, 0, []
+    activation, last, numbered = 0, 0, []
     for record in records:
         number = record.number if isinstance(record, DriveRecord) else record.drive
         activation += number < last
         last = number
-        found.append(((activation, number), record))
-    return found
+        numbered.append(((activation, number), record))
+    return numbered
 
 
 def _lines(reader: Reader, topic: str) -> Iterator[str]:
@@ -213,9 +213,9 @@ def read_bag_drive(
     Raises ConfigError if the bag is damaged, or a topic is missing or of another type.
     """
     with opened(path) as reader:
-        said = record_topics(reader)
-        if said is not None and mapping is None and not stand_in:
-            return read_records(reader, path, said, configs)
+        recorded_topics = record_topics(reader)
+        if recorded_topics is not None and mapping is None and not stand_in:
+            return read_records(reader, path, recorded_topics, configs)
         topics = (mapping.topics if mapping else None) or Topics()
         return _from_topics(reader, path, topics, sample_time, stand_in=stand_in)
 

@@ -121,8 +121,8 @@ def _gathered(config: ControllerConfig, recording: Recording, steps: list[StepRe
             for m in (tick.measurement for tick in recording.ticks)
         ]
     )
-    found = [{} if estimate is None else estimate.innovations for estimate in estimates]
-    innovations = np.array([[one.get(sensor, np.nan) for sensor in SENSORS] for one in found])
+    by_tick = [{} if estimate is None else estimate.innovations for estimate in estimates]
+    innovations = np.array([[one.get(sensor, np.nan) for sensor in SENSORS] for one in by_tick])
     return Replayed(
         config,
         np.array([step.command for step in steps]),
@@ -173,8 +173,8 @@ class DeadTimeWatch:
         if self._learner is None:
             return
         if tick.start is not None and tick.start.reset:
-            found = self._learner.found
+            learned = self._learner.found
             self._learner.forget()
-            self._learner.found = found
+            self._learner.found = learned
         driven = replace(step, command=tick.command, mode=Mode.TRACKING, blocked_for=0.0)
         self._learner.take(tick.time, tick.measurement, driven)

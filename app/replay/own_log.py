@@ -87,8 +87,8 @@ def _of_node(path: Path, configs: LoggedConfigs, *, cut: bool) -> Recording:
     for kind, channel, message in messages(path):
         if channel.topic in lines:
             lines[channel.topic].append(str(decoded(kind, message.data).data))
-    found = recorded_drive(path, "MCAP log of the node", lines[TICK], lines[DRIVE], configs)
-    return replace(found, findings=(*found.findings, *_cut(path, cut=cut)))
+    drive = recorded_drive(path, "MCAP log of the node", lines[TICK], lines[DRIVE], configs)
+    return replace(drive, findings=(*drive.findings, *_cut(path, cut=cut)))
 
 
 def _cut(path: Path, *, cut: bool) -> tuple[str, ...]:
@@ -107,10 +107,10 @@ def _recording(
     command = np.column_stack([numbers["v_ref_m_s"], numbers["omega_ref_rad_s"]])
     between = f"{path.name}: reference"
     reference = logged_reference(numbers, between, config)
-    said = zip(texts["mode"], texts["solver_path"], texts["message"], strict=True)
+    outcomes = zip(texts["mode"], texts["solver_path"], texts["message"], strict=True)
     ticks = [
         Tick(t, measurement, sent, None, None, None, *words)
-        for t, measurement, sent, words in zip(numbers["t_s"].tolist(), measurements, command, said, strict=True)
+        for t, measurement, sent, words in zip(numbers["t_s"].tolist(), measurements, command, outcomes, strict=True)
     ]
     ticks[0] = replace(ticks[0], start=Start(reference, ticks[0].time, reset=False))
     interpolated = reference is not None and reference.name == between
@@ -185,9 +185,9 @@ def read_commands(path: Path, time: FloatArray) -> FloatArray:
     Raises ConfigError if the file cannot be read, or is the replay of something else.
     """
     table = read_table(path, {"t_s", *_COMMAND})
-    found, _ = table.numbers("t_s")
+    times, _ = table.numbers("t_s")
     commands = np.column_stack([table.numbers(name)[0] for name in _COMMAND])
-    if len(found) < len(time) or not np.allclose(found[: len(time)], time, rtol=0.0, atol=1e-9):
+    if len(times) < len(time) or not np.allclose(times[: len(time)], time, rtol=0.0, atol=1e-9):
         raise ConfigError(f"--beside {path}: its ticks are not those of this log; give the replay.csv of the same log")
     return commands[: len(time)]
 

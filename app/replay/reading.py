@@ -64,16 +64,18 @@ def read_recording(
     configs = LoggedConfigs(path, scratch, trusted)
     loaded = None if mapping is None else load_mapping(mapping)
     if loaded is None and not stand_in and is_drive_log(path):
-        found = read_own_mcap(path, configs)
+        recording = read_own_mcap(path, configs)
     elif is_bag(path):
-        found = read_bag_drive(path, loaded, sample_time, configs, stand_in=stand_in)
+        recording = read_bag_drive(path, loaded, sample_time, configs, stand_in=stand_in)
     elif loaded is None and is_own_csv(path) and not stand_in:
-        found = read_own_csv(path, config)
+        recording = read_own_csv(path, config)
     else:
-        found = read_mapped_csv(path, loaded or load_mapping("simulate"), sample_time, stand_in=stand_in)
-    if len(found.ticks) < _LEAST_TICKS:
-        raise ConfigError(f"{path}: {len(found.ticks)} ticks, at least {_LEAST_TICKS} are needed; record for longer")
-    return replace(found, approximated=(STAND_IN, *found.approximated)) if stand_in else found
+        recording = read_mapped_csv(path, loaded or load_mapping("simulate"), sample_time, stand_in=stand_in)
+    if len(recording.ticks) < _LEAST_TICKS:
+        raise ConfigError(
+            f"{path}: {len(recording.ticks)} ticks, at least {_LEAST_TICKS} are needed; record for longer"
+        )
+    return replace(recording, approximated=(STAND_IN, *recording.approximated)) if stand_in else recording
 
 
 def up_to(recording: Recording, end: float | None) -> Recording:

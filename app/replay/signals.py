@@ -62,14 +62,14 @@ def shipped(
     for limits in dict.fromkeys((own, usual)):
         for name, timing in itertools.product(BUILT_IN, (None, *TIMINGS)):
             try:
-                found = load_trajectory(name, limits, timing)
+                trajectory = load_trajectory(name, limits, timing)
             except BeyondLimitError:
                 continue
-            if np.abs(found.sample(time[:1]).pose - pose[:1]).max() > _SAME:
+            if np.abs(trajectory.sample(time[:1]).pose - pose[:1]).max() > _SAME:
                 continue
-            sample = found.sample(time)
+            sample = trajectory.sample(time)
             if np.abs(sample.pose - pose).max() < _SAME and np.abs(sample.twist - twist).max() < _SAME:
-                return found
+                return trajectory
     return None
 
 
@@ -134,11 +134,11 @@ def read_mapped_csv(path: Path, mapping: LogMapping, sample_time: float, *, stan
     approximated: list[str] = [FOREIGN]
     left_out = 0
     for stretch in raw.stretches:
-        found, words = _stretch(stretch, mapping, sample_time, path.name, stand_in=stand_in)
-        if len(found) < _LEAST_TICKS:
+        signals, words = _stretch(stretch, mapping, sample_time, path.name, stand_in=stand_in)
+        if len(signals) < _LEAST_TICKS:
             left_out += 1
             continue
-        ticks += found
+        ticks += signals
         approximated += [word for word in words if word not in approximated]
     if not ticks:
         raise ConfigError(f"{path}: no stretch of {_LEAST_TICKS} ticks of {sample_time:g} s; record for longer")
@@ -164,10 +164,10 @@ def _stretch(
     for field, signal in stretch.measured.items():
         if field in _FIELDS and len(signal.time):
             readings[_FIELDS[field]] = _readings(signal, getattr(mapping.columns, _COLUMNS[field]).delay)
-    said = list(words)
+    notes = list(words)
     if stand_in:
         readings["pose"] = by_odometry(readings, name)
-    return assembled(time, command, readings), said
+    return assembled(time, command, readings), notes
 
 
 def _readings(signal: Signal, delay: float) -> Readings:

@@ -132,13 +132,13 @@ def _row(name: str, came: FloatArray, innovations: tuple[tuple[str, int, float],
 
 
 def _innovations(field: str, replayed: Replayed, counted: BoolArray) -> tuple[tuple[str, int, float], ...]:
-    found = []
+    statistics = []
     for column in _INNOVATIONS[field]:
         values = replayed.innovations[counted, column]
         values = values[np.isfinite(values)]
         usual = float(np.median(values)) / _MEDIANS[column] if len(values) else np.nan
-        found.append((SENSORS[column], len(values), usual))
-    return tuple(found)
+        statistics.append((SENSORS[column], len(values), usual))
+    return tuple(statistics)
 
 
 def at_limits(command: FloatArray, before: FloatArray, replayed: Replayed) -> dict[str, tuple[float, float]]:
@@ -148,7 +148,7 @@ def at_limits(command: FloatArray, before: FloatArray, replayed: Replayed) -> di
     """
     limits, beyond = replayed.config.limits, replay_settings().beyond_limit
     dt = replayed.config.sample_time
-    found = {}
+    counts = {}
     for column, name in enumerate(("v", "omega")):
         for what, value, limit in (
             (name, np.abs(command[:, column]), getattr(limits, name)),
@@ -158,5 +158,5 @@ def at_limits(command: FloatArray, before: FloatArray, replayed: Replayed) -> di
             if known.any():
                 at = 100.0 * np.mean(value[known] >= limit * (1 - 1e-6))
                 over = 100.0 * np.mean(value[known] > limit * (1 + 1e-6) + beyond)
-                found[what] = (float(at), float(over))
-    return found
+                counts[what] = (float(at), float(over))
+    return counts

@@ -185,8 +185,8 @@ class ReplayStudy(Study[ReplayPlan, Found]):
     def _overrides(self) -> Overrides:
         """Values by dotted key that were given in place of those of the configuration."""
         asked = self._asked
-        told = () if asked.sample_time is None else (("sample_time", asked.sample_time),)
-        return (*single_settings(asked.settings), *told)
+        overrides = () if asked.sample_time is None else (("sample_time", asked.sample_time),)
+        return (*single_settings(asked.settings), *overrides)
 
     def _references(self, recording: Recording, config: ControllerConfig) -> tuple[tuple[Reference, ...], str]:
         """What is tracked from each start on, and where it comes from."""
@@ -294,20 +294,20 @@ class ReplayStudy(Study[ReplayPlan, Found]):
 
 def agreement(results: Found, *, by_controller: bool) -> str:
     """Whether the replay commands what was recorded, in a sentence."""
-    found = results.pairs[RECORDED, REPLAYED]
-    if not found.compared:
+    pair = results.pairs[RECORDED, REPLAYED]
+    if not pair.compared:
         return "The log holds no commands to compare with."
-    largest = f"{found.largest[0]:.3g} m/s and {found.largest[1]:.3g} rad/s"
-    if found.same:
+    largest = f"{pair.largest[0]:.3g} m/s and {pair.largest[1]:.3g} rad/s"
+    if pair.same:
         return f"Replayed and recorded commands are the same at every tick; the largest differences are {largest}."
     if not by_controller:
         return (
-            f"Another one drove, so commands differ: by {found.rms[0]:.3g} m/s and {found.rms[1]:.3g} rad/s RMS, at "
+            f"Another one drove, so commands differ: by {pair.rms[0]:.3g} m/s and {pair.rms[1]:.3g} rad/s RMS, at "
             f"most by {largest}. That is no error; it says how differently this controller would have driven."
         )
     return (
-        f"Replayed and recorded commands differ at {found.differing} of {found.compared} ticks, first at "
-        f"{found.first:.2f} s, by {found.rms[0]:.3g} m/s and {found.rms[1]:.3g} rad/s RMS, at most by {largest}. With "
+        f"Replayed and recorded commands differ at {pair.differing} of {pair.compared} ticks, first at "
+        f"{pair.first:.2f} s, by {pair.rms[0]:.3g} m/s and {pair.rms[1]:.3g} rad/s RMS, at most by {largest}. With "
         "the configuration, the path and the release that drove they are the same but for what is said below."
     )
 
@@ -315,7 +315,7 @@ def agreement(results: Found, *, by_controller: bool) -> str:
 def content(results: Found) -> dict[str, object]:
     """What replay.json holds beside `meta`."""
     return {
-        "commands": [{"one": one, "other": other, **vars(found)} for (one, other), found in results.pairs.items()],
+        "commands": [{"one": one, "other": other, **vars(pair)} for (one, other), pair in results.pairs.items()],
         "sensors": [
             vars(row) | {"innovations": {name: {"count": count, "mean": mean} for name, count, mean in row.innovations}}
             for row in results.sensors
@@ -340,10 +340,10 @@ def _check_sample_time(recording: Recording, config: ControllerConfig) -> None:
 
 def _first_pose(recording: Recording) -> FloatArray:
     poses = (tick.measurement.pose for tick in recording.ticks)
-    found = next((pose for pose in poses if pose is not None), None)
-    if found is None:
+    first = next((pose for pose in poses if pose is not None), None)
+    if first is None:
         raise ConfigError(f"{recording.name}: no poses, so --start-at-robot has nowhere to start")
-    return np.asarray(found.value, dtype=float)
+    return np.asarray(first.value, dtype=float)
 
 
 # What `diffdrive-mpc replay` does: the study, what it found in words, and replay.csv.
@@ -353,11 +353,11 @@ def replay_into(asked: Asked, out: Path) -> None:
     """Replay a log into the folder `out`, and say what was found; raises as `carry_out` does."""
     check_not_read(out / NAME, f"--out {out / NAME}")
     with tempfile.TemporaryDirectory() as folder:
-        found = carry_out(ReplayStudy(asked, Path(folder)), out)
-        recording = found.plan.recording
-        write_replay(recording, found.replayed, found.other, out / NAME)
+        results = carry_out(ReplayStudy(asked, Path(folder)), out)
+        recording = results.plan.recording
+        write_replay(recording, results.replayed, results.other, out / NAME)
     console = output_console()
-    lines = [agreement(found, by_controller=recording.by_controller), found.plan.reference_words]
+    lines = [agreement(results, by_controller=recording.by_controller), results.plan.reference_words]
     lines += [*recording.approximated, *recording.findings]
     for line in lines:
         console.print(line, markup=False, highlight=False)

@@ -27,22 +27,22 @@ def verdict_table(said: Sequence[Verdict]) -> Table:
 def command_table(pairs: Mapping[tuple[str, str], Difference]) -> Table:
     """A row for v and one for omega of each pair that is compared."""
     rows = []
-    for (one, other), found in pairs.items():
+    for (one, other), pair in pairs.items():
         for i, name in enumerate(("v [m/s]", "omega [rad/s]")):
-            cells = (f"{found.rms[i]:.3g}", f"{found.largest[i]:.3g}", number(found.largest_at[i], 2))
-            share = f"{found.differing} of {found.compared}"
-            rows.append((f"{one} - {other}", name, *cells, share, number(found.first, 2)))
+            cells = (f"{pair.rms[i]:.3g}", f"{pair.largest[i]:.3g}", number(pair.largest_at[i], 2))
+            share = f"{pair.differing} of {pair.compared}"
+            rows.append((f"{one} - {other}", name, *cells, share, number(pair.first, 2)))
     columns = ("commands", "of", "RMS", "largest", "at [s]", "ticks that differ", "first [s]")
     return Table("Commands", columns, tuple(rows), 2, note="Differing: by more than 1e-9 m/s or rad/s.")
 
 
 def share_table(title: str, columns: Mapping[str, Sequence[str]], counted: BoolArray) -> Table:
     """Share of the ticks by word, a column for each who said them."""
-    found = {who: shares(words, counted) for who, words in columns.items()}
-    found = {who: of for who, of in found.items() if of}
-    names = list(dict.fromkeys(word for of in found.values() for word in of))
-    rows = tuple((word, *(f"{of.get(word, 0.0):.1f}" for of in found.values())) for word in names)
-    return Table(title, ("", *(f"{who} [% of ticks]" for who in found)), rows)
+    by_column = {who: shares(words, counted) for who, words in columns.items()}
+    by_column = {who: of for who, of in by_column.items() if of}
+    names = list(dict.fromkeys(word for of in by_column.values() for word in of))
+    rows = tuple((word, *(f"{of.get(word, 0.0):.1f}" for of in by_column.values())) for word in names)
+    return Table(title, ("", *(f"{who} [% of ticks]" for who in by_column)), rows)
 
 
 def sensor_table(sensors: Sequence[SensorRow]) -> Table:
@@ -83,14 +83,14 @@ def time_table(replays: Mapping[str, Replayed], counted: BoolArray) -> Table:
 
 def message_table(recording: Recording, replayed: Replayed, counted: BoolArray) -> Table:
     """What the controller says, with how often and when first; the most frequent."""
-    said: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     first: dict[str, float] = {}
     for tick, message, keep in zip(recording.ticks, replayed.messages, counted, strict=True):
         if message and keep:
             kind = _without_numbers(message)
-            said[kind] += 1
+            counts[kind] += 1
             first.setdefault(kind, tick.time)
-    rows = tuple((kind[:_WORDS], str(count), number(first[kind], 2)) for kind, count in said.most_common(_SAID))
+    rows = tuple((kind[:_WORDS], str(count), number(first[kind], 2)) for kind, count in counts.most_common(_SAID))
     return Table("What the controller says", ("message", "ticks", "first at [s]"), rows, note="Numbers as #.")
 
 

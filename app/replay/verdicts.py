@@ -61,8 +61,8 @@ class Evidence:
 def verdicts(of: Evidence) -> tuple[Verdict, ...]:
     """All that can be said, the gravest first."""
     settings = replay_settings()
-    found = [_poses, _modes, _late, _accused, _dead_time, _limits, _yaw_gain, _offset, _innovations]
-    return tuple(verdict for say in found for verdict in say(of, settings))
+    rules = [_poses, _modes, _late, _accused, _dead_time, _limits, _yaw_gain, _offset, _innovations]
+    return tuple(verdict for say in rules for verdict in say(of, settings))
 
 
 def _poses(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
@@ -89,7 +89,7 @@ def _modes(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
     bad = {mode: share for mode, share in modes.items() if mode in _SAFE}
     if not bad:
         return
-    said = Counter(
+    counts = Counter(
         message
         for mode, message, keep in zip(of.replayed.modes, of.replayed.messages, of.counted, strict=True)
         if keep and mode in _SAFE and message
@@ -99,10 +99,10 @@ def _modes(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
         for tick, mode, keep in zip(of.recording.ticks, of.replayed.modes, of.counted, strict=True)
         if keep and mode in _SAFE
     )
-    told = ", ".join(f"{mode} at {share:.1f} % of the ticks" for mode, share in bad.items())
-    why = f"; it says most often: “{said.most_common(1)[0][0]}”" if said else ""
+    shown = ", ".join(f"{mode} at {share:.1f} % of the ticks" for mode, share in bad.items())
+    why = f"; it says most often: “{counts.most_common(1)[0][0]}”" if counts else ""
     yield Verdict(
-        f"The controller would not drive all the way: {told}, first at {first:.2f} s{why}.",
+        f"The controller would not drive all the way: {shown}, first at {first:.2f} s{why}.",
         "docs/failure.md says what each message means; replay.csv has it tick by tick",
     )
 
@@ -138,11 +138,11 @@ def _accused(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
 
 
 def _dead_time(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
-    found = of.dead_time
-    if found is None:
+    dead_time = of.dead_time
+    if dead_time is None:
         return
     for i, name in enumerate(CHANNELS):
-        value, deviation, used = float(found.value[i]), float(found.deviation[i]), float(found.used[i])
+        value, deviation, used = float(dead_time.value[i]), float(dead_time.deviation[i]), float(dead_time.used[i])
         wrong = value - used
         # Less than half a sample, or than what is not known of it, changes nothing.
         least = max(settings.dead_time_wrong, 0.5 * of.replayed.config.sample_time, 2.0 * deviation)

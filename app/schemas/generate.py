@@ -67,8 +67,8 @@ def _partial(node: Schema, base: Mapping[str, Any], defs: Mapping[str, Schema]) 
         name: _partial(inner, base[name], defs) if isinstance(base.get(name), Mapping) else inner
         for name, inner in resolved["properties"].items()
     }
-    said = {key: node[key] for key in ("title", "description") if key in node}
-    return resolved | said | {"properties": properties} | ({"required": required} if required else {})
+    kept = {key: node[key] for key in ("title", "description") if key in node}
+    return resolved | kept | {"properties": properties} | ({"required": required} if required else {})
 
 
 def _object_of(node: Schema, defs: Mapping[str, Schema]) -> Schema:
@@ -97,8 +97,8 @@ def _drawn_inside(node: Schema) -> Schema:
 
 
 def _drawn(node: Schema) -> Schema:
-    said = {key: node[key] for key in ("title", "description", "default") if key in node}
-    bare = {key: value for key, value in node.items() if key not in said}
+    kept = {key: node[key] for key in ("title", "description", "default") if key in node}
+    bare = {key: value for key, value in node.items() if key not in kept}
     values = [_drawn_inside(branch) for branch in bare.get("anyOf", [bare])]
     if any(branch.get("type") in ("number", "integer") for branch in values):
         values.append(_range(next(branch for branch in values if branch.get("type") in ("number", "integer"))))
@@ -108,7 +108,7 @@ def _drawn(node: Schema) -> Schema:
         "required": [_ONE_OF],
         "additionalProperties": False,
     }
-    return said | {"anyOf": [*values, choice]}
+    return kept | {"anyOf": [*values, choice]}
 
 
 def _range(number: Schema) -> Schema:

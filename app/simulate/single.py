@@ -137,9 +137,9 @@ def report(outcome: Outcome, out: Path | None, *, details: bool = False) -> None
     if outcome.case.controller not in PEERS:
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
         for check in (steps_beyond_slew, sharper_than_commands):
-            said = check(outcome.run.reference, config.limits, config.sample_time)
-            if said:
-                console.print(said, markup=False, highlight=False)
+            complaints = check(outcome.run.reference, config.limits, config.sample_time)
+            if complaints:
+                console.print(complaints, markup=False, highlight=False)
     for sentence in other_robots([outcome.case]):
         console.print(f"note: {sentence}", markup=False, highlight=False)
     if details and outcome.run.ended:
@@ -253,8 +253,8 @@ def simulate_again(
 
 
 def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) -> bool:
-    told = load_run(file)
-    definition = told.definition
+    stored = load_run(file)
+    definition = stored.definition
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
@@ -270,6 +270,6 @@ def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) 
         report(Outcome(definition.case, run), out, details=details)
     else:
         console.print(f"not completed: {row['error']}", markup=False, highlight=False)
-    same, sentence = compared(told, row)
+    same, sentence = compared(stored, row)
     console.print(f"{file}: {sentence}", markup=False, highlight=False)
     return same

@@ -310,23 +310,23 @@ def _page_put_back(verdict: Verdict) -> Chart:
 
 
 def _warnings(searched: Searched, verdict: Verdict) -> list[Warned]:
-    found = []
+    warnings = []
     if verdict.broken:
-        found.append(Warned(f"On runs of other seeds the best point breaks {verdict.broken}.", _NOT_BETTER))
+        warnings.append(Warned(f"On runs of other seeds the best point breaks {verdict.broken}.", _NOT_BETTER))
     elif not verdict.improved:
-        found.append(Warned(f"It is {verdict.sentence}.", _NOT_BETTER))
+        warnings.append(Warned(f"It is {verdict.sentence}.", _NOT_BETTER))
     if verdict.usual_broken:
         words = f"The defaults break {verdict.usual_broken}."
-        found.append(Warned(words, "the plan asks for more than they were made for; see its constraints"))
+        warnings.append(Warned(words, "the plan asks for more than they were made for; see its constraints"))
     idle = [one.key for one in verdict.put_back if one.rise.high <= 0.0]
     if idle and verdict.improved:
         words = f"Put back to its default, each of these would be better or the same: {', '.join(idle)}."
-        found.append(Warned(words, "put them back in config.yaml by hand: fewer changes are easier to trust"))
+        warnings.append(Warned(words, "put them back in config.yaml by hand: fewer changes are easier to trust"))
     broken = sum(bool(point.broken) for point in searched.points)
     if 2 * broken > len(searched.points):
         words = f"{broken} of {len(searched.points)} points broke what has to hold."
-        found.append(Warned(words, "narrow the ranges in the plan, so that the search does not waste its runs"))
-    return found
+        warnings.append(Warned(words, "narrow the ranges in the plan, so that the search does not waste its runs"))
+    return warnings
 
 
 def _told(point: Point) -> str:

@@ -127,8 +127,8 @@ def importance_of(points: Sequence[Point], distributions: Mapping[str, object]) 
         ]
     )
     evaluator = optuna.importance.PedAnovaImportanceEvaluator(target_quantile=max(_TOP, _LEAST_TOP / len(known)))
-    found = optuna.importance.get_param_importances(study, evaluator=evaluator)
-    return {name: float(value) for name, value in sorted(found.items(), key=lambda one: -one[1])}
+    importance = optuna.importance.get_param_importances(study, evaluator=evaluator)
+    return {name: float(value) for name, value in sorted(importance.items(), key=lambda one: -one[1])}
 
 
 _WORKER, _GROUP, _SCORE = "worker", "group", "score"
@@ -292,13 +292,13 @@ class Search:
         for k, of in enumerate(self._fidelities):
             left = [one for one in judged if one.goes_on]
             text = f"points {batch[0].number} to {batch[-1].number} of {self._plan.points}, fidelity {k + 1}"
-            found = self.drive([one.values for one in left], of.runs, bar, text)
-            for one, driven in zip(left, found, strict=True):
+            results = self.drive([one.values for one in left], of.runs, bar, text)
+            for one, driven in zip(left, results, strict=True):
                 self._take(one, k, driven, of.usual)
         left = [one for one in judged if one.goes_on]
         for name, of in self._own.items():
-            found = self.drive([one.values for one in left], of.runs, bar, f"constraint {name}")
-            for one, driven in zip(left, found, strict=True):
+            results = self.drive([one.values for one in left], of.runs, bar, f"constraint {name}")
+            for one, driven in zip(left, results, strict=True):
                 one.violations |= broken(driven, of.usual, self._terms)
                 one.violations[name] = exceeded(self._plan.constraints[name], driven, of.usual, name)
             left = [one for one in left if one.goes_on]
@@ -324,8 +324,8 @@ class Search:
                 one.violations[name] = exceeded(constraint, driven, usual, name)
         if one.violations["not_driven"] > 0.0:
             return
-        found = score(self._terms, table_of(self._terms, driven), table_of(self._terms, usual))
-        one.scores.append((float(found.value), float(found.error), float(found.effort)))
+        scored = score(self._terms, table_of(self._terms, driven), table_of(self._terms, usual))
+        one.scores.append((float(scored.value), float(scored.error), float(scored.effort)))
         if in_words(one.violations) or fidelity == len(self._fidelities) - 1:
             return
         choice = f"pruned after fidelity {fidelity + 1}"
@@ -340,15 +340,23 @@ class Search:
         return values_of(params, self.usual)
 
     def _point(self, trial: Any) -> Point:  # noqa: ANN401
-        said = trial.user_attrs[_SCORE]
+        attributes = trial.user_attrs[_SCORE]
         values = self._values(trial.params)
         usable = trial.state == needs_optuna().trial.TrialState.COMPLETE
-        if not said["scores"]:
-            return Point(trial.number, values, broken=said["broken"])
-        value, error, effort = said["scores"][-1]
-        first = said["scores"][0][0]
+        if not attributes["scores"]:
+            return Point(trial.number, values, broken=attributes["broken"])
+        value, error, effort = attributes["scores"][-1]
+        first = attributes["scores"][0][0]
         return Point(
-            trial.number, values, len(said["scores"]), value, error, effort, first, said["broken"], usable=usable
+            trial.number,
+            values,
+            len(attributes["scores"]),
+            value,
+            error,
+            effort,
+            first,
+            attributes["broken"],
+            usable=usable,
         )
 
 

@@ -98,14 +98,16 @@ def judge(plan: TunePlan, search: Search, chosen: Point, bar: ProgressBar) -> Ve
     usual, mine = search.drive([{}, chosen.values], runs, bar, "driving the verdict")
     theirs, ours = table_of(terms, usual), table_of(terms, mine)
     own = {name: search.with_usual(one, bar) for name, one in search.constraint_sets(plan.verdict).items()}
-    found = {name: search.drive([chosen.values], one.runs, bar, f"constraint {name}")[0] for name, one in own.items()}
-    everything = [one for each in (mine, *found.values()) for one in each]
+    constrained = {
+        name: search.drive([chosen.values], one.runs, bar, f"constraint {name}")[0] for name, one in own.items()
+    }
+    everything = [one for each in (mine, *constrained.values()) for one in each]
     theirs_all = [one for each in (usual, *(of.usual for of in own.values())) for one in each]
     violations = search.step_time(chosen.values) | broken(everything, theirs_all, terms)
     usual_violations = search.step_time(search.usual) | broken(theirs_all, theirs_all, terms)
     for name, constraint in plan.constraints.items():
         of = own.get(name, RunSet(runs, usual))
-        violations[name] = exceeded(constraint, found.get(name, mine), of.usual, name)
+        violations[name] = exceeded(constraint, constrained.get(name, mine), of.usual, name)
         usual_violations[name] = exceeded(constraint, of.usual, of.usual, name)
     return Verdict(
         len(runs),
@@ -152,7 +154,7 @@ def _put_back(plan: TunePlan, search: Search, chosen: Point, terms: Sequence[Ter
 
         return Estimate.of_same_runs((changed, mine, usual), difference)
 
-    found = [
+    changes = [
         PutBack(
             key,
             chosen.values[key],
@@ -163,4 +165,4 @@ def _put_back(plan: TunePlan, search: Search, chosen: Point, terms: Sequence[Ter
         )
         for key, table in zip(other, back, strict=True)
     ]
-    return sorted(found, key=lambda one: -one.rise.value)
+    return sorted(changes, key=lambda one: -one.rise.value)

@@ -158,9 +158,11 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
     with new_figure(path, 7.4, 5.2) as figure:
         panels = figure.subplots(2, 1, sharex=True)
         for panel, (i, (channel, unit)) in zip(panels, enumerate(_UNITS.items()), strict=True):
-            seen = run.counts[rows, -i]
+            counts = run.counts[rows, -i]
             panel.step(time, run.inputs[rows, i], where="post", color=REFERENCE_COLOUR, linewidth=0.9, label="command")
-            panel.plot(time[seen], run.outputs[rows, -i][seen], ".", markersize=2.5, color=colour(0), label="measured")
+            panel.plot(
+                time[counts], run.outputs[rows, -i][counts], ".", markersize=2.5, color=colour(0), label="measured"
+            )
             for k, (name, held) in enumerate((("twin", twin.twin_held), ("identified model", twin.model_held))):
                 fit = held.fit_percent[channel]
                 values = held.predictions[longest].readings[rows, -i]

@@ -92,10 +92,10 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
         raise ConfigError(
             f"{read.name}: no currents of the motors; name their columns or topics, 'motors', in the mapping"
         )
-    found, constants, note = None, prior, ""
+    identified, constants, note = None, prior, ""
     try:
-        found = identify_constants(records, prior)
-        constants = found.constants
+        identified = identify_constants(records, prior)
+        constants = identified.constants
     except ConfigError as error:
         if drive is None:
             raise ConfigError(f"{error}; or give --drive, whose constants turn currents into torques") from error
@@ -125,7 +125,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
     )
     least = curves.least_radius()
     energies = np.sum([_energies(one, costs, least) for one in records], axis=0).tolist()
-    return LogOutcome(read, car, constants, found, prior, note, samples, curves, slip, slip_from, costs, *energies)
+    return LogOutcome(read, car, constants, identified, prior, note, samples, curves, slip, slip_from, costs, *energies)
 
 
 def settled(commands: FloatArray, dt: float, settling: float) -> BoolArray:
@@ -185,11 +185,11 @@ def _slip(records: Sequence[Record], curves: TorqueCurves) -> tuple[IdentifiedSl
             body[:, 2] = [record.yaw_rate[k : k + step].mean() for k in whole]
         twists.append(body)
         commands.append(rows)
-    rows, found = np.concatenate(commands), np.concatenate(twists)
+    rows, measured = np.concatenate(commands), np.concatenate(twists)
     with np.errstate(divide="ignore", invalid="ignore"):
         kept = _same(rows[:, 0], rows[:, 1]) >= curves.least_radius()
     try:
-        return identify_slip(rows, found, used=kept), source
+        return identify_slip(rows, measured, used=kept), source
     except ConfigError as error:
         return None, f"no slip law: {error}"
 

@@ -20,9 +20,9 @@ def draw_log(outcome: LogOutcome, path: Path) -> None:
         axes = figure.subplots()
         radii, outer, inner = outcome.samples.T
         pairs = ((outer, outcome.curves.outer, "outer"), (inner, outcome.curves.inner, "inner"))
-        for side, (values, said, name) in enumerate(pairs):
+        for side, (values, prior, name) in enumerate(pairs):
             axes.plot(radii, values, ".", color=colour(side), markersize=1.5, alpha=0.25, rasterized=True)
-            axes.plot(_RADII, said(_RADII), color=colour(side), label=name)
+            axes.plot(_RADII, prior(_RADII), color=colour(side), label=name)
         least = outcome.curves.least_radius()
         if 0 < least < np.inf:
             axes.axvline(least, color=colour(2), linestyle="-.", label=f"least radius {least:.2f} m")

@@ -56,7 +56,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
 
         least = results.costs.least_radius()
         shown = "none" if least == 0 else f"{number(least, 2)} m"
-        told = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
+        source = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
         drive = results.drive.model_dump(mode="json")
         return Report(
             counted=f"{len(results.samples)} samples of steady turns",
@@ -70,7 +70,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
                 "predicted_j": results.predicted,
             },
             facts=[
-                f"Log {results.log.name}, vehicle '{results.vehicle.name}', in {seconds} s. {told} The curves began "
+                f"Log {results.log.name}, vehicle '{results.vehicle.name}', in {seconds} s. {source} The curves began "
                 f"with the terrain '{PRIOR}'; {results.slip_from}.",
                 *(f"{finding.place}: {finding.words}." for finding in results.log.findings),
             ],
@@ -91,7 +91,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
 
 
 def _tables(results: LogOutcome) -> list[Table]:
-    found, speed = results.found, results.costs.curve.speed
+    identified, speed = results.found, results.costs.curve.speed
     constants = Table(
         "Drive constants",
         ("constant", "found", "standard deviation", "before"),
@@ -99,7 +99,7 @@ def _tables(results: LogOutcome) -> list[Table]:
             (
                 words,
                 number(getattr(results.drive, name), digits),
-                "as given" if found is None else number(found.deviation[name], digits),
+                "as given" if identified is None else number(identified.deviation[name], digits),
                 number(getattr(results.prior, name), digits),
             )
             for name, words, digits in _CONSTANTS

@@ -97,11 +97,13 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
     whole[: len(free), : len(free)] = covariance
     whole[len(free) :, len(free) :] = np.eye(2) * fit.dt**2 / 12
     names = (*free, *(f"{channel}.dead_time" for channel in CHANNELS))
-    found = numbers.apart(point)
-    told = {name.replace(".", " ") for name in kept} | {f"{channel} {name}" for channel in CHANNELS for name in kept}
-    at_bound = tuple(name for name in numbers_at_bounds(found) if name not in told)
+    parameters = numbers.apart(point)
+    determined = {name.replace(".", " ") for name in kept} | {
+        f"{channel} {name}" for channel in CHANNELS for name in kept
+    }
+    at_bound = tuple(name for name in numbers_at_bounds(parameters) if name not in determined)
     return ToldDrive(
-        replace(fit, values=found, at_bound=at_bound),
+        replace(fit, values=parameters, at_bound=at_bound),
         ParameterEstimate(names, values, whole),
         tuple(kept),
         at_bound,
@@ -179,7 +181,7 @@ class _Numbers:
             return {**point, **dict(zip(free, (x * size).tolist(), strict=True))}
 
         begin = np.clip([point[name] for name in free], low + 1e-6 * size, high - 1e-6 * size)
-        found = least_squares(
+        solution = least_squares(
             lambda x: np.concatenate(self.errors(at(x))),
             begin / size,
             bounds=(low / size, high / size),
@@ -188,7 +190,7 @@ class _Numbers:
             ftol=_SETTLED,
             max_nfev=fit_settings().most_steps,
         )
-        return at(found.x)
+        return at(solution.x)
 
     def covariance(self, point: dict[str, float], free: Sequence[str]) -> FloatArray:
         """(q, q) of the numbers `free`, residual correlation taken into account; huge where nothing shows one."""
@@ -199,10 +201,10 @@ class _Numbers:
             slopes.append([(more - less) / (2 * step) for less, more in zip(*moved, strict=True)])
         jacobians = [np.column_stack(one)[:, None, :] for one in zip(*slopes, strict=True)]
         shows = np.sum([(jacobian**2).sum(axis=(0, 1)) for jacobian in jacobians], axis=0) > 0
-        found = sandwich(jacobians, [part[:, None] for part in here]).covariance
-        found[~shows, :], found[:, ~shows] = 0.0, 0.0
-        found[~shows, ~shows] = _NEVER_SEEN
-        return found
+        covariance_matrix = sandwich(jacobians, [part[:, None] for part in here]).covariance
+        covariance_matrix[~shows, :], covariance_matrix[:, ~shows] = 0.0, 0.0
+        covariance_matrix[~shows, ~shows] = _NEVER_SEEN
+        return covariance_matrix
 
 
 _METHOD = (
@@ -254,18 +256,18 @@ class FoundDrive:
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """See `Predictor`."""
-        found = []
+        doubts = []
         for name in self.told.kept:
             channel, _, last = name.rpartition(".")
             doubt = Doubt("prior kept", _UNTOLD[last])
-            found.append(doubt.of(channel) if channel else doubt)
+            doubts.append(doubt.of(channel) if channel else doubt)
         for name in self.told.at_bound:
-            found.append(Doubt("effect", f"{name} lies on a bound of the search: the data do not determine it"))
+            doubts.append(Doubt("effect", f"{name} lies on a bound of the search: the data do not determine it"))
         # A dead time or an offset may be near zero; what has a prior is known, or it would be kept.
         sized = [name for name in self.estimate.names if name.rpartition(".")[2] in _KINDS]
         for name in sized:
-            found += badly_known(self.estimate.part([name]), _KINDS[name.rpartition(".")[2]])
-        return tuple(found)
+            doubts += badly_known(self.estimate.part([name]), _KINDS[name.rpartition(".")[2]])
+        return tuple(doubts)
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
         """See `Predictor`."""
@@ -295,8 +297,8 @@ def drive_finder(name: str, kind: Kind) -> Finder:
     def find(data: LogData, fitted: Fitted) -> FoundDrive:
         records = most_informative(data.train, identification_settings().most_rows["effects"])
         yaw = fitted.identified.yaw
-        told = told_by(fit_drive(kind, records, yaw), records, yaw)
-        return FoundDrive(name, told, fitted.geometry)
+        determined = told_by(fit_drive(kind, records, yaw), records, yaw)
+        return FoundDrive(name, determined, fitted.geometry)
 
     return find
 

@@ -103,8 +103,8 @@ def fit_drive(kind: Kind, records: Sequence[Record], yaw: YawSource = "gyro") ->
     dt = runs[0].dt
     if any(run.dt != dt for run in runs):
         raise ValueError("the records have different sample times; a drive model is for one")
-    found = [_fit_channel(kind, row, [run.channel(row, row) for run in runs]) for row in (0, 1)]
-    values, dead = [one[0] for one in found], (found[0][1], found[1][1])
+    channels = [_fit_channel(kind, row, [run.channel(row, row) for run in runs]) for row in (0, 1)]
+    values, dead = [one[0] for one in channels], (channels[0][1], channels[1][1])
     if kind == "drive_physical":
         values = _share_integral_time(values, dead, runs)
     return DriveFit(kind, dt, (values[0], values[1]), dead, numbers_at_bounds(values))
@@ -197,7 +197,7 @@ def _least(
     bounds = fit_settings().bounds
     low, high = np.array([[bounds[name].low, bounds[name].high] for name in names]).T
     size = np.array([bounds[name].size for name in names])
-    found = least_squares(
+    solution = least_squares(
         lambda x: residuals(x * size),
         np.clip(begin, low + 1e-6 * size, high - 1e-6 * size) / size,
         bounds=(low / size, high / size),
@@ -206,7 +206,7 @@ def _least(
         ftol=close,
         max_nfev=fit_settings().most_steps,
     )
-    return float(found.cost), np.asarray(found.x * size)
+    return float(solution.cost), np.asarray(solution.x * size)
 
 
 def _near_bound(value: float, bound: Range) -> bool:

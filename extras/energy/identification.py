@@ -88,21 +88,21 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
     geared = prior.gear_ratio * prior.gear_efficiency
     sizes = np.array([1 / geared, sharing, 1.0])
     names = ("torque_constant", "resistance", "idle_power")
-    found = dict(zip(names, (fit.values * sizes).tolist(), strict=True))
+    fitted = dict(zip(names, (fit.values * sizes).tolist(), strict=True))
     deviation = dict(zip(names, (fit.deviation * sizes).tolist(), strict=True))
-    if any(deviation[name] > _TOLD * abs(found[name]) for name in names[:2]):
+    if any(deviation[name] > _TOLD * abs(fitted[name]) for name in names[:2]):
         raise _untold()
-    if not (found["torque_constant"] > 0 and found["resistance"] > 0):
+    if not (fitted["torque_constant"] > 0 and fitted["resistance"] > 0):
         raise ConfigError(
-            f"torque constant {found['torque_constant']:.3g} N m/A and resistance {found['resistance']:.3g} ohm follow "
-            "from the log: both have to be positive; check signs and units of the currents in the mapping"
+            f"torque constant {fitted['torque_constant']:.3g} N m/A and resistance {fitted['resistance']:.3g} ohm "
+            "follow from the log: both have to be positive; check signs and units of the currents in the mapping"
         )
-    found["idle_power"] = max(0.0, found["idle_power"])
+    fitted["idle_power"] = max(0.0, fitted["idle_power"])
     words = (
         f"identified from {blocks.samples} samples of {', '.join(record.name for record in records)}; "
         f"before: {prior.provenance}"
     )
-    constants = prior.model_copy(update={**found, "provenance": words})
+    constants = prior.model_copy(update={**fitted, "provenance": words})
     return IdentifiedConstants(constants, deviation, fit.rms, blocks.samples)
 
 

@@ -62,10 +62,10 @@ class FoundHybrid:
     def method(self) -> str:
         """See `Predictor`."""
         s = hybrid_settings()
-        found = "no network did better" if self.decay is None else f"L2 {self.decay:g} chosen on held-out blocks"
+        choice = "no network did better" if self.decay is None else f"L2 {self.decay:g} chosen on held-out blocks"
         return (
             f"{self.identified.method}; on its states a network of {s.units} x tanh, least squares on free runs "
-            f"(L-BFGS), {found}; in full at {s.full:.0%} of the rows and silent at {s.reach:g} times their distance; "
+            f"(L-BFGS), {choice}; in full at {s.full:.0%} of the rows and silent at {s.reach:g} times their distance; "
             f"seed {s.seed}"
         )
 
@@ -100,8 +100,8 @@ class FoundHybrid:
             return None
         linear = self.identified.model.discretise(self.dt)
         runs = runs_of(linear, self.identified.system, joined(twist_experiments(_part(records), yaw)))
-        (found,) = trained(linear, runs, (self.decay,), hybrid_settings())
-        return hybrid_model(f"{self.structure} of the data held out", linear, found)
+        (network,) = trained(linear, runs, (self.decay,), hybrid_settings())
+        return hybrid_model(f"{self.structure} of the data held out", linear, network)
 
     def content(self, fields: Mapping[str, Any]) -> HybridFile:
         """See `Predictor`."""
@@ -143,14 +143,14 @@ def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
     gains = []
     for rest, block in blocks(experiments):
         held_out = runs_of(linear, system, cut(experiments, block))
-        found = trained(linear, runs_of(linear, system, cut(experiments, rest)), settings.decays, settings)
-        gains.append([_log_power(linear, one, held_out) for one in found])
+        networks = trained(linear, runs_of(linear, system, cut(experiments, rest)), settings.decays, settings)
+        gains.append([_log_power(linear, one, held_out) for one in networks])
     scores = np.mean(gains, axis=0)
     runs, best = runs_of(linear, system, experiments), int(np.argmin(scores))
     if scores[best] > np.log1p(-settings.min_gain):
         return FoundHybrid(identified, silent(runs, settings), dt, None)
-    found = trained(linear, runs, settings.decays[: best + 1], settings)
-    return FoundHybrid(identified, found[-1], dt, settings.decays[best])
+    networks = trained(linear, runs, settings.decays[: best + 1], settings)
+    return FoundHybrid(identified, networks[-1], dt, settings.decays[best])
 
 
 def _part(records: Sequence[Record]) -> list[Record]:
@@ -164,7 +164,7 @@ def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[Run
     except ModelError:  # what cannot be a robot is not chosen
         return float("inf")
     errors, alone = (
-        np.concatenate([(said - run.outputs) * run.counts for run, said in zip(runs, rows, strict=True)])
+        np.concatenate([(predicted - run.outputs) * run.counts for run, predicted in zip(runs, rows, strict=True)])
         for rows in ([run.answer(model) for run in runs], [run.states @ linear.C.T for run in runs])
     )
     return float(np.mean(np.log((errors**2).sum(axis=0) / (alone**2).sum(axis=0))))

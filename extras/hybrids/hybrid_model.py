@@ -105,9 +105,9 @@ def hybrid_model(
     units = c.outward.shape[0]
     shapes = {"scale": (n + 2,), "inward": (n + 2, units), "outward": (units, n), "shape": (n + 2, n + 2)}
     for role, expected in shapes.items():
-        found = getattr(c, role).shape
-        if found != expected:
-            raise ModelError(f"model '{name}': {role} has shape {found}, expected {expected}; train it again")
+        shape = getattr(c, role).shape
+        if shape != expected:
+            raise ModelError(f"model '{name}': {role} has shape {shape}, expected {expected}; train it again")
     x, window = ca.SX.sym("x", n), ca.SX.sym("window", 2 * (memory + 1))
     recent, older = (
         ca.vertcat(*(window[2 * (memory - int(linear.delay[row]) - late) + row] for row in (0, 1))) for late in (0, 1)

@@ -98,17 +98,17 @@ class Segments(NamedTuple):
 
 def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[Experiment]) -> list[Run]:
     """The experiments, each after rest in the settled state that gives its first readings; `linear` is of `system`."""
-    found = []
+    runs = []
     for experiment in experiments:
         start, held = settled_start(system, experiment.first_readings)
         before, sent = np.tile(held, (linear.memory, 1)), np.clip(experiment.inputs, -system.limit, system.limit)
         recent, older = linear.effective_inputs(sent, before)
         drive = recent @ linear.B0.T + older @ linear.B1.T
         states = StateResponse(linear.A)(drive.T[:, None], start[:, None])[:, 0].T
-        found.append(
+        runs.append(
             Run(states, recent, experiment.outputs - system.offset, experiment.counts.astype(float), sent, before)
         )
-    return found
+    return runs
 
 
 def silent(runs: Sequence[Run], settings: HybridSettings) -> Correction:
@@ -141,7 +141,7 @@ def trained(
     """
     jax, start, given = libraries(), silent(runs, settings), segments(linear, runs)
     fixed = (start.scale, start.shape, start.full, start.least)
-    cut, found = start.inward.size, []
+    cut, networks = start.inward.size, []
 
     def apart(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         return p[:cut].reshape(start.inward.shape), p[cut:].reshape(start.outward.shape)
@@ -156,8 +156,8 @@ def trained(
             most = {"maxiter": settings.most_steps, "maxfun": 2 * settings.most_steps}
             p = minimize(cost, p, args=(decay,), jac=True, method="L-BFGS-B", options=most).x
             inward, outward = apart(p)
-            found.append(replace(start, inward=inward, outward=outward))
-    return found
+            networks.append(replace(start, inward=inward, outward=outward))
+    return networks
 
 
 def segments(linear: DiscreteModel, runs: Sequence[Run]) -> Segments:

@@ -95,9 +95,9 @@ def find_network(
     chosen = chosen.model_copy(update={"shares": shares})
     windows = windows_of(joined(twist_experiments(data.train, yaw)), kind.window)
     training, validation = divided(windows, shares)
-    told = (lambda steps, _: on_look(steps)) if on_look else None
-    found = train(kind, training, validation, chosen, told)
-    return TrainedNetwork(found.network, method(kind, chosen, found))
+    on_step = (lambda steps, _: on_look(steps)) if on_look else None
+    training_result = train(kind, training, validation, chosen, on_step)
+    return TrainedNetwork(training_result.network, method(kind, chosen, training_result))
 
 
 def simulate_records(network: Network, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:

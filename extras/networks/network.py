@@ -91,15 +91,15 @@ class Network:
 
     def _evaluated(self, windows: FloatArray) -> FloatArray:
         units, w = self.architecture.units, self.weights
-        said = [windows[:, t] for t in range(windows.shape[1])]
+        inputs = [windows[:, t] for t in range(windows.shape[1])]
         for layer in range(self.architecture.layers):
             out = cell = np.zeros((len(windows), units))
-            for t, given in enumerate(said):
+            for t, given in enumerate(inputs):
                 sums = given @ w[f"input_{layer}"] + out @ w[f"recurrent_{layer}"] + w[f"gate_offset_{layer}"]
                 enter, keep, candidate, leave = np.split(sums, 4, axis=1)
                 cell = next_cell(enter, keep, candidate, cell, np.tanh)
-                out = said[t] = hidden(leave, cell, np.tanh)
-        dense = said[-1] @ w["dense"] + w["dense_offset"]
+                out = inputs[t] = hidden(leave, cell, np.tanh)
+        dense = inputs[-1] @ w["dense"] + w["dense_offset"]
         dense = np.tanh(dense) if self.architecture.activation == "tanh" else np.maximum(dense, 0.0)
         return np.asarray(dense @ w["output"] + w["output_offset"])
 

@@ -109,16 +109,16 @@ def network_model(
 def _graph(network: Network, window: ca.MX) -> ca.MX:
     """Output (2) of a network for a window (2 W)."""
     architecture, w = network.architecture, {name: ca.DM(value.T) for name, value in network.weights.items()}
-    said = ca.vertsplit(window, 2)
+    inputs = ca.vertsplit(window, 2)
     for layer in range(architecture.layers):
         out = cell = ca.MX(architecture.units, 1)
         offset = ca.DM(network.weights[f"gate_offset_{layer}"])
-        for t, given in enumerate(said):
+        for t, given in enumerate(inputs):
             sums = w[f"input_{layer}"] @ given + w[f"recurrent_{layer}"] @ out + offset
             enter, keep, candidate, leave = ca.vertsplit(sums, architecture.units)
             cell = next_cell(enter, keep, candidate, cell, ca.tanh)
-            out = said[t] = hidden(leave, cell, ca.tanh)
-    dense = w["dense"] @ said[-1] + ca.DM(network.weights["dense_offset"])
+            out = inputs[t] = hidden(leave, cell, ca.tanh)
+    dense = w["dense"] @ inputs[-1] + ca.DM(network.weights["dense_offset"])
     dense = ca.tanh(dense) if architecture.activation == "tanh" else ca.fmax(dense, 0)
     return w["output"] @ dense + ca.DM(network.weights["output_offset"])
 

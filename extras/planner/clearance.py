@@ -175,8 +175,8 @@ class DistanceField:
     def __call__(self, points: FloatArray) -> FloatArray:
         """(n,) [m] for points (n, 2); infinity where none leads."""
         row, column = self._cells(points)
-        found = self._far[row * self._shape[1] + column]
-        return np.asarray(np.maximum(found / _EIGHT - 1.5 * self._cell, 0.0))
+        pieces = self._far[row * self._shape[1] + column]
+        return np.asarray(np.maximum(pieces / _EIGHT - 1.5 * self._cell, 0.0))
 
     def _cells(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         cells = np.rint((points - self._low) / self._cell).astype(int)

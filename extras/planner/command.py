@@ -65,20 +65,20 @@ def plan(
     objective = next((one for one in OBJECTIVES if one == minimise), None)
     if objective is None:
         raise PlanError(f"--minimise '{minimise}': give {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}")
-    found, asked = load_turn_costs(costs), load_plan_settings(settings)
+    turn_costs, asked = load_turn_costs(costs), load_plan_settings(settings)
     if idle_power is not None:
-        found = found.with_idle_power(idle_power)
+        turn_costs = turn_costs.with_idle_power(idle_power)
     if margin is not None:
         asked = asked.model_copy(update={"motion": asked.motion.model_copy(update={"margin": margin})})
     carry_out(
         PlanStudy(
             Asked(
-                costs=found,
+                costs=turn_costs,
                 start=np.array(_pose(begin, "--from")),
                 goal=np.array(_pose(end, "--to")),
                 via=np.array([_numbers(one, 2, "--via", "X,Y") for one in via or ()]).reshape(-1, 2),
                 minimise=objective,
-                speed=found.curve.speed if speed is None else speed,
+                speed=turn_costs.curve.speed if speed is None else speed,
                 world=None if world is None else load_world(world),
                 reverse=reverse,
                 on_the_spot=on_the_spot,

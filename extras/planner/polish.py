@@ -105,10 +105,10 @@ def polish(
     for _ in range(asked.rounds if clearance is not None else 1):
         poses = guess[: 3 * (count + 1)].reshape(-1, 3)
         p = np.zeros(0) if clearance is None else _planes_at(clearance, poses, settings)
-        found = solver(x0=guess, lbx=lower, ubx=upper, lbg=lbg, ubg=ubg, p=p)
+        solution = solver(x0=guess, lbx=lower, ubx=upper, lbg=lbg, ubg=ubg, p=p)
         status, solved = solver.stats()["return_status"], solver.stats()["return_status"] in _SOLVED
-        moved_by = np.abs(np.array(found["x"]).ravel() - guess)[: 3 * (count + 1)].max()
-        guess = np.array(found["x"]).ravel()
+        moved_by = np.abs(np.array(solution["x"]).ravel() - guess)[: 3 * (count + 1)].max()
+        guess = np.array(solution["x"]).ravel()
         if not solved:
             break
         if moved_by < 0.02:
@@ -193,8 +193,8 @@ def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) 
     nodes, discs = points.shape[:2]
     gaps, away = clearance.nearest(points.reshape(-1, 2))
     wanted = settings.motion.margin + settings.polish.sag
-    found = np.zeros((nodes, discs * _NEAREST, 3))
-    found[..., 2] = -1.0
+    planes = np.zeros((nodes, discs * _NEAREST, 3))
+    planes[..., 2] = -1.0
     order = np.argsort(gaps, axis=1, kind="stable")[:, :_NEAREST]
     for k in range(order.shape[1]):
         which = order[:, k]
@@ -203,7 +203,7 @@ def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) 
         beyond = (unit * points.reshape(-1, 2)).sum(-1) - gap + np.tile(clearance.robot[:, 2], nodes) + wanted
         near = gap < _WITHIN
         plane = np.where(near[:, None], np.column_stack([unit, beyond]), [0.0, 0.0, -1.0])
-        found[:, k::_NEAREST, :] = plane.reshape(nodes, discs, 3)
+        planes[:, k::_NEAREST, :] = plane.reshape(nodes, discs, 3)
     # The plan begins and ends where it was told to, however near that is; both were looked at before.
-    found[[0, -1]] = (0.0, 0.0, -1.0)
-    return found.reshape(nodes, -1).ravel()
+    planes[[0, -1]] = (0.0, 0.0, -1.0)
+    return planes.reshape(nodes, -1).ravel()

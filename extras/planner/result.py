@@ -134,30 +134,30 @@ def made_exact(
 
     Newton's method on the end pose with the smallest change, each unknown over its own size.
     """
-    bound, found, lasting = schedule.most, rates.copy(), durations.copy()
+    bound, exact, lasting = schedule.most, rates.copy(), durations.copy()
     loose = np.flatnonzero(bound > 0)
     free = np.flatnonzero(schedule.free)
     step = 1e-5
     for _ in range(_ROUNDS):
-        commands = sampled(schedule, lasting, found, dt)
+        commands = sampled(schedule, lasting, exact, dt)
         end = driven(costs, commands, start, dt)[-1]
         off = goal - end
         if np.abs(off).max() < _EXACT:
             break
         columns = []
         for node in loose:
-            moved = found.copy()
+            moved = exact.copy()
             moved[node] += step
             columns.append((driven(costs, sampled(schedule, lasting, moved, dt), start, dt)[-1] - end) / step)
         for one in free:
             changed = lasting.copy()
             changed[one] += step
-            columns.append((driven(costs, sampled(schedule, changed, found, dt), start, dt)[-1] - end) / step)
+            columns.append((driven(costs, sampled(schedule, changed, exact, dt), start, dt)[-1] - end) / step)
         # A node at its limit may go back only a little: it is moved less than those with room.
-        room = 0.02 + (bound[loose] - np.abs(found[loose])) / bound[loose]
+        room = 0.02 + (bound[loose] - np.abs(exact[loose])) / bound[loose]
         size = np.concatenate([room * bound[loose], np.full(len(free), 0.3)])
         slope = np.array(columns).T * size
         change = size * (np.linalg.pinv(slope) @ off)
-        found[loose] += change[: len(loose)]
+        exact[loose] += change[: len(loose)]
         lasting[free] = np.maximum(lasting[free] + change[len(loose) :], 1e-3)
-    return found, lasting
+    return exact, lasting

@@ -114,14 +114,14 @@ def slowed(pieces: Sequence[Piece], acceleration: float, *, each: bool = False) 
             runs[-1].append(piece)
         else:
             runs.append([piece])
-    found = []
+    phases = []
     for run in runs:
         length = sum(abs(one.v) * one.duration for one in run)
         most = math.sqrt(_SHARE_OF_RAMPS * acceleration * length)
         for one in run:
             slower = min(1.0, most / abs(one.v)) if abs(one.v) > _SAME_SPEED else 1.0
-            found.append(one._replace(v=one.v * slower, omega=one.omega * slower, duration=one.duration / slower))
-    return found
+            phases.append(one._replace(v=one.v * slower, omega=one.omega * slower, duration=one.duration / slower))
+    return phases
 
 
 class _Layer:

@@ -121,14 +121,14 @@ class _Tree:
 
     def batch(self, most: int) -> list[int]:
         """The cheapest open states."""
-        found: list[int] = []
-        while self._heap and len(found) < most and self._heap[0][0] < self.enough:
+        nodes: list[int] = []
+        while self._heap and len(nodes) < most and self._heap[0][0] < self.enough:
             _, node = heapq.heappop(self._heap)
             key = self._key(self.poses[node], self.legs[node])
             if key not in self._taken or node == 0:
                 self._taken.add(key)
-                found.append(node)
-        return found
+                nodes.append(node)
+        return nodes
 
     def way(self) -> list[tuple[Held, int]] | None:
         """What is held from the start to the goal, and on which leg; None where no way is known."""
@@ -306,8 +306,8 @@ class Search:
 
     def _angle(self, angle: FloatArray) -> FloatArray:
         """Turn that has to be made [rad]: less for a robot that goes either way."""
-        found = np.abs(wrap_angle(angle))
-        return np.minimum(found, np.pi - found) if self._both_ways else found
+        magnitude = np.abs(wrap_angle(angle))
+        return np.minimum(magnitude, np.pi - magnitude) if self._both_ways else magnitude
 
     def _cheapest(self, words: Words, total: FloatArray, poses: FloatArray, least: float, most: int) -> list[int]:
         """Numbers of the cheapest ways that are free and cheaper than `least`, at most so many."""

@@ -94,7 +94,7 @@ class PlanStudy(Study[Asked, Plans]):
         """Plan; raises PlanError where there is no way."""
         bar.begin("planning", 1)
         began = time.process_time()
-        found = plan_each(
+        plans = plan_each(
             plan.costs,
             plan.start,
             plan.goal,
@@ -107,7 +107,7 @@ class PlanStudy(Study[Asked, Plans]):
         )
         self._seconds = time.process_time() - began
         bar.advance()
-        return found
+        return plans
 
     def report(self, results: Plans, seconds: float) -> Report:  # noqa: ARG002 - planning has its own
         """Tables, figures and the trajectory."""

@@ -67,10 +67,10 @@ class Task:
 
     def searches(self) -> dict[Objective, Found]:
         """The shape that is best for each objective; raises PlanError where there is none."""
-        found: dict[Objective, Found] = {}
+        paths: dict[Objective, Found] = {}
         for objective in OBJECTIVES:
             search = self._search(objective, self.free)
-            if not found and not search.reachable():
+            if not paths and not search.reachable():
                 wide = 2 * float(self.clearance.robot[0, 2]) if self.clearance is not None else 0.0
                 raise PlanError(
                     f"goal {words_of(self.goal)}: obstacles leave no way for a robot {wide:.2f} m wide with "
@@ -78,14 +78,14 @@ class Task:
                 )
             shape = search.run()
             if shape is not None:
-                found[objective] = shape
-        if not found:
+                paths[objective] = shape
+        if not paths:
             raise PlanError(
                 f"goal {words_of(self.goal)}: no way was found in {self.settings.search.most_states:,} states with "
                 f"turns no sharper than {self.sharpest:.2f} m; {self._remedies()}"
             )
-        self._check_detour(found)
-        return found
+        self._check_detour(paths)
+        return paths
 
     def candidates(self, shapes: dict[Objective, Found]) -> list[Plan]:
         """Each shape, polished for what it is best for; raises PlanError where none of them can be driven."""
@@ -136,13 +136,13 @@ class Task:
         spot = spot_rate(self.costs, self.settings.motion.yaw_rate) if self.on_the_spot else 0.0
         last = np.array([*self.goal[:2], self._unwrapped(found)])
         schedule = laid_out(self.costs, self.start, found.pieces, self.sharpest, spot, self.settings)
-        said = polish(self.costs, minimise, schedule, self.start, last, self.via, self.settings, self.clearance)
-        commands = self._made(schedule, said.durations, said.yaw_rates, last)
+        polished = polish(self.costs, minimise, schedule, self.start, last, self.via, self.settings, self.clearance)
+        commands = self._made(schedule, polished.durations, polished.yaw_rates, last)
         fault = self._fault(commands, last)
         if fault is None:
-            status = POLISHED if said.solved else UNFINISHED
-            return self._plan(minimise, commands, found, status, said.status)
-        words = f"{said.status}; {fault}"
+            status = POLISHED if polished.solved else UNFINISHED
+            return self._plan(minimise, commands, found, status, polished.status)
+        words = f"{polished.status}; {fault}"
         stopping = laid_out(
             self.costs, self.start, found.pieces, self.sharpest, spot, self.settings, stop_at_corners=True
         )

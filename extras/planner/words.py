@@ -69,7 +69,7 @@ def arc_arc_arc(inputs: Inputs, poses: FloatArray, goal: FloatArray) -> Words:
     one, two = np.hypot(*near.T), np.hypot(*far.T)
     with np.errstate(divide="ignore", invalid="ignore"):
         bent = ((between**2).sum(-1) - one**2 - two**2) / (2 * one * two)
-    fits, found = np.abs(bent) <= 1, []
+    fits, paths = np.abs(bent) <= 1, []
     for side in (1.0, -1.0):
         elbow = side * np.arccos(np.clip(bent, -1, 1))
         shoulder = np.arctan2(between[..., 1], between[..., 0]) - np.arctan2(
@@ -85,8 +85,8 @@ def arc_arc_arc(inputs: Inputs, poses: FloatArray, goal: FloatArray) -> Words:
             ],
             axis=-1,
         )
-        found.append(_kept(inputs, np.stack([first, middle, last], -1), times, fits))
-    return Words(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        paths.append(_kept(inputs, np.stack([first, middle, last], -1), times, fits))
+    return Words(*(np.concatenate(parts) for parts in zip(*paths, strict=True)))
 
 
 def arc_straight(inputs: Inputs, poses: FloatArray, point: FloatArray) -> Words:

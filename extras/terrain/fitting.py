@@ -104,8 +104,8 @@ def fit_shear(
         return vehicle.model_copy(update={"drag_torque": drag}), terrain.model_copy(update={"shear": shear})
 
     def missing(logs: FloatArray) -> FloatArray:
-        found = side_torques(*built(logs), radii, speeds)
-        return np.concatenate([found.outer - outside, found.inner - inside, pull * (logs - start)])
+        torques = side_torques(*built(logs), radii, speeds)
+        return np.concatenate([torques.outer - outside, torques.inner - inside, pull * (logs - start)])
 
     pull = _PULL * most_drag
     # A difference of a thousandth is far above what the balance leaves.
@@ -116,7 +116,7 @@ def fit_shear(
     count = 2 * len(radii)
     rms, slope = float(np.sqrt(np.mean(best.fun[:count] ** 2))), best.jac[:count]
     # The pull is left out of what the torques tell; a value that they do not touch has no finite deviation.
-    told = np.linalg.pinv(slope.T @ slope + 1e-12 * np.trace(slope.T @ slope) * np.eye(len(names)))
-    spread = rms * np.sqrt(np.diag(told))
+    inverse_normal = np.linalg.pinv(slope.T @ slope + 1e-12 * np.trace(slope.T @ slope) * np.eye(len(names)))
+    spread = rms * np.sqrt(np.diag(inverse_normal))
     deviation = dict(zip(names, spread.tolist(), strict=True))
     return FittedShear(ground.known_shear(), on.drag_torque, rms, deviation, at_bound)

@@ -148,8 +148,8 @@ def _balance(
         move = np.clip(-np.linalg.solve(normal, grade)[..., 0], -0.3, 0.3) * reach[rows, :free]
         tried = twist[rows].copy()
         tried[:, :free] += move
-        found = missing(tried, rows)
-        better = np.sum(found**2, axis=1) < np.sum(left[rows] ** 2, axis=1)
-        twist[rows[better]], left[rows[better]] = tried[better], found[better]
+        residual = missing(tried, rows)
+        better = np.sum(residual**2, axis=1) < np.sum(left[rows] ** 2, axis=1)
+        twist[rows[better]], left[rows[better]] = tried[better], residual[better]
         damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 5.0), 1e-12, 1e6)
     return twist

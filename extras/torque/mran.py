@@ -112,10 +112,10 @@ class MranNetwork:
         slope = amplitude * bells * 2 * away / width**2
         gradient = np.concatenate([[1.0], np.stack([bells, slope, slope * away / width], axis=-1).ravel()])
         covariance = self._covariance + settings.drift * np.eye(len(gradient))
-        seen = covariance @ gradient
-        innovation = float(gradient @ seen) + settings.noise**2
-        parameters = self._parameters + seen * (error / innovation)
-        covariance = covariance - np.outer(seen, seen) / innovation
+        projected = covariance @ gradient
+        innovation = float(gradient @ projected) + settings.noise**2
+        parameters = self._parameters + projected * (error / innovation)
+        covariance = covariance - np.outer(projected, projected) / innovation
         if not (np.isfinite(parameters).all() and np.isfinite(covariance).all()):
             return
         parameters[3::_PER_UNIT] = np.clip(parameters[3::_PER_UNIT], *settings.width)
@@ -126,9 +126,9 @@ class MranNetwork:
         amplitude, centre, width = self._parameters[1:].reshape(-1, _PER_UNIT).T
         if not amplitude.size:
             return
-        said = np.abs(amplitude * np.exp(-(((x - centre) / width) ** 2)))
+        output = np.abs(amplitude * np.exp(-(((x - centre) / width) ** 2)))
         asked = np.abs(x - centre) < width
-        small = np.abs(amplitude) <= self._settings.prune_below * max(np.abs(amplitude).max(), said.max())
+        small = np.abs(amplitude) <= self._settings.prune_below * max(np.abs(amplitude).max(), output.max())
         self._idle = np.where(asked, np.where(small, self._idle + 1, 0), self._idle)
         keep = self._idle < self._settings.prune_after
         if keep.all():

@@ -67,8 +67,8 @@ class TorqueCurves:
         asked = curves._settings.curves
         low = max(asked.radii[0], 0.51 * (vehicle.command_track or vehicle.track))
         radii = np.geomspace(low, asked.radii[1], asked.prior_radii)
-        found = side_torques(vehicle, terrain, radii, asked.speed)
-        rows = np.stack([radii, found.outer, found.inner], axis=-1)
+        torques = side_torques(vehicle, terrain, radii, asked.speed)
+        rows = np.stack([radii, torques.outer, torques.inner], axis=-1)
         for turn in range(asked.prior_passes):
             # To and fro, as a drive does, so that no end is the one shown last.
             for radius, outer, inner in rows if turn % 2 else rows[::-1]:
@@ -176,9 +176,9 @@ class TorqueCurves:
         at = np.full_like(radii, self._settings.curves.speed) if speed is None else np.asarray(speed, dtype=float)
         low, high = self._shown
         x = self._input(radii, at)
-        said = network(np.clip(x, low, high) if low <= high else x)
+        output = network(np.clip(x, low, high) if low <= high else x)
         bound = self._settings.curves.margin
-        return np.asarray(self.limit * np.clip(said, -bound, bound))
+        return np.asarray(self.limit * np.clip(output, -bound, bound))
 
     def _input(self, radius: FloatArray, speed: FloatArray) -> FloatArray:
         asked = self._settings.curves

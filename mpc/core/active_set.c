@@ -48,7 +48,7 @@ static real within(range piece, real multiplier)
 /* How much a value may be beyond its limit. */
 static real tolerance(const ddmpc_rows *rows, int row)
 {
-    return rows->problem->slack + ROUNDING * (rows->largest_input + ddmpc_fabs(rows->start[row]));
+    return rows->problem->slack + ROUNDINGS * EPSILON * (rows->largest_input + ddmpc_fabs(rows->start[row]));
 }
 
 /* Replace the values in `now` by what is beyond a limit and its tolerance: positive above the upper one, negative below
@@ -58,7 +58,7 @@ static int survey(ddmpc_rows *rows, int broken[2])
 {
     const real *restrict upper = rows->problem->upper, *restrict lower = rows->problem->lower;
     const real *restrict start = rows->start;
-    const real slack = rows->problem->slack + ROUNDING * rows->largest_input;
+    const real slack = rows->problem->slack + ROUNDINGS * EPSILON * rows->largest_input;
     real *restrict now = rows->now;
     int sound = 1;
     broken[0] = broken[1] = 0;
@@ -66,7 +66,7 @@ static int survey(ddmpc_rows *rows, int broken[2])
     for (int i = 0; i < rows->problem->hard; i++)
         rows->primal = ddmpc_max(rows->primal, ddmpc_max(now[i] - upper[i], lower[i] - now[i]));
     for (int i = 0; i < rows->m; i++) {
-        const real allowed = slack + ROUNDING * ddmpc_fabs(start[i]);
+        const real allowed = slack + ROUNDINGS * EPSILON * ddmpc_fabs(start[i]);
         const real above = now[i] - upper[i] - allowed, below = lower[i] - now[i] - allowed;
         sound &= ddmpc_fabs(now[i]) < DDMPC_LARGEST;
         now[i] = ddmpc_max(above, R(0.0)) - ddmpc_max(below, R(0.0));

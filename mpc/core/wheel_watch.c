@@ -1,6 +1,8 @@
 /* Wheels at the end of their speed, or of their force: which one falls short of what reference and commands ask, and what
  * it reaches. Speeds are those at the rim: v + b omega on the right, v - b omega on the left, with half the track b. What the
  * numbers of the test are is said in mpc/config/sensor_test.yaml. */
+#include <string.h>
+
 #include "internal.h"
 
 /* Speeds of the right and left wheels at the rim for a twist of the body. */

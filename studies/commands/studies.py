@@ -83,9 +83,9 @@ def peers(
     from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
 
     loaded = load_settings(settings, quick=quick)
-    found = carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
+    results = carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
     with whole_file(out / GAINS_FILE) as draft:
-        draft.write_text(gains_text(found, loaded), encoding="utf-8")
+        draft.write_text(gains_text(results, loaded), encoding="utf-8")
 
 
 def _rates(text: str) -> list[float]:
@@ -310,9 +310,9 @@ def monitor(
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
 
-    found = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning), out, jobs))
-    if found:
-        typer.echo(f"error: {found}", err=True)
+    problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning), out, jobs))
+    if problem:
+        typer.echo(f"error: {problem}", err=True)
         raise typer.Exit(FAILED)
 
 

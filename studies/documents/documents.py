@@ -176,11 +176,11 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
 
 def update(out: Path) -> None:
     """Update docs/NAME and the page of the report in `out`; raises ConfigError if there is none."""
-    found = [one for one in SHOWN if (out / one.file).is_file()]
-    if not found:
+    present = [one for one in SHOWN if (out / one.file).is_file()]
+    if not present:
         raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
     # The folder's name says which, where one study writes several.
-    shown = next((one for one in found if one.name == out.name), found[0])
+    shown = next((one for one in present if one.name == out.name), present[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
     report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page

@@ -56,13 +56,15 @@ def told(robot: str, floor: str, seeds: Sequence[int] = SEEDS, sets: int = SETS,
             log = log if all_motors else dataclasses.replace(log, motor_currents=None)
             known = {"regeneration": true.regeneration, "driver_efficiency": true.driver_efficiency}
             try:
-                found = identify_constants([log], plant.drive.model_copy(update=known))
+                constants = identify_constants([log], plant.drive.model_copy(update=known))
             except ConfigError:
                 refused += 1
                 continue
-            errors = [getattr(found.constants, name) - getattr(true, name) for name in _CONSTANTS]
+            errors = [getattr(constants.constants, name) - getattr(true, name) for name in _CONSTANTS]
             off.append([error / getattr(true, name) for error, name in zip(errors, _CONSTANTS, strict=True)])
-            normalised.append([error / found.deviation[name] for error, name in zip(errors, _CONSTANTS, strict=True)])
+            normalised.append(
+                [error / constants.deviation[name] for error, name in zip(errors, _CONSTANTS, strict=True)]
+            )
     return Told(np.array(off).reshape(-1, 3), np.array(normalised).reshape(-1, 3), refused)
 
 
@@ -74,12 +76,12 @@ def constants_table(seeds: Sequence[int] = SEEDS, sets: int = SETS) -> str:
         "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for all_motors, currents in ((True, "four"), (False, "the sides'")):
-        found = [told(*place, seeds, sets, all_motors=all_motors) for place in PLACES]
-        rows = [(f"`{robot}`", floor, each) for (robot, floor), each in zip(PLACES, found, strict=True)]
+        estimates = [told(*place, seeds, sets, all_motors=all_motors) for place in PLACES]
+        rows = [(f"`{robot}`", floor, each) for (robot, floor), each in zip(PLACES, estimates, strict=True)]
         every = Told(
-            np.concatenate([each.off for each in found]),
-            np.concatenate([each.normalised for each in found]),
-            sum(each.refused for each in found),
+            np.concatenate([each.off for each in estimates]),
+            np.concatenate([each.normalised for each in estimates]),
+            sum(each.refused for each in estimates),
         )
         for robot, floor, each in [*rows, ("all", "", every)]:
             cells = [number(100 * value, 1) for value in np.sqrt(np.mean(each.off**2, axis=0))]
@@ -102,19 +104,21 @@ def learned_table(floors: Sequence[str] = FLOORS) -> str:
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "drive.csv"
             write_diagnostic_log(ROBOT, floor, log, seed=SEED)
-            found = learn_log(log, None, ROBOT, ROBOT)
+            learned = learn_log(log, None, ROBOT, ROBOT)
         shipped = load_turn_costs(f"{ROBOT}-{floor}")
         speed = np.full_like(_RADII, shipped.curve.speed)
         commands = np.stack([speed, speed / _RADII], axis=-1)
-        own, others = found.costs.torques(commands), shipped.torques(commands)
+        own, others = learned.costs.torques(commands), shipped.torques(commands)
         shares = [
-            found.drive.torque_constant / true.torque_constant - 1,
-            found.drive.resistance / true.resistance - 1,
+            learned.drive.torque_constant / true.torque_constant - 1,
+            learned.drive.resistance / true.resistance - 1,
             float(np.sqrt(np.mean((own - others) ** 2) / np.mean(others**2))),
         ]
-        radii = [radius_text(costs.least_radius()) for costs in (found.costs, shipped)]
+        radii = [radius_text(costs.least_radius()) for costs in (learned.costs, shipped)]
         cells = [number(100 * share, 1) for share in shares] + radii
-        lines.append(f"| {floor} | {' | '.join(cells)} | {number(100 * (found.predicted / found.measured - 1), 1)} |")
+        lines.append(
+            f"| {floor} | {' | '.join(cells)} | {number(100 * (learned.predicted / learned.measured - 1), 1)} |"
+        )
     return "\n".join(lines)
 
 

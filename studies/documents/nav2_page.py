@@ -91,12 +91,12 @@ def _distances(points: FloatArray, path: FloatArray) -> FloatArray:
 
 def study() -> dict[tuple[str, str], list[Followed]]:
     """Every controller on every path, each seed."""
-    found = {}
+    results = {}
     for path in PATHS:
         reference = load_trajectory(path)
         for name, make in CONTROLLERS.items():
-            found[path, name] = [follow(make, reference, seed) for seed in SEEDS]
-    return found
+            results[path, name] = [follow(make, reference, seed) for seed in SEEDS]
+    return results
 
 
 def table(found: dict[tuple[str, str], list[Followed]]) -> str:
@@ -138,9 +138,9 @@ def draw(found: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> N
 
 def main() -> None:
     """Write table and figure."""
-    found = study()
-    PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), table(found), MARKER), encoding="utf-8")
-    draw(found)
+    results = study()
+    PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), table(results), MARKER), encoding="utf-8")
+    draw(results)
 
 
 if __name__ == "__main__":

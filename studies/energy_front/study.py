@@ -122,24 +122,24 @@ def drive(case: Case) -> Driven:
     run = run_case(case)
     metrics, weight = run.metrics, dict(case.overrides)["energy.weight"]
     assert isinstance(weight, float)
-    found = (metrics.energy_j, metrics.position_rmse_m, metrics.lateral_rmse_m)
-    return Driven(case.surface, label(case.trajectory), weight, case.seed, *found, metrics.completed)
+    values = (metrics.energy_j, metrics.position_rmse_m, metrics.lateral_rmse_m)
+    return Driven(case.surface, label(case.trajectory), weight, case.seed, *values, metrics.completed)
 
 
 def fronts(driven: Sequence[Driven]) -> Fronts:
     """The front of each floor and path, weights ascending; the first is none."""
-    found: Fronts = {}
+    by_place: Fronts = {}
     for floor, path in dict.fromkeys((one.surface, one.trajectory) for one in driven):
         there = [one for one in driven if (one.surface, one.trajectory) == (floor, path)]
         without = {one.seed: one.energy for one in there if one.weight == 0.0}
-        found[floor, path] = []
+        by_place[floor, path] = []
         for weight in sorted({one.weight for one in there}):
             here = [one for one in there if one.weight == weight]
 
             def over(values: Sequence[float] | FloatArray) -> Estimate:
                 return Estimate.of_runs(np.asarray(values, dtype=float), mean)
 
-            found[floor, path].append(
+            by_place[floor, path].append(
                 Point(
                     weight,
                     over([one.energy for one in here]),
@@ -150,7 +150,7 @@ def fronts(driven: Sequence[Driven]) -> Fronts:
                     len(here),
                 )
             )
-    return found
+    return by_place
 
 
 class EnergyFrontStudy(Study[list[Case], list[Driven]]):
@@ -185,8 +185,8 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
         """A table and a figure."""
         from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
 
-        found = fronts(results)
-        best = max((_best(points, 2.0) for points in found.values()), key=lambda one: one.saved.value)
+        by_place = fronts(results)
+        best = max((_best(points, 2.0) for points in by_place.values()), key=lambda one: one.saved.value)
         brief = Table.of(
             "Saved within an error",
             ("floor", "path"),
@@ -197,7 +197,7 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
                     f"saved at {factor:g} times the error [%]": partial(_saved_at, factor=factor) for factor in _FACTORS
                 },
             },
-            list(found.items()),
+            list(by_place.items()),
             "The most that a weight saves at which every run arrives and the mean position RMSE is no more than that, "
             "with the bootstrap interval over seeds, 95 %, and in the last brackets the weight [1/W].",
         )
@@ -212,7 +212,7 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
                 "across the path, RMSE [mm]": lambda one: number(1e3 * one.lateral.value, 1),
                 "arrived": lambda one: f"{one.completed} of {one.of}",
             },
-            [((floor, path), point) for (floor, path), points in found.items() for point in points],
+            [((floor, path), point) for (floor, path), points in by_place.items() for point in points],
             "Energy: from the battery, by the true torques of the motors and the robot's drive constants. Saved: over "
             "the same seeds with no weight. In brackets: bootstrap interval over seeds, 95 %.",
         )
@@ -225,7 +225,7 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
                 "each weight, path and floor."
             ],
             tables=[brief, table],
-            figures={"front.png": partial(draw_front, found)},
+            figures={"front.png": partial(draw_front, by_place)},
             shown=Shown(
                 key_figures=[
                     KeyFigure(

@@ -89,14 +89,14 @@ class LoopSpeedStudy(Study[list[Case], list[LoopCost]]):
     def run(self, plan: list[Case], jobs: int, bar: ProgressBar) -> list[LoopCost]:  # noqa: ARG002 - one alone
         """Drive in turn, in this process alone: `jobs` processes would share caches and clock."""
         bar.begin("driving", self._repeats * len(plan))
-        found: dict[Case, LoopCost] = {}
+        costs: dict[Case, LoopCost] = {}
         with quiet_core():
             for _ in range(self._repeats):
                 for case in plan:
                     cost = _measure(case)
-                    found[case] = _least(found.get(case, cost), cost)
+                    costs[case] = _least(costs.get(case, cost), cost)
                     bar.advance()
-        return list(found.values())
+        return list(costs.values())
 
     def report(self, results: list[LoopCost], seconds: float) -> Report:
         """Multiples of real time, and microseconds a tick."""

@@ -74,13 +74,13 @@ class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
     def _nominal_seeds(self) -> list[int]:
         """As many as it takes to drive for so long."""
         left = 3600.0 * self._hours
-        found: list[int] = []
+        nominal: list[int] = []
         for seed in count(self._first[1]):
             if left <= 0.0:
-                return found
+                return nominal
             left -= load_reference(nominal_case(seed)).duration + AFTER
-            found.append(seed)
-        return found
+            nominal.append(seed)
+        return nominal
 
     def run(self, plan: list[partial[list[Trial]]], jobs: int, bar: ProgressBar) -> Watched:
         """Drive them all."""

@@ -136,16 +136,16 @@ def _drive(case: Case, fault: str, begins: float, rules: Rules) -> Trial:
     broken = FAULTS[fault].make(begins) if fault else Fault()
     watched = WatchedController(controller, rules, broken)
     run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT if fault else AFTER)
-    found = watched.verdict
+    verdict = watched.verdict
     since = next((float(t) for t in run.time if broken.active(float(t))), 0.0) if fault else 0.0
     after = (run.time >= since) & ~_rests_for_good(run)
     return Trial(
         case=case,
         fault=fault,
         driven=float(run.time[-1]),
-        rule=found.rule,
-        words=found.words,
-        after=found.at - since if found else math.nan,
+        rule=verdict.rule,
+        words=verdict.words,
+        after=verdict.at - since if verdict else math.nan,
         farthest=float(distances(run)[after].max(initial=0.0)),
         fastest=float(np.abs(run.true_twist[after, 0]).max(initial=0.0)),
         at_rest=bool(_rests_for_good(run)[-25:].all()),

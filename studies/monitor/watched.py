@@ -52,8 +52,8 @@ class WatchedController:
     @property
     def verdict(self) -> Verdict:
         """What stopped the robot, on the clock of the plant; nothing while all is well."""
-        found = self._judge.verdict
-        return found._replace(at=found.at - _BEFORE) if found else found
+        verdict = self._judge.verdict
+        return verdict._replace(at=verdict.at - _BEFORE) if verdict else verdict
 
     def start(self, reference: Reference, t0: float) -> None:
         """Begin to track; the monitor is told of the reference as by the node."""

@@ -92,12 +92,12 @@ class Search:
 
     def _try(self, values: Values) -> float:
         rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
-        for known, found in self.tried:
+        for known, objective in self.tried:
             if known == rounded:
-                return found
-        found = self.objective(rounded)
-        self.tried.append((rounded, found))
-        return found
+                return objective
+        objective = self.objective(rounded)
+        self.tried.append((rounded, objective))
+        return objective
 
 
 GAINS_FILE = "gains.yaml"
@@ -152,14 +152,14 @@ class Tuned:
 
 def position_errors(settings: PeersSettings, peer: str, values: Values) -> FloatArray:
     """(runs,) position RMSE of a peer with these gains on every run [m]."""
-    gains, found = law_kind(peer).gains(**values), []
+    gains, errors = law_kind(peer).gains(**values), []
     for trajectory, seeds in settings.runs.items():
         reference = load_trajectory(trajectory)
         for seed in seeds:
             run = simulate(make_tracking_peer(peer, gains), make_plant(settings.plant, seed=seed), reference)
             gap = (run.true_pose - run.reference_pose)[run.counted, :2]
-            found.append(_LOST if run.ended else float(np.sqrt(np.mean(np.sum(gap * gap, axis=1)))))
-    return np.array(found)
+            errors.append(_LOST if run.ended else float(np.sqrt(np.mean(np.sum(gap * gap, axis=1)))))
+    return np.array(errors)
 
 
 def tune(settings: PeersSettings, peer: str) -> Tuned:

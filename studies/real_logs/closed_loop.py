@@ -103,7 +103,7 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
     for name, config in (("knows the base's slew", known), ("linear part only", ignorant)):
         for trajectory in TRAJECTORIES:
             reference = scaled_to_robot(trajectory, config, model)
-            found = []
+            drives = []
             for seed in seeds:
                 plant = make_plant(
                     f"model:{folder / MODEL_FILE}",
@@ -112,19 +112,19 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
                     sample_time=config.sample_time,
                     limits=TwistBounds(v=config.limits.v, omega=config.limits.omega),
                 )
-                found.append(simulate(Controller(config), plant, reference).metrics)
+                drives.append(simulate(Controller(config), plant, reference).metrics)
                 if on_run is not None:
                     on_run()
             rows.append(
                 Tracking(
                     name,
                     trajectory,
-                    float(np.mean([metrics.position_rmse_m for metrics in found])),
-                    float(np.max([metrics.position_max_m for metrics in found])),
-                    float(np.mean([metrics.heading_rmse_rad for metrics in found])),
-                    float(np.mean([metrics.lateral_rmse_m for metrics in found])),
-                    int(np.sum([metrics.completed for metrics in found])),
-                    len(found),
+                    float(np.mean([metrics.position_rmse_m for metrics in drives])),
+                    float(np.max([metrics.position_max_m for metrics in drives])),
+                    float(np.mean([metrics.heading_rmse_rad for metrics in drives])),
+                    float(np.mean([metrics.lateral_rmse_m for metrics in drives])),
+                    int(np.sum([metrics.completed for metrics in drives])),
+                    len(drives),
                 )
             )
     return rows

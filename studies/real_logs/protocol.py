@@ -147,8 +147,8 @@ def prove(log: RealLog, data: Path, on_progress: Callable[[str], None] | None = 
         warnings=(),
     )
     name = log.robot.partition(",")[0]
-    found = identify_data(records, STRUCTURES["sm"], name, effects=True, on_progress=on_progress)
-    proof = Proof(log, (), found)
+    identification = identify_data(records, STRUCTURES["sm"], name, effects=True, on_progress=on_progress)
+    proof = Proof(log, (), identification)
     linear = identify_sm(train)
     return replace(
         proof, scores=(_linear_score(linear, train, held_out, proof.base), _base_score(proof.base, held_out))

@@ -105,15 +105,15 @@ def compare_on_log(name: str, data: Path) -> DriveModelsResult:
 def compare(source: str, repetition: int, train: Sequence[Record], held_out: Sequence[Record]) -> DriveModelsResult:
     """Fit on some records, score on others."""
     fits = {name: fit_drive(kind, train) for name, kind in KINDS.items()}
-    said = {NO_MODEL: [record.command for record in held_out]}
+    predictions = {NO_MODEL: [record.command for record in held_out]}
     for name, fit in fits.items():
-        said[name] = fit.simulate(held_out)
-        said[name + SHARP] = fit.simulate(held_out, sharp=True)
-    said[SM] = simulate_records(identify_sm(train).system, held_out)
+        predictions[name] = fit.simulate(held_out)
+        predictions[name + SHARP] = fit.simulate(held_out, sharp=True)
+    predictions[SM] = simulate_records(identify_sm(train).system, held_out)
     return DriveModelsResult(
         source,
         repetition,
-        {name: velocity_errors(simulated, held_out) for name, simulated in said.items()},
+        {name: velocity_errors(simulated, held_out) for name, simulated in predictions.items()},
         {name: fit.values for name, fit in fits.items()},
         {name: _dead_time(fit) for name, fit in fits.items()},
         {name: fit.at_bound for name, fit in fits.items()},
@@ -164,7 +164,7 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
         "On parts that nothing was fitted to: of logs the last 40 % of the rows. No model: the command itself. "
         "'sharp': the same numbers without rounding. Of the simulated robot, means over repetitions.",
     )
-    found = Table(
+    parameters = Table(
         "Numbers of the drive models",
         ("data", "model", "v", "omega"),
         tuple(numbers),
@@ -172,7 +172,7 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
         note="SI units, of the first repetition; the actuator lag is the paper's 1.1 ms. * lies on a bound of the "
         "search: the data do not determine it.",
     )
-    return [errors, found]
+    return [errors, parameters]
 
 
 def _numbers(group: Sequence[DriveModelsResult], name: str, row: int) -> str:

@@ -95,7 +95,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
         motor_fit={name: motor_fit(own_tracks, records) for name, records in of_motors.items()},
         sm_fit={name: (_fit(sm, of_v[name], 0), _fit(sm, of_omega[name], 1)) for name in DATA},
         errors={
-            model: {name: pose_error(found[model], found["driven"]) for name, found in paths.items()}
+            model: {name: pose_error(by_model[model], by_model["driven"]) for name, by_model in paths.items()}
             for model in models
         },
         paths=paths,

@@ -74,41 +74,43 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
     drive = logs.free(1, study.train_duration, study.paper_range)
     drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
     ssm = identify_ssm(drive, PAPERS_ORDER, limits=False)
-    found = {SSM: tuple(free_drive(ssm.system, one) for one in drives)}
+    predictions = {SSM: tuple(free_drive(ssm.system, one) for one in drives)}
     kind, usual = Architecture(), training_settings()
     for name, settings in ((LSTM, usual), (LONGER, usual.model_copy(update=study.longer.model_dump()))):
         training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
         network = train(kind, training, validation, settings).network
-        found[name] = tuple(_network_drive(network, one) for one in drives)
-    return NetworkResult(repetition, found)
+        predictions[name] = tuple(_network_drive(network, one) for one in drives)
+    return NetworkResult(repetition, predictions)
 
 
 def _network_drive(network: Network, drive: Record) -> FreeDrive:
     (twist,) = simulate_records(network, [drive], "gyro")
-    found, pose = score([twist], twist_experiments([drive])), np.asarray(drive.pose)
+    scores, pose = score([twist], twist_experiments([drive])), np.asarray(drive.pose)
     path = dead_reckon(twist - network.at_rest, pose[0], drive.dt)
-    return FreeDrive(_velocity(found.fit_percent, found.rmse), pose_error(path, pose))
+    return FreeDrive(_velocity(scores.fit_percent, scores.rmse), pose_error(path, pose))
 
 
 def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
     """Train networks as these rows of Table 2 say, from the drive of `compare_with_ssm`."""
     drive = RobotLogs(_OTHER_SEEDS + repetition).free(1, study.train_duration, study.paper_range)
-    experiments, found = twist_experiments(drive), []
-    for row, said in published.items():
-        kind = Architecture(window=said.window, units=said.units, layers=said.layers, activation=said.activation)
+    experiments, trained = twist_experiments(drive), []
+    for row, stated in published.items():
+        kind = Architecture(
+            window=stated.window, units=stated.units, layers=stated.layers, activation=stated.activation
+        )
         settings = training_settings().model_copy(
             update={
-                "optimiser": said.optimiser,
-                "batch": said.batch,
-                "validation_every": said.validation_every,
-                "patience": said.patience,
+                "optimiser": stated.optimiser,
+                "batch": stated.batch,
+                "validation_every": stated.validation_every,
+                "patience": stated.patience,
             }
         )
         training, validation, test = divided(windows_of(experiments, kind.window), settings.shares)
         done = train(kind, training, validation, settings)
         scores = [_velocity(fit_percent(done.network, part), rmse(done.network, part)) for part in (validation, test)]
-        found.append(NetworkRow(row, kind.parameters, done.steps, *scores))
-    return NetworkRows(tuple(found))
+        trained.append(NetworkRow(row, kind.parameters, done.steps, *scores))
+    return NetworkRows(tuple(trained))
 
 
 def _velocity(fit: FloatArray, error: FloatArray) -> VelocityFit:
@@ -173,7 +175,7 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
 
 def _best_row(rows: Sequence[NetworkRow], published: Published) -> Finding:
     ours = {one.row: float(np.mean(one.test.fit_percent)) for one in rows}
-    printed = {row: float(np.mean(said.test.values[:2])) for row, said in published.networks.items()}
+    printed = {row: float(np.mean(scores.test.values[:2])) for row, scores in published.networks.items()}
     words = []
     for means in (printed, ours):
         best = max(means, key=means.__getitem__)
@@ -191,13 +193,13 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
     """The nine networks, the paper's figures beside ours."""
     lines = []
     for one in sorted(rows, key=lambda one: one.row):
-        said = published.networks[one.row]
-        what = f"{said.layers} x {said.units}, {said.activation}, {said.optimiser}"
-        numbers = f"{said.window}, {said.batch}, {said.validation_every}, {said.patience}"
-        paper = [number(value, 2) for value in said.test.values]
+        scores = published.networks[one.row]
+        what = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
+        numbers = f"{scores.window}, {scores.batch}, {scores.validation_every}, {scores.patience}"
+        paper = [number(value, 2) for value in scores.test.values]
         ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(one.test.values)]
-        seen = [number(value, 2) for value in one.validation.fit_percent]
-        lines.append((str(one.row), what, numbers, *paper, *ours, *seen, str(one.parameters), str(one.steps)))
+        validation = [number(value, 2) for value in one.validation.fit_percent]
+        lines.append((str(one.row), what, numbers, *paper, *ours, *validation, str(one.parameters), str(one.steps)))
     columns = (
         "row",
         "layers x units, dense layer, optimiser",

@@ -134,8 +134,8 @@ def scatter_of(study: ScatterStudy, floor: ScatterFloor, drifts: float, seed: in
     starts = [k for k in driven.beliefs if k >= first and k + ahead < len(driven.poses)]
 
     def predict_from(starts: Sequence[int], change: Callable[[Belief], Belief] = lambda belief: belief) -> Foresight:
-        found = [_missed(controller, change(driven.beliefs[k]), driven, k, k + ahead) for k in starts]
-        return Foresight(np.array([error for error, _ in found]), np.array([shape for _, shape in found]))
+        misses = [_missed(controller, change(driven.beliefs[k]), driven, k, k + ahead) for k in starts]
+        return Foresight(np.array([error for error, _ in misses]), np.array([shape for _, shape in misses]))
 
     learned, earlier = predict_from(starts), predict_from(before)
     certain = predict_from(starts, lambda belief: belief.with_slip(belief.slip))
@@ -185,12 +185,12 @@ def _missed(
     controller: Controller, belief: Belief, driven: _Driven, first: int, stop: int
 ) -> tuple[FloatArray, FloatArray]:
     """Error (3,) and covariance (3, 3) of the pose at `stop`, as foreseen at `first`, in the frame of its heading."""
-    found = controller.predict_belief(belief, driven.commands[first:stop])
-    gap, theta = driven.poses[stop] - found.pose, found.pose[2]
+    predicted = controller.predict_belief(belief, driven.commands[first:stop])
+    gap, theta = driven.poses[stop] - predicted.pose, predicted.pose[2]
     turn = np.eye(3)
     turn[:2, :2] = np.stack(ahead_and_left(np.eye(2), theta))
     heading = (gap[2] + np.pi) % (2 * np.pi) - np.pi
-    return np.array([*ahead_and_left(gap, theta), heading]), turn @ found.pose_covariance @ turn.T
+    return np.array([*ahead_and_left(gap, theta), heading]), turn @ predicted.pose_covariance @ turn.T
 
 
 def _paths(controller: Controller, driven: _Driven, first: int, samples: int) -> dict[str, FloatArray]:
@@ -239,11 +239,11 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
         )
         truth = group[0].truth
         if truth is not None:
-            found = np.mean([one.coefficients for one in group], axis=0)
+            coefficients = np.mean([one.coefficients for one in group], axis=0)
             sure = np.sqrt(np.mean([one.deviations**2 for one in group], axis=0))
             if drifts == results[0].drifts:
                 terms.append((floor, "true", *(f"{1e3 * value:.1f}" for value in truth)))
-            cells = (f"{1e3 * mean:.1f} ± {1e3 * one:.1f}" for mean, one in zip(found, sure, strict=True))
+            cells = (f"{1e3 * mean:.1f} ± {1e3 * one:.1f}" for mean, one in zip(coefficients, sure, strict=True))
             terms.append((floor, f"learned, drifts {_times(drifts)}", *cells))
     shares = ("inside [%]", "NEES")
     scatter = Table(

@@ -126,9 +126,13 @@ def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[st
 
 
 def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[Record]) -> OrderResult:
-    found: IdentifiedModel = row.identified
+    identified: IdentifiedModel = row.identified
     return OrderResult(
-        number, _velocity(found.system, train), _velocity(found.system, test), row.bic, lines(found.warnings)
+        number,
+        _velocity(identified.system, train),
+        _velocity(identified.system, test),
+        row.bic,
+        lines(identified.warnings),
     )
 
 
@@ -140,8 +144,8 @@ def free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
 
 
 def _velocity(system: LinearSystem, records: Sequence[Record]) -> VelocityFit:
-    found = validate(system, records)
-    return VelocityFit(_pair(found.fit_percent), _pair(found.rmse))
+    validation = validate(system, records)
+    return VelocityFit(_pair(validation.fit_percent), _pair(validation.rmse))
 
 
 def _pair(values: Sequence[float] | np.ndarray) -> Pair:

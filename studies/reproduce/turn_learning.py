@@ -142,13 +142,13 @@ def learn_turns(study: TurningStudy, floor: str) -> LearnedTurns:
         ends = np.asarray(np.arange(1, len(commands) + 1) * still.sample_time)
         energies = [np.cumsum(power) * still.sample_time for power in (measured_power, by_learned, by_prior)]
         runs.append(EnergyRun(seed, ends, *energies))
-    said, before = (np.stack([one.outer(_RADII), one.inner(_RADII)], axis=-1) for one in (learned, prior))
+    after, before = (np.stack([one.outer(_RADII), one.inner(_RADII)], axis=-1) for one in (learned, prior))
     return LearnedTurns(
         floor,
         vehicle.torque_limit,
         raw,
         _RADII,
-        said,
+        after,
         before,
         rms_error(learned, steady_turns(still, asked.measured.radii, speed, measured, track), speed),
         own_least_radius(still, speed, measured, vehicle.torque_limit, track)[0],
@@ -268,7 +268,7 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
     energies = ", ".join(f"{name} {one.learned:g} %" for name, one in printed.energy_missed.items())
     without = ", ".join(f"{name} {one.prior:g} %" for name, one in printed.energy_missed.items())
     means = [_means(floor) for floor in floors]
-    said = "; ".join(_percent(learned) for learned, _ in means) + " %"
+    shares = "; ".join(_percent(learned) for learned, _ in means) + " %"
     return [
         Finding(
             f"the curves of vinyl know no least radius, the learned ones do ({where})",
@@ -318,7 +318,7 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
             f"with learning too much energy is foreseen, which is the safe side (mean; {where})",
             _ENERGY,
             f"missed: {energies}",
-            f"missed: {said}",
+            f"missed: {shares}",
             tuple(learned < 0 for learned, _ in means),
         ),
     ]

@@ -106,9 +106,9 @@ def turn_steadily(study: TurningStudy) -> TurningResult:
     track = vehicle.command_track or vehicle.track
     law, driven = [], []
     for speed in study.speeds:
-        found = side_torques(vehicle, vinyl, radii, speed)
-        torque = np.stack([found.outer, found.inner], axis=-1)
-        wheels = np.stack([found.outer_speed, found.inner_speed], axis=-1)
+        torques = side_torques(vehicle, vinyl, radii, speed)
+        torque = np.stack([torques.outer, torques.inner], axis=-1)
+        wheels = np.stack([torques.outer_speed, torques.inner_speed], axis=-1)
         law.append(SteadyTurns(LAW, speed, radii, torque, constants.side_power(torque, wheels)))
         turns = steady_turns(plant, study.radii, speed, asked, track)
         torque = np.stack([turns.outer, turns.inner], axis=-1)

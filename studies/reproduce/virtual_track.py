@@ -102,13 +102,13 @@ def agree(printed: TrackLine, fitted: TrackLine, certain: float) -> bool:
 
 def fit_line(tests: FloatArray) -> TrackLine:
     """Least squares over tests (n, 2) of yaw rate [rad/s] and track [m]."""
-    found = stats.linregress(np.abs(tests[:, 0]), tests[:, 1])
+    line = stats.linregress(np.abs(tests[:, 0]), tests[:, 1])
     return TrackLine(
-        float(found.slope),
-        float(found.intercept),
-        float(found.stderr),
-        float(found.intercept_stderr),
-        float(found.rvalue),
+        float(line.slope),
+        float(line.intercept),
+        float(line.stderr),
+        float(line.intercept_stderr),
+        float(line.rvalue),
     )
 
 

@@ -122,13 +122,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--real-time", action="store_true")
     parser.add_argument("--page", action="store_true", help=f"write the tables into {PAGE}, from the top")
     chosen = parser.parse_args(arguments)
-    found = []
+    differences = []
     for trajectory in chosen.trajectories:
         case = Case(model=chosen.model, trajectory=trajectory, sensors=chosen.sensors, seed=chosen.seed)
-        found.append(compare(case, lock_step=not chosen.real_time))
-    tables = [comparison_table(found)]
+        differences.append(compare(case, lock_step=not chosen.real_time))
+    tables = [comparison_table(differences)]
     if chosen.real_time:
-        tables.append(timing_table(found))
+        tables.append(timing_table(differences))
     console = output_console()
     for table in tables:
         console.print(table.rich())

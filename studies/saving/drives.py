@@ -211,17 +211,17 @@ class Saved(NamedTuple):
     def of(cls, outcomes: Sequence[PairOutcome], over: Objective = "distance") -> Saved:
         """Of the pairs of a floor."""
         both = [outcome for outcome in outcomes if math.isfinite(outcome.saving(over))]
-        found = np.array([one.saving(over) for one in both])
+        savings = np.array([one.saving(over) for one in both])
         if not both:
             return cls(0, Estimate.of_runs([], mean), math.nan, math.nan, math.nan, 0, math.nan)
         own, other = (sum(one.drives[aim].measured for one in both) for aim in ("energy", over))
         return cls(
             len(both),
-            Estimate.of_runs(found, mean),
+            Estimate.of_runs(savings, mean),
             1 - own / other,
-            float(found.min()),
-            float(found.max()),
-            int(np.count_nonzero(found < 0)),
+            float(savings.min()),
+            float(savings.max()),
+            int(np.count_nonzero(savings < 0)),
             float(np.mean([one.promised(over) for one in both])),
         )
 

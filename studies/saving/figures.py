@@ -51,8 +51,8 @@ def draw_saving(floors: Sequence[tuple[str, Sequence[PairOutcome]]], asked: floa
     with new_figure(path, 7.6, 2.9) as figure:
         panels = figure.subplots(1, len(floors), sharey=True, squeeze=False)[0]
         for axes, (surface, outcomes) in zip(panels, floors, strict=True):
-            found = np.sort([100 * outcome.saving() for outcome in outcomes if np.isfinite(outcome.saving())])
-            axes.bar(np.arange(len(found)), found, color=colour(0), width=0.8)
+            savings = np.sort([100 * outcome.saving() for outcome in outcomes if np.isfinite(outcome.saving())])
+            axes.bar(np.arange(len(savings)), savings, color=colour(0), width=0.8)
             mean = Saved.of(outcomes).mean
             axes.axhspan(100 * mean.low, 100 * mean.high, color=colour(1), alpha=0.35, label="95 % interval")
             axes.axhline(100 * mean.value, color=colour(1), label=f"mean {100 * mean.value:.1f} %")
@@ -144,11 +144,11 @@ def _words(plan: Planned) -> str:
 
 def _outlines(path: FloatArray, outline: tuple[float, float]) -> list[FloatArray]:
     corners = 0.5 * np.array(outline) * [[1, 1], [-1, 1], [-1, -1], [1, -1]]
-    found = []
+    outlines = []
     for x, y, theta in path[np.linspace(0, len(path) - 1, _OUTLINES).astype(int)]:
         c, s = np.cos(theta), np.sin(theta)
-        found.append(np.array([x, y]) + corners @ np.array([[c, s], [-s, c]]))
-    return found
+        outlines.append(np.array([x, y]) + corners @ np.array([[c, s], [-s, c]]))
+    return outlines
 
 
 def _arrow(axes: Axes, pose: Sequence[float]) -> None:

@@ -107,9 +107,9 @@ def loaded_costs(study: SavingStudySettings, asked: Scenario, own: TurnCosts) ->
     ground = map_back(torque, vehicle, curves, speed).on(Terrain(description=asked.surface))
     heavy = vehicle.carrying(asked.payload)
     radii = np.array([one for one in own.curve.radius if one > 0.51 * (vehicle.command_track or vehicle.track)])
-    found = side_torques(heavy, ground, radii, speed)
+    torques = side_torques(heavy, ground, radii, speed)
     limit = vehicle.torque_limit
-    outer, inner = (tuple(np.clip(side, -limit, limit).tolist()) for side in (found.outer, found.inner))
+    outer, inner = (tuple(np.clip(side, -limit, limit).tolist()) for side in (torques.outer, torques.inner))
     curve = own.curve.model_copy(update={"radius": tuple(radii.tolist()), "outer": outer, "inner": inner})
     return TurnCosts(
         name=f"{own.name}, {asked.payload:g} kg",
@@ -168,9 +168,9 @@ def _planned(study: SavingStudySettings, asked: Scenario, costs: TurnCosts, by: 
     start, goal = pose_of(asked.start), pose_of(asked.goal)
     around = Surroundings(discs=[MovingDisc(*post) for post in asked.posts])
     plans = plan_each(costs, start, goal, speed=study.speed, obstacles=around, settings=study.planning.settings)
-    found, shortest = plans["energy"], plans["distance"]
-    opened = drive_open(study, found, asked.surface, asked.payload)
-    closed = drive_closed(study, found, asked.surface, asked.payload)
+    cheapest, shortest = plans["energy"], plans["distance"]
+    opened = drive_open(study, cheapest, asked.surface, asked.payload)
+    closed = drive_closed(study, cheapest, asked.surface, asked.payload)
     outline = plant_outline(f"mujoco:{study.robot}")
     gaps = tuple(gap_to_posts(one.path, asked.posts, outline) for one in (opened, closed))
     return Planned(by, opened, closed, drive_closed(study, shortest, asked.surface, asked.payload), (gaps[0], gaps[1]))

@@ -77,8 +77,8 @@ class SavingStudy(Study[SavingStudySettings, Results]):
         tasks = [
             partial(measure_pair, plan, surface, k, pair) for surface in plan.surfaces for k, pair in enumerate(pairs)
         ]
-        found = run_tasks(tasks, jobs, bar.advance)
-        floors = [(surface, [one for one in found if one.surface == surface]) for surface in plan.surfaces]
+        outcomes = run_tasks(tasks, jobs, bar.advance)
+        floors = [(surface, [one for one in outcomes if one.surface == surface]) for surface in plan.surfaces]
         bar.begin("scenarios", len(plan.scenarios))
         measures = [partial(_MEASURES[scenario.kind], plan, scenario) for scenario in plan.scenarios]
         return Results(floors, run_tasks(measures, jobs, bar.advance))
@@ -117,7 +117,9 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             ],
             tables=_tables(results, asked.computer),
             figures=draws,
-            shown=Shown(key_figures=[_key_figure(surface, found, asked.asked) for surface, found in results.floors]),
+            shown=Shown(
+                key_figures=[_key_figure(surface, savings, asked.asked) for surface, savings in results.floors]
+            ),
         )
 
 
@@ -233,7 +235,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
             "its cone [m]": lambda one: number(one.gaps[1], 2),
             "saved [%]": lambda one: _percent(one.saving),
         },
-        [((found.short, plan.by), plan) for found in results.scenarios for plan in found.plans],
+        [((scenario.short, plan.by), plan) for scenario in results.scenarios for plan in scenario.plans],
         note="Cone: from the robot's outline to the nearest one; below zero it ran over it. Saved: against the "
         "distance-optimal plan of the same knowledge, both by the controller.",
     )
@@ -276,8 +278,8 @@ def _content(results: Results, computer: float) -> dict[str, Any]:
         )
     scenarios = [
         {
-            "title": found.title,
-            "figures": found.figures,
+            "title": scenario.title,
+            "figures": scenario.figures,
             "plan": plan.by,
             "gaps_m": list(plan.gaps),
             "saving": plan.saving,
@@ -285,8 +287,8 @@ def _content(results: Results, computer: float) -> dict[str, Any]:
             "closed": _plain(plan.closed),
             "distance": _plain(plan.distance),
         }
-        for found in results.scenarios
-        for plan in found.plans
+        for scenario in results.scenarios
+        for plan in scenario.plans
     ]
     return {"floors": floors, "scenarios": scenarios, "pairs": pairs}
 
@@ -308,8 +310,8 @@ def _longer(drives: Sequence[tuple[Driven | None, Driven | None]]) -> float:
 
 def _savings_fed(outcomes: Sequence[PairOutcome], computer: float) -> FloatArray:
     """Of the pairs for which both drives arrived [-]."""
-    found = np.array([outcome.saving_fed(computer) for outcome in outcomes])
-    return np.asarray(found[np.isfinite(found)])
+    savings = np.array([outcome.saving_fed(computer) for outcome in outcomes])
+    return np.asarray(savings[np.isfinite(savings)])
 
 
 def _fed(outcomes: Sequence[PairOutcome], computer: float) -> Estimate:
@@ -318,8 +320,8 @@ def _fed(outcomes: Sequence[PairOutcome], computer: float) -> Estimate:
 
 def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
     """Mean saving were so much power [W] drawn all the time [-]."""
-    found = [outcome.saving(computer=computer) for outcome in outcomes]
-    return float(np.mean([one for one in found if math.isfinite(one)] or [math.nan]))
+    savings = [outcome.saving(computer=computer) for outcome in outcomes]
+    return float(np.mean([one for one in savings if math.isfinite(one)] or [math.nan]))
 
 
 def _mean(drives: Sequence[Driven], what: str) -> float:

@@ -115,7 +115,7 @@ def recover(seed: int) -> RecoveredTruth:
     truth = _draw(stream, settings)
     records = _log(truth, stream, seed, settings)
     started = perf_counter()
-    found = identify_sm(records, limits=False).parameters
+    parameters = identify_sm(records, limits=False).parameters
     seconds = perf_counter() - started
     names: list[str] = []
     values: list[float] = []
@@ -123,7 +123,7 @@ def recover(seed: int) -> RecoveredTruth:
     deviations: list[float] = []
     for channel in CHANNELS:
         true = truth.channels.model_dump()[channel] | {"dead_time": truth.dead_time.model_dump()[channel]}
-        own = found.part([f"{channel}.{name}" for name in true])
+        own = parameters.part([f"{channel}.{name}" for name in true])
         whole = _with_poles(own, channel, true["damping"])
         names += whole.names
         values += _numbers(np.array(list(true.values())), true["damping"]).tolist()

@@ -123,9 +123,11 @@ def fit_models(
     def identify(label: str, experiments: list[Experiment], dead_time: float | None) -> IdentifiedChannel:
         shortest = fitting_settings().shortest
         # The simulated sensors have no outliers, and the experiments stay below every limit.
-        found = identify_channel(experiments, label, limit=False, robust=False, dead_time=dead_time, shortest=shortest)
+        channel = identify_channel(
+            experiments, label, limit=False, robust=False, dead_time=dead_time, shortest=shortest
+        )
         announce(next(count), IDENTIFICATIONS)
-        return found
+        return channel
 
     with staged(folder) as stage:
         announce(0, IDENTIFICATIONS)
@@ -217,15 +219,15 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     # The command reaches all four motors over one link: one dead time for all.
     alone = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
     shared = float(np.mean([parameters.value("dead_time") for parameters in alone]))
-    found = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
-    motors = [one.parameters for one in found]
+    channels = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
+    motors = [one.parameters for one in channels]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
     settled = np.concatenate([_settled(log) for log in logs.omega])
     gain = np.mean([motor.value("gain") for motor in motors])
     return {
-        "warnings": [str(warning) for one in found for warning in one.warnings],
+        "warnings": [str(warning) for one in channels for warning in one.warnings],
         "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
         "motors": {name: _rounded(motor) for name, motor in zip(names, motors, strict=True)},
         "wheel_radius": robot.wheel_radius,
@@ -353,8 +355,8 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
     held_out = logs.free(study.free_drives, study.free_duration, study.paper_range)
     tell(1, 2)
     training, validation, test = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
-    found = train(kind, training, validation, settings)
-    network = found.network
+    trained = train(kind, training, validation, settings)
+    network = trained.network
     other = windows_of(twist_experiments(held_out), kind.window)
     parts = {"training": training, "validation": validation, "test": test, "other drives": other}
     fits = {name: fit_percent(network, part) for name, part in parts.items()}
@@ -368,7 +370,7 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
             "origin": "identified",
             "source": "a free drive of the simulated robot (mujoco, default surface and sensors), as the experiment of "
             "Guffanti, Pavon, Sensors 2025, 25(18), 5821",
-            "method": method(kind, settings, found),
+            "method": method(kind, settings, trained),
             "experiments": [record.name for record in drive],
             "date": date.today().isoformat(),
             "notes": "Architecture, optimiser and stopping rule are the paper's (Table 2, row 2); its weights and data "

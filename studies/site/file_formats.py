@@ -58,8 +58,8 @@ def _rows(part: Schema, schema: Schema, prefix: str, needed: str = "required") -
 
 def _group(field: Schema, schema: Schema) -> Schema | None:
     """The one group that a field may be, if it may be nothing else."""
-    found = _alternatives(field, schema)
-    return found[0] if len(found) == 1 and "properties" in found[0] else None
+    alternatives = _alternatives(field, schema)
+    return alternatives[0] if len(alternatives) == 1 and "properties" in alternatives[0] else None
 
 
 def _alternatives(field: Schema, schema: Schema) -> list[Schema]:

@@ -20,23 +20,23 @@ _LONGEST = 60
 def licence_table() -> str:
     """Every package that is installed with ours, without extras: its licence as it states it, and who needs it."""
     needed = _needed()
-    rows = [(name, licence(found), ", ".join(sorted(by))) for name, (found, by) in sorted(needed.items())]
+    rows = [(name, licence(distribution), ", ".join(sorted(by))) for name, (distribution, by) in sorted(needed.items())]
     lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
 def licence(package: Distribution) -> str:
     """What a package says of its licence: an SPDX expression, its classifiers, or the words of its field."""
-    said = package.metadata
+    metadata = package.metadata
     # What is not there is None in some Pythons, and an error in others.
-    if "License-Expression" in said:
-        return str(said["License-Expression"])
+    if "License-Expression" in metadata:
+        return str(metadata["License-Expression"])
     classes = [
         line.rpartition(" :: ")[2]
-        for line in said.get_all("Classifier") or ()
+        for line in metadata.get_all("Classifier") or ()
         if line.startswith("License ::") and line.count(" :: ") > 1
     ]
-    words = (said.get_all("License") or [""])[0].strip().splitlines()
+    words = (metadata.get_all("License") or [""])[0].strip().splitlines()
     if words and len(words[0]) <= _LONGEST and not classes:
         return str(words[0])
     return ", ".join(sorted(classes)) or (f"{words[0][:_LONGEST]} ..." if words else "not stated; see its sources")
@@ -44,7 +44,7 @@ def licence(package: Distribution) -> str:
 
 def _needed() -> dict[str, tuple[Distribution, set[str]]]:
     """Packages by their normal name, with those that need them, from ours on."""
-    found: dict[str, tuple[Distribution, set[str]]] = {}
+    distributions: dict[str, tuple[Distribution, set[str]]] = {}
     todo = [(_OURS, distribution(_OURS), frozenset[str]())]
     done: set[tuple[str, frozenset[str]]] = set()
     while todo:
@@ -55,12 +55,12 @@ def _needed() -> dict[str, tuple[Distribution, set[str]]]:
                 needed = distribution(name)
             except PackageNotFoundError:
                 continue  # not for this processor
-            found.setdefault(name, (needed, set()))[1].add(_normal(by))
+            distributions.setdefault(name, (needed, set()))[1].add(_normal(by))
             key = (name, frozenset(one.extras))
             if key not in done:
                 done.add(key)
                 todo.append((name, needed, key[1]))
-    return found
+    return distributions
 
 
 def _requirements(package: Distribution, extras: frozenset[str]) -> Iterator[Requirement]:

@@ -66,7 +66,7 @@ def executed(notebook: str, folder: Path) -> list[bytes]:
 
 def pictures(markdown: str) -> list[str]:
     """Files of the pictures that a tutorial shows, in its order, which is that in which its notebook draws them."""
-    return [found["file"] for found in _PICTURE.finditer(markdown)]
+    return [match["file"] for match in _PICTURE.finditer(markdown)]
 
 
 def write_all(folder: Path) -> None:

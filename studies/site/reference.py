@@ -81,10 +81,10 @@ def ros_page(guide: str) -> str:
 
 def section(page: str, title: str) -> str:
     """The section of that title; raises ConfigError if the page has none."""
-    found = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
-    if not found:
+    match = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    if not match:
         raise ConfigError(f"no section '{title}' in the page that the site takes it from; name it so again")
-    return found[0]
+    return match[0]
 
 
 def _one_up(tables: str) -> str:

@@ -35,10 +35,10 @@ class PeerInput:
             self._controller.start(self._reference, t)
         # What the subject commanded, not what this controller would have.
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
-        told = replace(measurement, sent=sent) if self._started else measurement
+        stamped = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
         self._controller.program.count_from(self._past[-1])
-        estimate = self._controller.step(t, told).estimate
+        estimate = self._controller.step(t, stamped).estimate
         if estimate is None:
             raise RuntimeError("the drive begins without a pose: peers cannot be told where the robot is")
         return stage_data(self._controller.program, estimate, self._past)

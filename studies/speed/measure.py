@@ -67,8 +67,8 @@ class _Running:
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
         """Times (ticks, 2) of whole steps and inside the solver [s]; None where the subject has failed."""
-        found = self.guarded(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
-        return None if found is None else (_times(found[0]), found[1])
+        result = self.guarded(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
+        return None if result is None else (_times(result[0]), result[1])
 
     def guarded(self, act: Callable[[], T]) -> T | None:
         """Let the subject act; one that fails drops out with its reason, the others go on."""
@@ -149,8 +149,8 @@ def measure(
 def _replay(running: Sequence[_Running], settings: SpeedSettings, core: int | None) -> None:
     """Time all of them; those too slow to be replayed have the times of their closed loop."""
     quick = [one for one in running if _typical(one) < settings.replayed_below]
-    (found,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block, core=core)
-    for one, times in zip(quick, found, strict=True):
+    (costs,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block, core=core)
+    for one, times in zip(quick, costs, strict=True):
         one.times = times
     best = min([best, *(effort.pace for one in running for effort in one.drive.efforts)])
     for one in running:

@@ -161,9 +161,9 @@ class SpeedResults:
 
     def growth(self, solver: str, model: str) -> float:
         """Exponent of the whole step's median over the horizons from `GROWTH_FROM` on; NaN with fewer than two."""
-        found = [r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= GROWTH_FROM]
+        records = [r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= GROWTH_FROM]
         return growth_exponent(
-            np.array([r.horizon for r in found], dtype=float), np.array([r.step_p50_s for r in found])
+            np.array([r.horizon for r in records], dtype=float), np.array([r.step_p50_s for r in records])
         )
 
     def as_json(self) -> dict[str, object]:

@@ -65,10 +65,10 @@ def chosen(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSetting
         return settings
     subjects: dict[str, SubjectSettings] = {}
     for name in names:
-        found = {
+        best = {
             full: subject for full, subject in settings.subjects.items() if full == name or full.startswith(f"{name}/")
         }
-        if not found:
+        if not best:
             raise ConfigError(f"--peers: there is no '{name}'; known: {', '.join(settings.subjects)}")
-        subjects |= found
+        subjects |= best
     return settings.model_copy(update={"subjects": subjects})

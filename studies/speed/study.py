@@ -54,8 +54,8 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         with tempfile.TemporaryDirectory() as scratch:
             for problems in plan:
                 place = Path(scratch) / str(problems[0].horizon)
-                found, lost = measure(self.settings, problems, environment, place, core, bar.advance)
-                records += found
+                measured, lost = measure(self.settings, problems, environment, place, core, bar.advance)
+                records += measured
                 missing += lost
         if not records:
             raise ValueError(f"no subject could be run; {missing[0].solver}: {missing[0].reason}")

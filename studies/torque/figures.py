@@ -28,9 +28,9 @@ def draw_torques(floor: FloorOutcome, vehicle: Vehicle, path: Path) -> None:
                 label = f"{name}, {speed:g} m/s"
                 axes.plot(steady.radius, values, MARKERS[k], color=colour(k), markerfacecolor=face, label=label)
         ground = floor.fitted.on(Terrain(description=floor.surface))
-        found = side_torques(vehicle, ground, _RADII, 0.4)
-        axes.plot(_RADII, found.outer, color=REFERENCE_COLOUR, label="shear law")
-        axes.plot(_RADII, found.inner, "--", color=REFERENCE_COLOUR)
+        torques = side_torques(vehicle, ground, _RADII, 0.4)
+        axes.plot(_RADII, torques.outer, color=REFERENCE_COLOUR, label="shear law")
+        axes.plot(_RADII, torques.inner, "--", color=REFERENCE_COLOUR)
         torque_axes(axes, vehicle, f"Torques in steady turns on '{floor.surface}' (as figure 6)")
         axes.legend(ncols=2)
 
@@ -45,10 +45,10 @@ def draw_learned(floor: FloorOutcome, vehicle: Vehicle, speed: float, path: Path
         steady = floor.steady[speed]
         axes.plot(steady.radius, steady.outer, "o", color=colour(0), label="outer, steady turns")
         axes.plot(steady.radius, steady.inner, "s", color=colour(1), label="inner, steady turns")
-        for side, (said, before) in enumerate(
+        for side, (learned, before) in enumerate(
             ((floor.learned.outer, floor.prior.outer), (floor.learned.inner, floor.prior.inner))
         ):
-            axes.plot(_RADII, said(_RADII), color=colour(side), label="learned" if not side else None)
+            axes.plot(_RADII, learned(_RADII), color=colour(side), label="learned" if not side else None)
             axes.plot(_RADII, before(_RADII), ":", color=colour(side), label="prior" if not side else None)
         if 0 < floor.learned_radius < np.inf:
             label = f"least radius {floor.learned_radius:.2f} m"
@@ -64,8 +64,8 @@ def draw_power(
     with new_figure(path, 6.4, 3.8) as figure:
         axes = figure.subplots()
         for k, speed in enumerate((0.2, 0.6)):
-            found = side_torques(vehicle, prior, _RADII, speed)
-            sides_of = ((found.outer, found.outer_speed, "outer"), (found.inner, found.inner_speed, "inner"))
+            torques = side_torques(vehicle, prior, _RADII, speed)
+            sides_of = ((torques.outer, torques.outer_speed, "outer"), (torques.inner, torques.inner_speed, "inner"))
             for torque, wheels, name in sides_of:
                 label = f"{name}, {prior.description.split()[0]}, {speed:g} m/s" if name == "outer" else None
                 power = constants.side_power(torque, wheels)

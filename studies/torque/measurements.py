@@ -113,7 +113,7 @@ def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked
         By which the base makes wheel speeds of commands [m].
     """
     before, after = (round(time / plant.sample_time) for time in (asked.settling, asked.hold))
-    found = []
+    turns = []
     for radius in radii:
         both = []
         for sign in (1, -1):
@@ -126,8 +126,8 @@ def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked
             torque, power, wheels = torque[::-sign], power[::-sign], wheels[::-sign]
             by_wheels = 2 * (wheels[0] - wheels[1]) / (wheels[0] + wheels[1]) / track
             both.append([*torque, by_wheels * radius, *power])
-        found.append(np.mean(both, axis=0))
-    rows = np.array(found)
+        turns.append(np.mean(both, axis=0))
+    rows = np.array(turns)
     return Steady(np.array(radii), rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:])
 
 
@@ -276,11 +276,11 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
         for command in commands:
-            found = plant.measure()
-            parts = [found.wheel_twist, found.wheel_speeds, found.yaw_rate]
+            measured = plant.measure()
+            parts = [measured.wheel_twist, measured.wheel_speeds, measured.yaw_rate]
             assert all(part is not None for part in parts)
             read = [np.ravel(part.value) for part in parts if part is not None]
-            pose = [""] * 4 if found.pose is None else [found.pose.time, *np.ravel(found.pose.value)]
+            pose = [""] * 4 if measured.pose is None else [measured.pose.time, *np.ravel(measured.pose.value)]
             cells = np.concatenate([[plant.time], command, *read])
             writer.writerow([*map(repr, cells.tolist()), *pose, *map(repr, power_read(plant).tolist())])
             plant.advance(command)

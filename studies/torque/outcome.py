@@ -117,7 +117,7 @@ def reference_speed() -> float:
 def rms_error(curves: TorqueCurves, steady: Steady, speed: float) -> tuple[float, float]:
     """RMSE of outer and inner side, over the RMS of each measured curve [-]."""
     pairs = ((curves.outer(steady.radius, speed), steady.outer), (curves.inner(steady.radius, speed), steady.inner))
-    outer, inner = (float(np.sqrt(np.mean((said - true) ** 2) / np.mean(true**2))) for said, true in pairs)
+    outer, inner = (float(np.sqrt(np.mean((estimate - true) ** 2) / np.mean(true**2))) for estimate, true in pairs)
     return outer, inner
 
 
@@ -231,12 +231,12 @@ def measure_payload(study: TorqueStudySettings, payload: float) -> PayloadOutcom
     ground = map_back(study, vehicle, curves, speed).on(_FLOOR)
     loaded = plant_of(study.robot, study.payload_surface, payload, sensors="perfect") if payload else empty
     steady = steady_turns(loaded, study.measured.radii, speed, study.measured, track)
-    said = side_torques(vehicle.carrying(payload), ground, steady.radius, speed)
+    torques = side_torques(vehicle.carrying(payload), ground, steady.radius, speed)
     limit = vehicle.torque_limit
     return PayloadOutcome(
         payload,
         steady,
-        np.clip(np.stack([said.outer, said.inner], -1), -limit, limit),
+        np.clip(np.stack([torques.outer, torques.inner], -1), -limit, limit),
         np.stack([curves.outer(steady.radius, speed), curves.inner(steady.radius, speed)], -1),
     )
 

@@ -171,9 +171,9 @@ def _tables(results: Results, speed: float) -> list[Table]:
             "not told": lambda one: ", ".join(one.untold) or "-",
         },
         [
-            ((floor.surface, source), found)
+            ((floor.surface, source), estimate)
             for floor in results.floors
-            for source, found in (("steady turns", floor.fitted), ("learned curves", floor.mapped))
+            for source, estimate in (("steady turns", floor.fitted), ("learned curves", floor.mapped))
         ],
     )
     energy = Table.of(

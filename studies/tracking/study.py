@@ -210,16 +210,16 @@ def _target_chart(verdicts: Sequence[Verdict], models: Sequence[str]) -> Chart:
 
 
 def _warnings(rows: DataFrame, verdicts: Sequence[Verdict]) -> list[Warned]:
-    found = []
+    warnings = []
     for verdict in verdicts:
         missed = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
         if missed:
             asked = f"at most {verdict.limit:g} was asked for, {', '.join(missed)} reached"
-            found.append(Warned(f"Target missed: {verdict.what}, {verdict.where}: {asked}.", _MISSED))
+            warnings.append(Warned(f"Target missed: {verdict.what}, {verdict.where}: {asked}.", _MISSED))
     lost = rows[~rows["completed"].astype(bool)]
     if len(lost):
         names = ("controller", "model", "trajectory", "surface", "scenario")
         where = ", ".join(str(lost[name].iloc[0]) for name in names)
         words = f"{len(lost)} runs did not complete, the first: {where}, seed {lost['seed'].iloc[0]}."
-        found.append(Warned(words, "drive it alone with `simulate` and these options, and read its report"))
-    return found
+        warnings.append(Warned(words, "drive it alone with `simulate` and these options, and read its report"))
+    return warnings

@@ -20,16 +20,16 @@ _SHOWN = 6
 
 def drawings(rows: DataFrame) -> dict[str, Draw | Charts]:
     """Each figure by file name."""
-    found: dict[str, Draw | Charts] = {}
+    pages: dict[str, Draw | Charts] = {}
     drawn = rows[rows["part"] == "drawn"]
     if len(drawn):
-        found["rates.png"] = rate_charts(drawn)
-        found["drawn.png"] = partial(draw_worlds, _densest(drawn))
+        pages["rates.png"] = rate_charts(drawn)
+        pages["drawn.png"] = partial(draw_worlds, _densest(drawn))
     named = rows[rows["part"] != "drawn"]
     if len(named):
         first = named.groupby("world")["seed"].transform("first")
-        found["named.png"] = partial(draw_worlds, named[named["seed"] == first])
-    return found
+        pages["named.png"] = partial(draw_worlds, named[named["seed"] == first])
+    return pages
 
 
 def _densest(rows: DataFrame) -> DataFrame:
@@ -44,9 +44,11 @@ def rate_charts(rows: DataFrame) -> list[Chart]:
     for planned, part in sorted(by(rows, "planned_way").items()):
         drivers, series = by(part, "driver"), []
         for style, (column, name) in enumerate((("passage_arrived", "arrived"), ("collided", "collided"))):
-            found = [rate(own, column) for own in drivers.values()]
-            low, high = ([100 * getattr(one, end) for one in found] for end in ("low", "high"))
-            series.append(Series(name, list(drivers), [100 * one.share for one in found], 2 - style, "bars", low, high))
+            charts = [rate(own, column) for own in drivers.values()]
+            low, high = ([100 * getattr(one, end) for one in charts] for end in ("low", "high"))
+            series.append(
+                Series(name, list(drivers), [100 * one.share for one in charts], 2 - style, "bars", low, high)
+            )
         axes = Axis("", "category"), Axis("share of runs [%], 95 % interval", range=(0, 105))
         made.append(Chart(f"Planned way: {planned}", *axes, series))
     return made

@@ -148,15 +148,15 @@ def known_at(world: World, time: FloatArray, pose: FloatArray) -> FloatArray:
     sight = world.sight
     looks = np.arange(0.0, time[-1] + 1e-9, sight.period)
     ticks = np.minimum(np.searchsorted(time + 1e-9, looks), len(time) - 1)
-    found = np.full(len(world.movers), np.inf)
+    times = np.full(len(world.movers), np.inf)
     for i, mover in enumerate(world.movers):
         row = 0
         for k in ticks:
             row = row + 1 if in_view(mover, float(time[k]), pose[k], world.shapes(float(time[k])), sight) else 0
             if row == _LOOKS:
-                found[i] = time[k] + sight.latency
+                times[i] = time[k] + sight.latency
                 break
-    return found
+    return times
 
 
 def stop_was_possible(case: Case, run: Run) -> bool | None:

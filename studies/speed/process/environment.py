@@ -75,18 +75,18 @@ def pinned(name: str, requirements: str) -> str:
 
     Raises SubjectError where the list does not have it.
     """
-    found = re.search(rf"^{re.escape(name)}==(?:.*\\\n)*.*\n", requirements, re.MULTILINE)
-    if found is None:
+    match = re.search(rf"^{re.escape(name)}==(?:.*\\\n)*.*\n", requirements, re.MULTILINE)
+    if match is None:
         raise SubjectError(f"its environment cannot be made: {name} is not in {REQUIREMENTS.name}")
-    return found[0]
+    return match[0]
 
 
 def _run(*command: str) -> None:
     variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "LD_LIBRARY_PATH")}
     done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
     if done.returncode:
-        said = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
-        raise SubjectError(f"its environment cannot be made: {said[-1] if said else 'no reason given'}")
+        lines = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
+        raise SubjectError(f"its environment cannot be made: {lines[-1] if lines else 'no reason given'}")
 
 
 def _reachable(package: Path) -> None:
