@@ -54,26 +54,26 @@ def load_run(path: str | Path) -> RunFile:
     return load_checked(RunFile, path)
 
 
-def compared(told: RunFile, row: Row) -> tuple[bool, str]:
+def compared(stored: RunFile, row: Row) -> tuple[bool, str]:
     """Whether a row has the figures of the file, and a sentence on it."""
     again = {name: value for name, value in row.items() if not name.startswith(TIME)}
-    other = [name for name in told.figures if told.figures[name] != again.get(name)]
+    other = [name for name in stored.figures if stored.figures[name] != again.get(name)]
     if not other:
-        return True, f"all {len(told.figures)} figures are those of the file, to the last bit"
+        return True, f"all {len(stored.figures)} figures are those of the file, to the last bit"
     name = other[0]
-    first = f"{name} is {again.get(name)}, was {told.figures[name]}"
-    return False, f"{len(other)} of {len(told.figures)} figures are other ones: {first}; {_why(told)}"
+    first = f"{name} is {again.get(name)}, was {stored.figures[name]}"
+    return False, f"{len(other)} of {len(stored.figures)} figures are other ones: {first}; {_why(stored)}"
 
 
-def _why(told: RunFile) -> str:
+def _why(stored: RunFile) -> str:
     now = environment()
-    changed = [name for name, value in told.environment.items() if now.get(name) != value]
+    changed = [name for name, value in stored.environment.items() if now.get(name) != value]
     if changed:
         was = ", ".join(
-            f"{name} ({_brief(told.environment[name])}, now {_brief(now.get(name, '-'))})" for name in changed
+            f"{name} ({_brief(stored.environment[name])}, now {_brief(now.get(name, '-'))})" for name in changed
         )
         return f"other than then: {was}"
-    if key_of(told.definition) != told.run:
+    if key_of(stored.definition) != stored.run:
         return "a file that it names has changed"
     return "product, libraries and files are the same: is the processor of another kind?"
 

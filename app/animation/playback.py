@@ -139,8 +139,8 @@ class RecordedReference:
 
     name = "recorded"
 
-    def __init__(self, time: FloatArray, told: ReferenceSample) -> None:
-        self._time, self._told = time, told
+    def __init__(self, time: FloatArray, reference: ReferenceSample) -> None:
+        self._time, self._told = time, reference
 
     @property
     def duration(self) -> float:

@@ -171,23 +171,23 @@ def _excitation(config: str, room: Room, asked: DriveSettings, seed: int) -> Exc
     return excite_model(config, room, seconds=asked.seconds, speed=asked.speed, yaw_rate=asked.yaw_rate, seed=seed)
 
 
-def _explained(found: Identification) -> Gate:
+def _explained(identification: Identification) -> Gate:
     """What the model explains of the data held out."""
-    fit, least = found.report.fitted.validation.fit_percent, commission_settings().gates.fit
+    fit, least = identification.report.fitted.validation.fit_percent, commission_settings().gates.fit
     words = "the model explains " + " and ".join(
         f"{value:.0f} % of {name}" for name, value in zip(CHANNELS, fit, strict=True)
     )
-    if found.refusal or not min(fit) >= least:
+    if identification.refusal or not min(fit) >= least:
         return Gate(False, f"{words} on data held out, less than {least:g} %: look at said.txt and report.md")
     return Gate(True, f"{words} on data held out")
 
 
-def _with_slip(found: Identification, logs: Logs) -> Identification:
+def _with_slip(identification: Identification, logs: Logs) -> Identification:
     """The same, its configuration with the sideways slip that the logs show, where they do."""
     records = [record for log in logs.files for record in read_log(log, logs.mapping).records]
     slip = lateral_slip(records)
     if slip is None:
-        return found
+        return identification
     settings = []
     bounds = commission_settings().most_slip
     for name, most, unit in (("side_slip", bounds.side_slip, "s"), ("load_shift", bounds.load_shift, "s^2")):
@@ -195,8 +195,8 @@ def _with_slip(found: Identification, logs: Logs) -> Identification:
         if deviation < value < most:
             reason = f"{unit}, from poses and gyro of the log; standard deviation {deviation:.2g}"
             settings.append(Setting(name, float(f"{value:.3g}"), reason))
-    whole = replace(found.configuration, estimator=(*found.configuration.estimator, *settings))
-    return replace(found, configuration=whole, config=whole.mapping())
+    whole = replace(identification.configuration, estimator=(*identification.configuration.estimator, *settings))
+    return replace(identification, configuration=whole, config=whole.mapping())
 
 
 def tuned(folder: Path, config: Path, plant: Path, plan: str | None, jobs: int | None) -> Gate:

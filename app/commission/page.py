@@ -188,7 +188,7 @@ _NEXT = (
 
 
 def commission_page(
-    asked: Asked, out: Path, steps: Mapping[str, Done], found: Comparison | None, seconds: float
+    asked: Asked, out: Path, steps: Mapping[str, Done], comparison: Comparison | None, seconds: float
 ) -> Page:
     """The page of the commissioning in `out`.
 
@@ -210,13 +210,13 @@ def commission_page(
     table = steps_table(steps, asked.tuned)
     shown = Shown(
         summary=[_sentence(steps, whole), *([_NEXT] if whole else [])],
-        key_figures=_key_figures(steps, runs, found, whole),
+        key_figures=_key_figures(steps, runs, comparison, whole),
         toggles=[Toggle("path", tuple(runs), tuple(runs)[:1])] if runs else [],
-        views=[*_views(out, runs), *([_compared(found)] if found else []), _cost(steps), *_proof(out)],
+        views=[*_views(out, runs), *([_compared(comparison)] if comparison else []), _cost(steps), *_proof(out)],
         warnings=_warnings(steps, out, runs),
         configurations=Configuration.of_files(out / RESULT, _FILES),
     )
-    tables = [table, *([found.table()] if found else [])]
+    tables = [table, *([comparison.table()] if comparison else [])]
     robot = [("robot", Path(asked.robot).stem if asked.robot else "a person drove it"), ("seed", str(asked.seed))]
     return Page("diffdrive-mpc commission", "Commissioning", shown, tables, origin(describe_run(seconds), robot))
 
@@ -231,7 +231,7 @@ def _sentence(steps: Mapping[str, Done], whole: bool) -> str:
 
 
 def _key_figures(
-    steps: Mapping[str, Done], runs: Mapping[str, Run], found: Comparison | None, whole: bool
+    steps: Mapping[str, Done], runs: Mapping[str, Run], comparison: Comparison | None, whole: bool
 ) -> list[KeyFigure]:
     passed, cost = sum(step.passed for step in steps.values()), sum(one.processor_s for one in steps.values())
     made = [
@@ -241,10 +241,10 @@ def _key_figures(
     for path, run in runs.items():
         rmse = f"{1e3 * run.metrics.position_rmse_m:.1f} mm"
         made.append(KeyFigure(f"position error on the twin, {path}", rmse, "RMSE, with the delivered configuration"))
-    if found is not None:
-        side = "below" if found.below_shipped >= 0 else "above"
-        less = f"{100 * abs(found.below_shipped):.0f} % {side} the shipped one"
-        made.append(KeyFigure("error over that with true parameters", f"{found.over_informed:.2f}", less))
+    if comparison is not None:
+        side = "below" if comparison.below_shipped >= 0 else "above"
+        less = f"{100 * abs(comparison.below_shipped):.0f} % {side} the shipped one"
+        made.append(KeyFigure("error over that with true parameters", f"{comparison.over_informed:.2f}", less))
     return made
 
 
@@ -272,9 +272,9 @@ def _views(out: Path, runs: Mapping[str, Run]) -> list[View]:
     return [Runs(series, note)]
 
 
-def _compared(found: Comparison) -> Chart:
+def _compared(comparison: Comparison) -> Chart:
     series = [
-        Series(name, PATHS, [round(1e3 * found.errors[name][path], 2) for path in PATHS], i, "bars")
+        Series(name, PATHS, [round(1e3 * comparison.errors[name][path], 2) for path in PATHS], i, "bars")
         for i, name in enumerate((SHIPPED, COMMISSIONED, INFORMED))
     ]
     return Chart("On the robot itself", Axis("path", "category"), Axis("position RMSE [mm]"), series)

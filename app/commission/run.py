@@ -98,20 +98,20 @@ def _compared(asked: Asked, out: Path, drawn: int) -> Comparison:
     return comparison
 
 
-def _sentence(found: Comparison) -> str:
-    less = 100 * found.below_shipped
+def _sentence(comparison: Comparison) -> str:
+    less = 100 * comparison.below_shipped
     return (
-        f"On the robot itself: {found.over_informed:.2f} times the error of a controller with the true parameters, "
-        f"{abs(less):.0f} % {'below' if less >= 0 else 'above'} the shipped configuration's."
+        f"On the robot itself: {comparison.over_informed:.2f} times the error of a controller with the true "
+        f"parameters, {abs(less):.0f} % {'below' if less >= 0 else 'above'} the shipped configuration's."
     )
 
 
-def _write(found: Comparison, seed: int, path: Path) -> None:
+def _write(comparison: Comparison, seed: int, path: Path) -> None:
     content = {
         "seed": seed,
-        "position_rmse_m": {name: dict(found.errors[name]) for name in (SHIPPED, COMMISSIONED, INFORMED)},
-        "over_true_parameters": found.over_informed,
-        "below_shipped": found.below_shipped,
+        "position_rmse_m": {name: dict(comparison.errors[name]) for name in (SHIPPED, COMMISSIONED, INFORMED)},
+        "over_true_parameters": comparison.over_informed,
+        "below_shipped": comparison.below_shipped,
     }
     with whole_file(path) as draft:
         draft.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -59,9 +59,9 @@ def _careful(look: Look, machine: Machine) -> list[Finding]:
         return [Finding(name, "unknown", reason, "could not be looked at")]
 
 
-def can_run(found: dict[str, list[Finding]]) -> bool:
+def can_run(findings: dict[str, list[Finding]]) -> bool:
     """Whether nothing is missing that the controller needs."""
-    return not any(one.needed and one.status == "missing" for group in found.values() for one in group)
+    return not any(one.needed and one.status == "missing" for group in findings.values() for one in group)
 
 
 def heading() -> str:
@@ -71,14 +71,14 @@ def heading() -> str:
     return f"{name}; Python {platform.python_version()}; {describe_machine()['os']}, {platform.machine()}"
 
 
-def tables(found: dict[str, list[Finding]]) -> Iterator[Table]:
+def tables(findings: dict[str, list[Finding]]) -> Iterator[Table]:
     """One table for each subject."""
-    for about, group in found.items():
+    for about, group in findings.items():
         rows = tuple((one.what, one.status, one.found, one.means) for one in group)
         yield Table("", (about, "", "found", "what it means"), rows, text_columns=4)
 
 
-def as_json(found: dict[str, list[Finding]]) -> str:
+def as_json(groups: dict[str, list[Finding]]) -> str:
     """The same for programs."""
-    findings = {about: [asdict(one) for one in group] for about, group in found.items()}
-    return json.dumps({"heading": heading(), "can_run": can_run(found), "findings": findings}, indent=2)
+    findings = {about: [asdict(one) for one in group] for about, group in groups.items()}
+    return json.dumps({"heading": heading(), "can_run": can_run(groups), "findings": findings}, indent=2)

@@ -44,7 +44,7 @@ def remedies() -> dict[str, str]:
 
 
 def identification_page(
-    found: Identification,
+    identification: Identification,
     folder: Path,
     drives: Sequence[TrialDrive] | None,
     seconds: float,
@@ -62,11 +62,11 @@ def identification_page(
     seconds
         How long it took.
     """
-    report, trials = found.report, drives or ()
+    report, trials = identification.report, drives or ()
     names, paths = (tuple(dict.fromkeys(getattr(trial, of) for trial in trials)) for of in ("plant", "path"))
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.in_short(), *([found.refusal] if found.refusal else [])],
+        summary=[*report.in_short(), *([identification.refusal] if identification.refusal else [])],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],

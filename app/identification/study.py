@@ -85,27 +85,27 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
         raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
 
 
-def _write(found: Identification, folder: Path, bar: ProgressBar, force: bool) -> _Outcome:
+def _write(identification: Identification, folder: Path, bar: ProgressBar, force: bool) -> _Outcome:
     """Write files and figures; where there is a configuration, drive with it and write how, too."""
-    bar.begin("figures", len(figures_of(found.report)))
-    found.write(folder, draw_identification(found.report, folder, bar.advance), force=force)
-    if found.refusal and not force:
-        return _Outcome(found, None, found.refusal)
+    bar.begin("figures", len(figures_of(identification.report)))
+    identification.write(folder, draw_identification(identification.report, folder, bar.advance), force=force)
+    if identification.refusal and not force:
+        return _Outcome(identification, None, identification.refusal)
     bar.begin("driving", 2 * len(PATHS))
     config = load_config(folder / CONFIG_FILE)
     try:
-        drives = trial_drives(found, config, bar.advance)
+        drives = trial_drives(identification, config, bar.advance)
     except ValueError as error:
         if not force:
             raise
-        return _Outcome(found, None, f"written by force, but it does not drive: {error}")
-    circle = first_circle(config, found.model)
+        return _Outcome(identification, None, f"written by force, but it does not drive: {error}")
+    circle = first_circle(config, identification.model)
     (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
     with (folder / "report.md").open("a", encoding="utf-8") as report:
         report.write(f"\n{trial_table(drives).markdown()}\n")
         report.write("".join(f"* {doubt}\n" for doubt in trial_doubts(drives)))
-        report.write(f"\n{recipe(circle, config, drives, found.report.data.topics)}")
-    return _Outcome(found, drives)
+        report.write(f"\n{recipe(circle, config, drives, identification.report.data.topics)}")
+    return _Outcome(identification, drives)
 
 
 def _print_verdict(outcome: _Outcome, out: Path, force: bool) -> None:
@@ -139,8 +139,8 @@ def _print_findings(findings: Sequence[Finding]) -> None:
             _print_line(f"{severity}: {line}")
 
 
-def _print(found: Identification, out: Path) -> None:
-    report = found.report
+def _print(identification: Identification, out: Path) -> None:
+    report = identification.report
     for table in report.scores:
         output_console().print(rich_table(table))
     for doubt in report.doubts:
@@ -150,10 +150,10 @@ def _print(found: Identification, out: Path) -> None:
         _print_line(f"order {chosen.order}: {chosen.reason}")
     for line in report.in_short()[:-1]:
         _print_line(line)
-    for setting in found.configuration.bounds:
+    for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
-    if found.configuration.room:
-        room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in found.configuration.room)
+    if identification.configuration.room:
+        room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in identification.configuration.room)
         _print_line(f"room, more than usual as the robot is larger or faster: {room}")
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 

@@ -73,27 +73,27 @@ class TrialDrive:
 
 
 def trial_drives(
-    found: Identification, config: ControllerConfig, on_run: Callable[[], None] = lambda: None
+    identification: Identification, config: ControllerConfig, on_run: Callable[[], None] = lambda: None
 ) -> list[TrialDrive]:
     """Drive `PATHS` with the configuration on stand-ins of the robot; `on_run` is called after each.
 
     Where the held-out part allows no model of its own there is no stand-in of it.
     """
-    gain = np.abs(np.diag(found.model.dc_gain))
+    gain = np.abs(np.diag(identification.model.dc_gain))
     circle = 2 * gain[0] * config.limits.v / (gain[1] * config.limits.omega)
-    effects = _effects_of(found.report.fitted.identified)
-    plants: list[tuple[str, VelocityModel | NonlinearModel, BaseEffects]] = [(ITSELF, found.model, effects)]
-    other = _of_held_out(found)
+    effects = _effects_of(identification.report.fitted.identified)
+    plants: list[tuple[str, VelocityModel | NonlinearModel, BaseEffects]] = [(ITSELF, identification.model, effects)]
+    other = _of_held_out(identification)
     if other is not None:
         plants.append((HELD_OUT, *other))
-    slip, usual = check(Surface, found.surface, "surface").slip, load_robot()
+    slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
     limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
     robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
     drives = []
     for name, model, around in plants:
         for path in PATHS:
             plant = ModelPlant(model, slip, load_sensor_set("default"), effects=around, robot=robot)
-            reference = scaled_to_robot(path, config, found.model)
+            reference = scaled_to_robot(path, config, identification.model)
             drives.append(TrialDrive(name, path, simulate(Controller(config), plant, reference), circle))
             on_run()
     return drives
@@ -103,12 +103,16 @@ def _effects_of(identified: IdentifiedModel) -> BaseEffects:
     return BaseEffects.model_validate(identified.content.get("base_effects", {}))
 
 
-def _of_held_out(found: Identification) -> tuple[VelocityModel | NonlinearModel, BaseEffects] | None:
+def _of_held_out(identification: Identification) -> tuple[VelocityModel | NonlinearModel, BaseEffects] | None:
     """An SM of the records held out, with the effects that were found, as those records have them; or a drive of them.
 
     A plain SM would take a slope that the base limits for a lag that it does not have.
     """
-    data, base, predictor = found.report.data, found.report.fitted.base, found.report.fitted.predictor
+    data, base, predictor = (
+        identification.report.data,
+        identification.report.fitted.base,
+        identification.report.fitted.predictor,
+    )
     try:
         own = predictor.refitted(data.validation, data.yaw) if predictor else None
         if own is not None:

@@ -118,10 +118,12 @@ def facts(driven: Sequence[Driven], others: int) -> list[str]:
     ]
 
 
-def tables(driven: Sequence[Driven], found: Sequence[Boundary], files: Mapping[str, Driven], seeds: int) -> list[Table]:
+def tables(
+    driven: Sequence[Driven], boundaries: Sequence[Boundary], files: Mapping[str, Driven], seeds: int
+) -> list[Table]:
     """All tables of a proof; `files` are the worst runs by the name of their file."""
     made = [_rates(driven), _errors(driven), _unsafe(driven), *_by_factor(driven)]
-    return [*made, *([_boundaries(found, seeds)] if found else []), _worst(files)]
+    return [*made, *([_boundaries(boundaries, seeds)] if boundaries else []), _worst(files)]
 
 
 def percent(share: float) -> str:
@@ -211,7 +213,7 @@ def _by_factor(driven: Sequence[Driven]) -> list[Table]:
     return made
 
 
-def _boundaries(found: Sequence[Boundary], seeds: int) -> Table:
+def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
     def value(number_: float | None, of: Boundary) -> str:
         return "-" if number_ is None else f"{number_:.4g} {of.search.unit}".strip(" -")
 
@@ -224,7 +226,7 @@ def _boundaries(found: Sequence[Boundary], seeds: int) -> Table:
             "searched to": lambda one: value(one.search.beyond, one),
             "values tried": lambda one: str(len(one.values)),
         },
-        [((one.factor,), one) for one in found],
+        [((one.factor,), one) for one in boundaries],
         f"One factor at a time. It holds where {seeds} seeds all complete and never leave the band; by bisection, "
         "which takes everything between to be monotone.",
     )

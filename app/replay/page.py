@@ -53,8 +53,8 @@ def replay_page(
     replays: Mapping[str, Replayed],
     references: Sequence[Reference],
     counted: BoolArray,
-    found: Difference,
-    said: Sequence[Verdict],
+    difference: Difference,
+    verdicts: Sequence[Verdict],
 ) -> Shown:
     """Everything that the page shows beside tables and charts.
 
@@ -70,27 +70,31 @@ def replay_page(
     replayed = next(iter(replays.values()))
     runs, toggles = _runs(recording, replays, references, counted)
     return Shown(
-        key_figures=_key_figures(found, replayed, counted, said),
+        key_figures=_key_figures(difference, replayed, counted, verdicts),
         toggles=toggles,
         views=[Runs(runs, _HINT)] if runs else [],
-        warnings=[Warned(one.what, one.remedy) for one in said],
+        warnings=[Warned(one.what, one.remedy) for one in verdicts],
         configurations=[_configuration(who, replay.config) for who, replay in replays.items()],
         pictures=not runs,
     )
 
 
-def _key_figures(found: Difference, replayed: Replayed, counted: BoolArray, said: Sequence[Verdict]) -> list[KeyFigure]:
+def _key_figures(
+    difference: Difference, replayed: Replayed, counted: BoolArray, verdicts: Sequence[Verdict]
+) -> list[KeyFigure]:
     times = 1e3 * replayed.step_time[counted]
     p50, p99 = np.percentile(times, [50, 99])
     modes = [mode for mode, keep in zip(replayed.modes, counted, strict=True) if keep]
     safe = sum(mode not in ("TRACKING", "FINISHED") for mode in modes)
     return [
-        KeyFigure("the same commands", "yes" if found.same else "no", f"{found.compared} ticks compared"),
-        KeyFigure("largest difference of v", f"{found.largest[0]:.3g} m/s", f"RMS {found.rms[0]:.3g} m/s"),
-        KeyFigure("largest difference of omega", f"{found.largest[1]:.3g} rad/s", f"RMS {found.rms[1]:.3g} rad/s"),
+        KeyFigure("the same commands", "yes" if difference.same else "no", f"{difference.compared} ticks compared"),
+        KeyFigure("largest difference of v", f"{difference.largest[0]:.3g} m/s", f"RMS {difference.rms[0]:.3g} m/s"),
+        KeyFigure(
+            "largest difference of omega", f"{difference.largest[1]:.3g} rad/s", f"RMS {difference.rms[1]:.3g} rad/s"
+        ),
         KeyFigure("ticks without a fresh plan", str(safe), "", "bad" if safe else "good"),
         KeyFigure("step time, median", f"{number(float(p50), 2)} ms", f"p99 {number(float(p99), 2)} ms, of the replay"),
-        KeyFigure("worth a look", str(len(said)), "see below"),
+        KeyFigure("worth a look", str(len(verdicts)), "see below"),
     ]
 
 

@@ -18,9 +18,9 @@ _SAID = 12
 _WORDS = 160
 
 
-def verdict_table(said: Sequence[Verdict]) -> Table:
+def verdict_table(verdicts: Sequence[Verdict]) -> Table:
     """What the log tells, and what can be done."""
-    rows = tuple((one.what, one.remedy) for one in said)
+    rows = tuple((one.what, one.remedy) for one in verdicts)
     return Table("Worth a look", ("what the log shows", "what to do"), rows, 2)
 
 

@@ -178,18 +178,18 @@ class Search:
     """
 
     def __init__(
-        self, plan: TunePlan, told: Mapping[str, Value], place: Place, storage: str = "", worker: int = 1
+        self, plan: TunePlan, factors: Mapping[str, Value], place: Place, storage: str = "", worker: int = 1
     ) -> None:
-        self._plan, self._told, self._place, self._storage, self._worker = plan, told, place, storage, worker
+        self._plan, self._told, self._place, self._storage, self._worker = plan, factors, place, storage, worker
         self._terms = terms_of(plan.objective)
-        config = load_config(str(told.get("config", told["model"])))
+        config = load_config(str(factors.get("config", factors["model"])))
         self.usual: Values = {key: _value(config, key) for key in plan.parameters}
         self._distributions = {
             key: distribution(key, parameter, self.usual[key]) for key, parameter in plan.parameters.items()
         }
         for end in ("low", "high"):
             load_config(
-                str(told.get("config", told["model"])),
+                str(factors.get("config", factors["model"])),
                 {key: getattr(one, end) for key, one in self._distributions.items()},
             )
         self._fidelities = [

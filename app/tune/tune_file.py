@@ -169,8 +169,8 @@ class TunePlan(StrictModel):
         check_count(searched + 2 * self.verdict.runs + alone, MOST_RUNS)
         return self
 
-    def runs(self, of: Runs, count: int, told: Mapping[str, Value], factors: Mapping[str, object]) -> list[Definition]:
-        """`count` runs of the controller that `told` names, with `factors` in place of the plan's.
+    def runs(self, of: Runs, count: int, usual: Mapping[str, Value], factors: Mapping[str, object]) -> list[Definition]:
+        """`count` runs of the controller that `usual` names, with `factors` in place of the plan's.
 
         Raises ConfigError if a factor has a mistake, or plant, floor or sensors have no value that is to be spread.
         """
@@ -179,7 +179,7 @@ class TunePlan(StrictModel):
             value = stated(key, drawn)
             drawn[key] = {"uniform": sorted((low * value, high * value))}
         campaign = Campaign(description=self.description, runs=count, draw_seed=of.draw_seed, factors=drawn)
-        return [one.changed(told) for one in campaign.definitions()]
+        return [one.changed(usual) for one in campaign.definitions()]
 
 
 def load_plan(path: Path | None = None) -> TunePlan:

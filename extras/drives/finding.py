@@ -110,11 +110,11 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
     )
 
 
-def refitted(told: ToldDrive, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
+def refitted(determined: ToldDrive, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
     """The numbers that the log told, as other records have them; dead times and priors stay."""
-    numbers = _Numbers(told.fit, joined(twist_experiments(records, yaw)))
-    free = [name for name in numbers.names if name not in told.kept]
-    return replace(told.fit, values=numbers.apart(numbers.fitted(numbers.begin, free)))
+    numbers = _Numbers(determined.fit, joined(twist_experiments(records, yaw)))
+    free = [name for name in numbers.names if name not in determined.kept]
+    return replace(determined.fit, values=numbers.apart(numbers.fitted(numbers.begin, free)))
 
 
 def _is_known(numbers: _Numbers, point: dict[str, float], free: list[str], name: str) -> bool:

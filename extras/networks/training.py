@@ -134,13 +134,14 @@ def train(
     return Training(network, int(steps[0]), int(steps[1]), np.array(losses))
 
 
-def method(architecture: Architecture, settings: TrainingSettings, found: Training) -> str:
+def method(architecture: Architecture, settings: TrainingSettings, training: Training) -> str:
     """How a network was trained, in words for its file."""
     s, a = settings, architecture
     shares = ", ".join(f"{share:.0%}" for share in s.shares)
     return (
         f"{s.optimiser} at {s.rate:g} with L2 {s.decay:g}, batches of {s.batch}, dropout {s.dropout:g}; validation "
-        f"every {s.validation_every} steps, best of {found.steps} steps at {found.best_step}, patience {s.patience}; "
+        f"every {s.validation_every} steps, best of {training.steps} steps at {training.best_step}, "
+        f"patience {s.patience}; "
         f"parts of {shares} in this order in time, of which the first trains and the second stops; seed {s.seed}; "
         f"window {a.window}, {a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, {a.parameters} "
         "parameters"

@@ -116,14 +116,14 @@ class Task:
         )
         return Search(inputs, self.start, self.goal, self.via, self.settings.search, free)
 
-    def _check_detour(self, found: dict[Objective, Found]) -> None:
+    def _check_detour(self, paths: dict[Objective, Found]) -> None:
         """Refuse a goal that only sharper turns reach in a sensible way."""
         least = self.costs.least_radius(self.speed)
         if self.reverse or self.on_the_spot or least == 0.0:
             return
         stops = np.concatenate([self.start[None, :2], self.via, self.goal[None, :2]])
         direct = float(np.hypot(*np.diff(stops, axis=0).T).sum())
-        shortest = found.get("distance") if self.free is None else self._search("distance", None).run()
+        shortest = paths.get("distance") if self.free is None else self._search("distance", None).run()
         if shortest is not None and shortest.cost > self.settings.motion.longest_detour * direct:
             raise PlanError(
                 f"goal {words_of(self.goal)}: it takes turns sharper than the least radius of {least:.2f} m at "
@@ -131,20 +131,20 @@ class Task:
                 f"distance; {self._remedies()}"
             )
 
-    def _polished(self, minimise: Objective, found: Found) -> Plan:
+    def _polished(self, minimise: Objective, path: Found) -> Plan:
         """Polish, sample, prove; where that fails, the search's way with a stop between any two pieces."""
         spot = spot_rate(self.costs, self.settings.motion.yaw_rate) if self.on_the_spot else 0.0
-        last = np.array([*self.goal[:2], self._unwrapped(found)])
-        schedule = laid_out(self.costs, self.start, found.pieces, self.sharpest, spot, self.settings)
+        last = np.array([*self.goal[:2], self._unwrapped(path)])
+        schedule = laid_out(self.costs, self.start, path.pieces, self.sharpest, spot, self.settings)
         polished = polish(self.costs, minimise, schedule, self.start, last, self.via, self.settings, self.clearance)
         commands = self._made(schedule, polished.durations, polished.yaw_rates, last)
         fault = self._fault(commands, last)
         if fault is None:
             status = POLISHED if polished.solved else UNFINISHED
-            return self._plan(minimise, commands, found, status, polished.status)
+            return self._plan(minimise, commands, path, status, polished.status)
         words = f"{polished.status}; {fault}"
         stopping = laid_out(
-            self.costs, self.start, found.pieces, self.sharpest, spot, self.settings, stop_at_corners=True
+            self.costs, self.start, path.pieces, self.sharpest, spot, self.settings, stop_at_corners=True
         )
         commands = self._made(stopping, stopping.durations, stopping.yaw_rates, last)
         fault = self._fault(commands, last)
@@ -153,7 +153,7 @@ class Task:
                 f"goal {words_of(self.goal)}: a way was found, but no reference that keeps to it (polish: {words}; as "
                 f"searched: {fault}); give more room or another goal"
             )
-        return self._plan(minimise, commands, found, SEARCHED, words)
+        return self._plan(minimise, commands, path, SEARCHED, words)
 
     def _made(self, schedule: Schedule, durations: FloatArray, rates: FloatArray, last: FloatArray) -> FloatArray:
         exact, lasting = made_exact(self.costs, schedule, durations, rates, self.start, last, self.sample_time)
@@ -186,7 +186,7 @@ class Task:
                 return f"it comes as near as {room:.3f} m to an obstacle"
         return None
 
-    def _plan(self, minimise: Objective, commands: FloatArray, found: Found, status: str, solver: str) -> Plan:
+    def _plan(self, minimise: Objective, commands: FloatArray, paths: Found, status: str, solver: str) -> Plan:
         dt = self.sample_time
         poses, power = driven(self.costs, commands, self.start, dt), self.costs.power(commands)
         twists = self.costs.twist(commands)
@@ -210,17 +210,17 @@ class Task:
             energy=float(power.sum() * dt),
             duration=dt * len(commands),
             length=float(np.hypot(twists[:, 0], twists[:, 1]).sum() * dt),
-            pieces=found.pieces,
+            pieces=paths.pieces,
             sharpest=self.sharpest,
             clearance=math.inf if self.clearance is None else float(self.clearance.of_poses(poses).min()),
-            search=found,
+            search=paths,
             status=status,
             solver=solver,
         )
 
-    def _unwrapped(self, found: Found) -> float:
+    def _unwrapped(self, path: Found) -> float:
         """Heading of the goal with the whole turns that the search makes [rad]."""
-        turned = sum(piece.duration * float(self.costs.twist([piece.v, piece.omega])[2]) for piece in found.pieces)
+        turned = sum(piece.duration * float(self.costs.twist([piece.v, piece.omega])[2]) for piece in path.pieces)
         whole = round((float(self.start[2]) + turned - float(self.goal[2])) / (2 * math.pi))
         return float(self.goal[2]) + 2 * math.pi * whole
 

@@ -99,13 +99,13 @@ def study() -> dict[tuple[str, str], list[Followed]]:
     return results
 
 
-def table(found: dict[tuple[str, str], list[Followed]]) -> str:
+def table(results: dict[tuple[str, str], list[Followed]]) -> str:
     """Means over the seeds; the largest distance is that of all."""
     lines = [
         "| path | controller | off the path RMS [mm] | largest [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
-    for (path, name), runs in found.items():
+    for (path, name), runs in results.items():
         away = 1e3 * float(np.sqrt(np.mean(np.concatenate([run.away for run in runs]) ** 2)))
         worst = 1e3 * max(float(run.away.max()) for run in runs)
         mean = [float(np.mean([getattr(run, each) for run in runs])) for each in ("end", "turned", "time", "speed")]
@@ -116,7 +116,7 @@ def table(found: dict[tuple[str, str], list[Followed]]) -> str:
     return "\n".join(lines)
 
 
-def draw(found: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> None:
+def draw(results: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> None:
     """The ways of the first seed on the paths."""
     path.parent.mkdir(exist_ok=True)
     with new_figure(path, 11.0, 3.2) as figure:
@@ -125,7 +125,7 @@ def draw(found: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> N
             line = path_of(load_trajectory(name), 0.02)
             axis.plot(line[:, 0], line[:, 1], color="0.8", linewidth=4.0, label="path")
             for index, controller in enumerate(CONTROLLERS):
-                way = found[name, controller][0].position
+                way = results[name, controller][0].position
                 words = controller.replace("`", "")
                 axis.plot(way[:, 0], way[:, 1], line_style(index), color=colour(index), linewidth=1.0, label=words)
             axis.set_title(name)

@@ -268,8 +268,8 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
     ]
 
 
-def _consistent(found: Foresight) -> tuple[str, str]:
-    return f"{100 * found.inside:.0f}", f"{found.nees.mean():.2f}"
+def _consistent(values: Foresight) -> tuple[str, str]:
+    return f"{100 * values.inside:.0f}", f"{values.nees.mean():.2f}"
 
 
 def _times(drifts: float) -> str:
@@ -307,9 +307,9 @@ def _learning_helps(learned: Sequence[Foresight], nominal: Sequence[Foresight], 
     )
 
 
-def _corresponds(found: Sequence[Foresight], how: str, where: str, published: Published) -> Finding:
+def _corresponds(values: Sequence[Foresight], how: str, where: str, published: Published) -> Finding:
     factor = published.rules.corresponds
-    ratios = [(one.foreseen / one.rms)[:2] for one in found]
+    ratios = [(one.foreseen / one.rms)[:2] for one in values]
     return Finding(
         f"foreseen deviations{how} are those of the errors along and across, to a factor of {factor:g} ({where})",
         _SOURCE,

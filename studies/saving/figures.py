@@ -99,25 +99,27 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
         right.legend()
 
 
-def draw_scenario(found: ScenarioOutcome, outline: tuple[float, float], path: Path) -> None:
+def draw_scenario(scenario: ScenarioOutcome, outline: tuple[float, float], path: Path) -> None:
     """Draw what was planned, executed open loop, and by the controller."""
     with new_figure(path, 7.6, 3.7) as figure:
-        panels = figure.subplots(1, len(found.plans), sharex=True, sharey=True)
-        for axes, plan in zip(panels, found.plans, strict=True):
+        panels = figure.subplots(1, len(scenario.plans), sharex=True, sharey=True)
+        for axes, plan in zip(panels, scenario.plans, strict=True):
             for k, (name, points) in enumerate(_paths_of(plan)):
                 axes.plot(points[:, 0], points[:, 1], line_style(k), color=colour(k), label=name)
             for corners in _outlines(plan.open.path, outline):
                 axes.add_patch(Polygon(corners, fill=False, edgecolor=colour(1), linewidth=0.5, alpha=0.6))
-            for x, y, radius in found.asked.posts:
+            for x, y, radius in scenario.asked.posts:
                 axes.add_patch(Circle((x, y), radius, color=colour(4)))
-            _arrow(axes, (*found.asked.goal[:2], np.deg2rad(found.asked.goal[2])))
+            _arrow(axes, (*scenario.asked.goal[:2], np.deg2rad(scenario.asked.goal[2])))
             axes.set_aspect("equal")
             axes.set(xlabel="x [m]", title=f"Plan: {plan.by}")
             axes.text(0.03, 0.97, _words(plan), transform=axes.transAxes, va="top", fontsize=8)
         panels[0].set_ylabel("y [m]")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)
-        figure.suptitle(f"{found.title} (as figure{'s' if ' ' in found.figures else ''} {found.figures})", fontsize=10)
+        figure.suptitle(
+            f"{scenario.title} (as figure{'s' if ' ' in scenario.figures else ''} {scenario.figures})", fontsize=10
+        )
 
 
 def _paths_of(plan: Planned) -> list[tuple[str, FloatArray]]:

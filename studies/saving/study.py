@@ -332,5 +332,5 @@ def _percent(share: float) -> str:
     return number(100 * share, 1)
 
 
-def _interval(found: Estimate) -> str:
-    return f"{_percent(found.low)} to {_percent(found.high)}"
+def _interval(savings: Estimate) -> str:
+    return f"{_percent(savings.low)} to {_percent(savings.high)}"

@@ -16,6 +16,6 @@ def with_mathml(page: str) -> str:
     return _MARKED.sub(_mathml, page)
 
 
-def _mathml(found: re.Match[str]) -> str:
-    _, bracket, tex = found.groups()
+def _mathml(match: re.Match[str]) -> str:
+    _, bracket, tex = match.groups()
     return str(convert(html.unescape(tex).strip(), display="block" if bracket == "[" else "inline"))

@@ -37,8 +37,8 @@ def with_site_links(markdown: str, document: str) -> str:
     """The text of a `document` of the repository with its links as they are on the site, and without comments."""
     folder = posixpath.dirname(place_on_site(document)) or "."
 
-    def moved(found: re.Match[str]) -> str:
-        before, target, anchor, after = found.groups()
+    def moved(match: re.Match[str]) -> str:
+        before, target, anchor, after = match.groups()
         place = place_on_site(_resolved(target, document))
         return f"{before}{posixpath.relpath(place, folder)}{anchor or ''}{after}"
 

@@ -241,10 +241,10 @@ def _content(results: Results, speed: float) -> dict[str, object]:
     return {"floors": rows, "payloads": payloads, "turns": turns}
 
 
-def _payload_error(one: PayloadOutcome, side: int, said: FloatArray) -> float:
+def _payload_error(one: PayloadOutcome, side: int, estimate: FloatArray) -> float:
     """RMSE over the RMS of the measured curve [-]."""
     true = (one.steady.outer, one.steady.inner)[side]
-    return float(np.sqrt(np.mean((said[:, side] - true) ** 2) / np.mean(true**2)))
+    return float(np.sqrt(np.mean((estimate[:, side] - true) ** 2) / np.mean(true**2)))
 
 
 def radius_text(value: float) -> str:

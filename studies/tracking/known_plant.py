@@ -100,8 +100,8 @@ def _experiments(logs: list[Drive], channel: int, output: int) -> list[Experimen
     return experiments
 
 
-def _transfer(found: ParameterEstimate) -> TwoPoles:
-    return TwoPoles(**{name: found.value(name) for name in TwoPoles.model_fields})
+def _transfer(parameters: ParameterEstimate) -> TwoPoles:
+    return TwoPoles(**{name: parameters.value(name) for name in TwoPoles.model_fields})
 
 
 def _slip(logs: list[Drive]) -> tuple[float, float]:
