@@ -355,10 +355,12 @@ ddmpc_time ddmpc_monitor_delay(const ddmpc_controller *c);
 /* Say in the result what was found. */
 void ddmpc_monitor_report(ddmpc_controller *c);
 
-/* problem.c */
+/* linearise.c, condense.c, limits.c: the tick's problem, in this order. */
 void ddmpc_problem_begin(ddmpc_controller *c);
 void ddmpc_problem_guess(ddmpc_controller *c);
+void ddmpc_problem_linearise(ddmpc_controller *c);
 void ddmpc_problem_condense(ddmpc_controller *c);
+void ddmpc_problem_limit(ddmpc_controller *c);
 /* The poses that follow from `plan`, by exact arcs. */
 void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses);
 

@@ -8,7 +8,7 @@ import pytest
 from fuzz.core import build_core
 
 # `make fuzz` drives as long as the fuzzer says.
-SHORTER = "3"
+SHORTER = "6"
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ def test_a_robot_stops_by_itself_when_its_monitor_is_killed(tmp_path, monkeypatc
     node = ["node", "--drive", *in_sim_time, "-r", "cmd_vel:=cmd_vel_unchecked"]
     # Long: a busy machine must not make commands late, which the monitor would stop. Once the dead monitor's lease of
     # DDS has ended nobody is connected any more, and the robot waits no longer.
-    robot = ["sim-robot", "--lock-step", "--answer-timeout", "30", "--record", str(bag)]
+    robot = ["sim-robot", "--lock-step", "--answer-timeout", "12", "--record", str(bag)]
     with (
         running("node", node, environment, tmp_path) as controller,
         running("monitor", ["monitor", *in_sim_time], environment, tmp_path) as monitor,

@@ -148,14 +148,12 @@ def test_robots_of_the_market_are_counted_by_controller_and_alarms_by_rate() -> 
 def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path) -> None:
     runs = []
     for out in (tmp_path / "1", tmp_path / "2"):
-        words = ["--robots", "2", "--rates", "10,100", "--controllers", "mpc", "--trajectories", "circle"]
+        words = ["--robots", "1", "--rates", "10,100", "--controllers", "mpc", "--trajectories", "circle"]
         result = runner.invoke(app, ["robustness", "--out", str(out), *words])
         assert result.exit_code == 0, result.output
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
     assert runs[0] == runs[1]
-    assert [run["condition"] for run in runs[0]] == [
-        name for name in ("market", "market, 10/h", "market, 100/h") for _ in range(2)
-    ]
+    assert [run["condition"] for run in runs[0]] == ["market", "market, 10/h", "market, 100/h"]
     assert all(run["driven_s"] > 1.0 for run in runs[0])
 
 
