@@ -215,6 +215,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
+    /* In the order of the slips in internal.h. */
     const int moving[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
                                       cornering, turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)

@@ -53,7 +53,8 @@
 #define WORK(c) ((c)->sizes.work)
 #endif
 
-/* The filter's state: n velocity states, slip, the gyro's bias and the pose; slips are counted from n. */
+/* The filter's state: n velocity states, slip, the gyro's bias and the pose; slips are counted from n, in the order of the
+   fields of Slip (mpc/problem/slip.py). What to touch for another one: docs/recipes/filter-state.md. */
 enum {
     V_OFFSET,
     OMEGA_GAIN,
@@ -337,7 +338,7 @@ void ddmpc_fence_place(ddmpc_controller *c);
 /* Whether the robot has stayed inside so far, and would come to rest inside; only with an estimate. */
 int ddmpc_fence_holds(ddmpc_controller *c);
 
-/* monitor.c */
+/* sensor_test.c */
 void ddmpc_monitor_clear(ddmpc_controller *c);
 /* One sample on by the commands sent, as a robot that nothing disturbs. */
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);

@@ -2,6 +2,7 @@
 
 `core.h` is the only place that knows how memory is laid out. Its text declares the structs to cffi, and the shapes of
 what they point to stand in it beside each pointer; names that are missing, unknown or of another shape are refused.
+What a tick does stands in `tick.c`, and what Python does around it in `mpc/controller.py`.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class Tick:
         self._constants = prepared
 
     def begin_with(self, slip: Sequence[float]) -> None:
-        """Let the estimate begin with this `slip` (13) at the next start, until other constants are used."""
+        """Let the estimate begin with this `slip` (10, or 15 where it is curved) at the next start, until other constants are used."""
         for i, value in enumerate(slip):
             self._constants[0].prior[i] = value
 

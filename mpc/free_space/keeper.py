@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.config.footprint import Footprint
+from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.thresholds import STANDING
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.free_space.bent_reference import BentReference
 from diffdrive_mpc.mpc.free_space.crossing import Crossing, crossing

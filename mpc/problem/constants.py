@@ -16,8 +16,8 @@ from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import CompiledStep, NonlinearModel
+from diffdrive_mpc.mpc.config.reentry_thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLIPS, Slip

@@ -1,4 +1,7 @@
-"""What is known of one incoming topic: how old its last good message is, and why messages were refused."""
+"""What is known of one incoming topic: how old its last good message is, and why messages were refused.
+
+What the node does about a fault stands in `ControlLoop` (`control_loop.py`), and in words in docs/robot.md.
+"""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
 
 # References of the user: what they sample is looked at before anything, C among it, reads it by count.
 

@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
 from studies.robustness.results import FALSE_ALARM_RATE, measured, study_tables
 
 OURS = "mpc"

@@ -1,4 +1,7 @@
-"""Thresholds of re-entry that no robot has to change, where both Python and the core need them."""
+"""Thresholds of re-entry that no robot has to change, where both Python and the core need them.
+
+Those of the sensor test stand in `sensor_test.yaml`, those of single measurements in `plausibility.yaml`.
+"""
 
 STANDING = 0.02
 """The reference stands where it is slower than this [m/s]: it is then taken to head where it will go next."""
