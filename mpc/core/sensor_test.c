@@ -1,5 +1,5 @@
-/* The sensor test: tells a sensor at fault from an honest surprise: whenever a pose comes, the motion that poses, wheels, gyro and commands
- * tell of windows of time is held against hypotheses. Honest ones: all agree within what slip, slopes and loads do; wheels
+/* The sensor test tells a sensor at fault from an honest surprise. Whenever a pose comes, the motion that poses, wheels, gyro
+ * and commands tell of windows of time is held against hypotheses. Honest ones: all agree within what slip, slopes and loads do; wheels
  * slip; the robot is held. And one for each sensor: all but that one agree. A sensor is given up when its hypothesis has been
  * likelier than every honest one, by odds that say how often that may be wrong. */
 #include <string.h>

@@ -1,8 +1,8 @@
 /* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and so
  * solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven by its
- * multipliers. Where that fails ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP
- * (mpc/solver/backend.py) and goes on by ddmpc_answer; an export, which has no backend, goes down the ladder. H = R'R is factorised by Cholesky's method, block by
- * block. */
+ * multipliers. Where that fails ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP (mpc/solver/backend.py) and
+ * goes on by ddmpc_answer; an export, which has no backend, goes down the ladder. H = R'R is factorised by Cholesky's
+ * method, block by block. */
 #include <string.h>
 
 #include "internal.h"

@@ -112,7 +112,10 @@ class Tick:
         self._constants = prepared
 
     def begin_with(self, slip: Sequence[float]) -> None:
-        """Let the estimate begin with this `slip` (10, or 15 where it is curved) at the next start, until other constants are used."""
+        """Let the estimate begin with this `slip` at the next start, until other constants are used.
+
+        It has 10 entries, or 15 where slip curves the twist.
+        """
         for i, value in enumerate(slip):
             self._constants[0].prior[i] = value
 
