@@ -72,7 +72,7 @@ def frame(rows: Iterable[Row]) -> DataFrame:
 
 
 def joined(*parts: DataFrame) -> DataFrame:
-    """Several tables below each other; empty ones are left out, and a case that comes again."""
+    """Concatenate several tables; empty tables and repeated cases are dropped."""
     filled = [part for part in parts if len(part)]
     return pd.concat(filled, ignore_index=True).drop_duplicates("case") if filled else DataFrame()
 
@@ -89,7 +89,7 @@ def mean(rows: DataFrame, column: str) -> float:
 
 
 def total(rows: DataFrame, column: str) -> int:
-    """Sum over runs of a column that counts, or that is true or not."""
+    """Sum of a column of counts or booleans over runs."""
     return int(values(rows, column).sum())
 
 
@@ -111,13 +111,13 @@ def nested(rows: DataFrame, *columns: str) -> list[tuple[tuple[str, ...], DataFr
 
 
 def with_mean(rows: DataFrame, column: str) -> list[tuple[str, DataFrame]]:
-    """Rows by a column, and where there are several groups, below them everything under "mean"."""
+    """Group rows by a column; if there are several groups, all rows follow as another group, "mean"."""
     parts = list(by(rows, column).items())
     return [*parts, ("mean", rows)] if len(parts) > 1 else parts
 
 
 def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:
-    """Rows as plain values: without what the clock says, runs and arrays, and with the configuration under "set"."""
+    """Rows as plain values, without timings, runs and arrays, and with the case's overrides under "set"."""
     kept = [name for name in rows if name not in ("case", "run", PROCESSOR) and not str(name).startswith(CLOCK)]
     return [
         plain(

@@ -1,7 +1,7 @@
-"""The controller: measurements go into the compiled tick, and its result becomes words and arrays.
+"""The controller: passes measurements to the compiled tick and returns its result as arrays and messages.
 
-What one tick does stands in `mpc/core/tick.c`. Here is what Python is better at: configuration, sampling of models,
-re-entry, the backends that the tick may ask for, and sentences.
+`mpc/core/tick.c` implements the tick. This module does what Python is better at: configuration, sampling of models,
+re-entry, the solver backends that the tick may request, and message text.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class _Predicted:
 
 @dataclass
 class _Prepared:
-    """A configuration, and what was built from it beside the loop."""
+    """A configuration and everything built from it, ready for the next step to apply."""
 
     config: ControllerConfig
     predicted: _Predicted
@@ -86,12 +86,12 @@ class Controller:
     Parameters
     ----------
     config
-        The configuration, or what `load_config` makes one of, such as "ssm".
+        The configuration, or anything that `load_config` accepts, such as "ssm".
     model
-        A velocity model, or the name or path of one, instead of the configuration's. The extra dead time belongs to the
-        configuration's model, so another one is taken as it is.
+        A velocity model, or its name or path, used instead of the configuration's. The configuration's extra dead time
+        is not added to it.
     terms
-        Terms of cost and soft limits beside those that the configuration names, see `mpc.problem.terms`.
+        Cost terms and soft limits in addition to those that the configuration names, see `mpc.problem.terms`.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class Controller:
         )
         for feature in self._features.values():
             feature.attach(self._host)
-        # Looked up once: each look into a library costs as much as a small sum.
+        # Looked up once: each attribute access on the C library costs as much as a small computation.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
@@ -178,7 +178,7 @@ class Controller:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """What a process pool needs to make it anew: configuration, model, terms, reference; no drive under way."""
+        """State to rebuild it in a process pool: configuration, model, terms, reference; no drive in progress."""
         return {
             "config": self._pending.config if self._pending else self._config,
             "given": self._given,
@@ -243,14 +243,14 @@ class Controller:
         return Belief(*pose, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
-        """What the filter will believe if nothing is measured meanwhile.
+        """Predict the filter's belief if no measurement arrives meanwhile.
 
-        The estimator's own prediction, noise and drifts included: where the robot will be, and how surely.
+        Uses the estimator's own prediction, including noise and drifts: the future pose with its uncertainty.
 
         Parameters
         ----------
         belief
-            Where it begins; it may be of an earlier tick, or changed.
+            Belief to start from; it may be from an earlier tick, or modified.
         commands
             (K, 2) v_ref [m/s], omega_ref [rad/s] sent from the belief's tick on, one at each sample.
 
@@ -270,11 +270,11 @@ class Controller:
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
-        """Say what was sent in truth, by whoever decided: it takes the place of the last K commands.
+        """Replace the last K commands by those actually sent, for instance by another controller.
 
-        The next step builds on it: the estimate, what is on its way through the dead time, and slew, which counts from
-        the newest. So a controller can be asked what it would do while another one drives: one command after each step.
-        More than one, before the first step, for a robot that moves already.
+        The next step uses them for the estimate, for the commands in the dead time, and for slew, which counts from the
+        newest. To shadow another controller, pass its command after each step. For a robot that already moves, pass
+        several commands before the first step.
 
         Parameters
         ----------
@@ -296,17 +296,17 @@ class Controller:
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
-        The estimate starts anew, and so does the clock. The robot may be moving: commands on their way are remembered,
-        and the next command keeps the slew limit against the last. A name or path is that of a trajectory, loaded with
-        the limits of the configuration.
+        The estimate and the clock restart. The robot may be moving: commands in the dead time are kept, and the next
+        command keeps the slew limit relative to the last one. A name or path selects a trajectory, loaded with the
+        limits of the configuration.
 
         Raises
         ------
         ArgumentError
-            If the reference is something else.
+            If the reference has another type.
         ValueError
-            If `t0` is not finite, or the reference is not, or is faster than the limits of the configuration, or takes
-            commands beyond them by the model's gain.
+            If `t0` or the reference is not finite, or if the reference exceeds the limits of the configuration, by its
+            own speeds or by the commands that they need with the model's gain.
         """
         if isinstance(reference, (str, Path)):
             from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
@@ -348,24 +348,24 @@ class Controller:
         return NativeReference(tracked), tracked
 
     def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
-        """Go on along `reference`, in the place of the one under way.
+        """Continue along `reference` in place of the current one.
 
-        Unlike `start` it forgets nothing: estimate, with what was learned of slip, plan and commands stay. Where the
-        robot is off the path, it rejoins it. With `rehearsal.enabled` it begins anew there.
+        Unlike `start`, this keeps the estimate with the learned slip, the plan and the commands. A robot off the new
+        path rejoins it. With `rehearsal.enabled` it restarts as `start` does.
 
         Parameters
         ----------
         reference
-            The one under way laid elsewhere, such as by a frame that was corrected; or another one, with `t0`.
+            The current reference transformed by a pose, such as after a frame correction; or another one, with `t0`.
         t0
-            Time 0 of another reference [s] on the clock of `step`. None: it is the same one, and its clock goes on.
+            Time 0 of another reference [s] on the clock of `step`. None: it is the same one, and its clock continues.
 
         Raises
         ------
         ValueError
-            If it is another one without `t0`, or as `start`.
+            If it is another reference without `t0`, or for the reasons given at `start`.
         RuntimeError
-            If there is none under way.
+            If no reference is being tracked.
         """
         if self._reference is None:
             raise RuntimeError("no reference: call start(reference, t0) before switch_reference")
@@ -387,7 +387,7 @@ class Controller:
             self._pursuit.start(tracked, native=native.complete)
 
     def reset(self) -> None:
-        """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
+        """Reset estimate, plan and commands, for a robot at standstill. The reference is kept."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
         for feature in self._features.values():
@@ -399,8 +399,8 @@ class Controller:
     ) -> ControllerConfig:
         """Change weights and limits while driving; they take effect at the start of the next step.
 
-        What follows from them is built here, beside the loop; the step only takes it over. A limit that is tightened
-        below the present command is reached at the slew limit.
+        Everything derived from them is built here, outside the tick; `step` only applies it. A limit tightened below
+        the present command is reached at the slew limit.
 
         Returns
         -------
@@ -457,11 +457,11 @@ class Controller:
         return self._speed_limit
 
     def limit_speed(self, v: float | None) -> None:
-        """Drive no faster than `v` [m/s] from the next step on, as in a zone; None: as the configuration has it.
+        """Drive no faster than `v` [m/s] from the next step on, as in a speed zone; None: no additional limit.
 
-        It is a hard limit of |v_ref|, reached at the slew limit, and a soft one of the speed that is predicted.
-        Where the reference is faster its clock goes slower, and catches up afterwards; without `reentry.enabled` the
-        clock goes on, and the robot is left behind. References are still judged by the limits of the configuration.
+        This is a hard limit on |v_ref|, reached at the slew limit, and a soft limit on the predicted speed. Where the
+        reference is faster, its clock slows down and catches up afterwards; without `reentry.enabled` the clock runs on
+        and the robot falls behind. References are still checked against the limits of the configuration.
 
         Raises
         ------
@@ -494,9 +494,9 @@ class Controller:
             table[:, place] = rows
 
     def set_obstacles(self, surroundings: Surroundings | None) -> None:
-        """Keep clear of `surroundings` from the next step on; they replace what was seen before, None takes them away.
+        """Keep clear of `surroundings` from the next step on; they replace the previous ones, None removes them.
 
-        What follows from them is worked out here, beside the loop; the step only takes it over.
+        Everything derived from them is computed here, outside the tick; `step` only applies it.
 
         Raises
         ------
@@ -531,12 +531,12 @@ class Controller:
         return self.predict_belief(belief, commands)
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
-        """Decide the command for the tick at `t` [s] from what arrived since the last one.
+        """Compute the command for the tick at `t` [s] from the measurements since the last tick.
 
-        Never raises on data: a measurement that is not finite, jumps or is too old is rejected and `message` says so;
-        the robot dead-reckons, and brakes when no pose was accepted for `failure.max_pose_age`, or
+        Never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, and `message` says
+        so. The robot then dead-reckons. It brakes when no pose was accepted for `failure.max_pose_age`, or for
         `failure.dead_reckoning` where wheels and gyro are good.
-        With `hold` it brakes and stands instead of driving; it goes on measuring.
+        With `hold` it brakes and stands instead of driving; the estimate continues.
 
         Raises
         ------
@@ -592,7 +592,7 @@ class Controller:
         return replace(result, step_time=time.perf_counter() - started) if self._features else result
 
     def _is_preparing(self) -> bool:
-        """Go on with another dead time by a part of the work; whether that or another change is under way."""
+        """Do the next part of preparing a dead time; return whether this or another change is pending."""
         return next(self._preparing, self) is not self or self._pending is not None
 
     def _change_dead_time(self, dead_time: FloatArray) -> None:
@@ -609,7 +609,7 @@ class Controller:
         constants = problem.constants()
         yield
         prepared = self._tick.prepare(constants)
-        # Where somebody else has changed something meanwhile, the change is asked for again.
+        # If something else was changed meanwhile, this result is dropped and the change is requested again.
         if self._pending is None and self._config is config:
             self._pending = _Prepared(config, predicted, problem.sizes, prepared, self._backend)
 
@@ -624,7 +624,7 @@ class Controller:
             feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
-        """Go on where the robot is off its path or its time: what it is to track now, in C and in words."""
+        """Choose the target for a robot off its path or schedule; return what the core still needs, and a message."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
         self._blocked_for = 0.0
@@ -634,11 +634,11 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # A base that is held must not be asked for more and more: let go, it would leap.
+            # A blocked base must not be commanded more and more: once released, it would lurch.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
-            # A reference that samples nonsense after all; what is left of the last plan is better than an exception.
+            # The reference returned invalid samples after all; the rest of the last plan is better than an exception.
             return tick.lib.ddmpc_give_up(self._c), f"there is nothing to track: {error}"
 
     def _ask_backend(self) -> bool:

@@ -31,7 +31,7 @@ class Seeing(Protocol):
     """A controller that wants to know what is around the robot."""
 
     def set_obstacles(self, obstacles: Seen, /) -> None:
-        """Take in what has arrived of a look, for the next step on."""
+        """Use the obstacles of a newly arrived observation from the next step on."""
         ...
 
 
@@ -64,9 +64,9 @@ def simulate(
     Returns
     -------
     Run
-        The ticks from 0 to the first one at or after the end, or to the one after which the robot was lost: then
-        `ended` says why. In a world the run goes on to its time limit, and ends when the robot has arrived, has touched
-        something or stands for good; a controller with a method `set_obstacles` is given what the robot sees.
+        The ticks from 0 to the first one at or after the end, or to the tick after which the robot was lost; `ended`
+        then says why. In a world the run continues up to its time limit, and ends earlier when the robot has arrived,
+        touched something or stands for good. A controller with a method `set_obstacles` receives what the robot sees.
 
     Raises
     ------
@@ -102,10 +102,10 @@ def simulate(
 
 
 class _Around:
-    """What a world does in the loop; nothing where the plant stands in none."""
+    """The world's part in the loop; does nothing if the plant has no world."""
 
     def __init__(self, plant: Plant, controller: TrackingController, reference: Reference) -> None:
-        # Of a `WorldPlant`, which is not imported for the many runs without one.
+        # Detect a `WorldPlant` without importing it, as most runs have no world.
         in_world = isinstance(plant, PlantAround) and hasattr(plant, "world")
         self._plant = cast("WorldPlant", plant) if in_world else None
         self._see = controller.set_obstacles if self._plant and isinstance(controller, Seeing) else None
@@ -123,7 +123,7 @@ class _Around:
         return {"world": of.world, "contacts": of.contacts, "outline": of.footprint} if of else {}
 
     def look(self) -> bool:
-        """Let the controller see; whether this is the last tick: not before the end of the reference."""
+        """Pass obstacles to the controller; return whether this tick is the last, never before the reference ends."""
         if self._plant is None:
             return False
         obstacles = self._plant.look()

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.velocity_model import mean_delay
 
 _AT_BOUND = 1e-3
 _CERTAIN = 2.0
-# Poles this many times apart are never taken for one another: the fast one is merely badly known, which is said too.
+# Poles that differ by more than this factor are distinct: the fast one is only badly known, which is reported, too.
 _FAR_APART = 4.0
 _SHAPE = ("natural_frequency", "damping")
 _KINDS = {
@@ -33,7 +33,7 @@ _KINDS = {
 
 
 def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[int]) -> ParameterEstimate:
-    """(p,) how late each output answers [s], dead time and lag together: `names` of them, each by one of `inputs`."""
+    """(p,) delay of each output behind its entry of `inputs` [s], dead time plus lag, labelled by `names`."""
 
     def delays(parameters: FloatArray) -> FloatArray:
         system = fit.layout.system(parameters)
@@ -61,12 +61,12 @@ def badly_known(
     Parameters
     ----------
     estimate
-        The parameters, those without which a robot cannot be.
+        The essential parameters, which every robot has.
     kind
-        That of all of them; by default it follows from the names.
+        Kind of doubt for all of them; by default it follows from the names.
     delays
-        How late channels or motors answer, dead time and lag together, each by the name before its parameters' dot. How
-        that is divided between dead time and poles may be unknown while it is known itself; it alone matters.
+        Delay of each channel or motor, dead time and lag together, named by the part before the dot of its parameters.
+        The split between dead time and poles may be unknown while their sum is known; only the sum matters.
     """
     limit = estimator_settings().warn.relative_deviation
     verdicts = []
@@ -108,7 +108,7 @@ def at_bounds(fit: OutputErrorFit, label: str) -> list[Doubt]:
 
 
 def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[Doubt]:
-    """A doubt if some combination of parameters leaves hardly a trace in the data."""
+    """A doubt if the data hardly determine some combination of parameters."""
     if fit.condition < estimator_settings().warn.condition:
         return []
     words = f"condition number {fit.condition:.1e}: some parameters can only be told together; lower the order"

@@ -1,6 +1,6 @@
-/* Which measurements may be believed: stamps, numbers, ranges and jumps. What is refused is noted in the result with its
- * numbers, and never reaches the filter. The thresholds are said in mpc/config/plausibility.yaml, and ranges and jumps in the
- * configuration's `estimator`. */
+/* Plausibility checks of measurements: stamps, finite numbers, ranges and jumps. A rejected measurement is noted in the
+ * result with its numbers and never reaches the filter. Thresholds are in mpc/config/plausibility.yaml; ranges and
+ * jumps are in the configuration's `estimator`. */
 #include <string.h>
 
 #include "internal.h"
@@ -21,7 +21,7 @@ static int all_finite(const real *values, int count)
     return 1;
 }
 
-/* Whether k x k `entries` are a symmetric positive definite matrix, by its leading minors' pivots. */
+/* Whether the k x k `entries` form a symmetric positive definite matrix, by the signs of the elimination's pivots. */
 static int possible_covariance(const ddmpc_constants *constants, const real *entries, int k)
 {
     real work[9];
@@ -117,7 +117,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
         }
     }
     for (int i = 0; i < count && fault == DDMPC_NO_FAULT; i++)
-        /* A wheel that hits a wall does jump, and stays where it is: the next sample confirms it. */
+        /* The speed of a wheel that hits a wall does jump, but then stays there: the next sample confirms it. */
         if (ddmpc_fabs(stamped->value[i] - last[i]) > constants->largest_twist_jump[first + i]) {
             fault = DDMPC_JUMPS;
             a = last[i];
@@ -181,8 +181,8 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
     return 0;
 }
 
-/* Whether the pose before had become older than max_pose_age when this one came; twice of late, and poses come too
- * seldom for it. A single one is a drop-out. */
+/* Check whether the previous pose was older than max_pose_age when this one came. If that happens again within
+ * rated_poses poses, poses count as too rare; a single time is a drop-out. */
 static void look_at_rate(ddmpc_controller *c, ddmpc_time stamp)
 {
     ddmpc_estimator *estimator = &c->estimator;
@@ -202,7 +202,7 @@ static void look_at_rate(ddmpc_controller *c, ddmpc_time stamp)
 
 void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose)
 {
-    /* By its own stamp: lateness that was inferred makes no pose too old. */
+    /* Use the stamp as stated: an inferred delay must not make a pose too old. */
     look_at_rate(c, pose->stated);
     c->estimator.accepted_stamp = pose->stated;
     c->estimator.too_old = 0.0;

@@ -47,7 +47,7 @@ void ddmpc_estimator_forget(ddmpc_controller *c)
     estimator->accepted_stamp = estimator->pose_stamp = -HUGE_VAL;
     estimator->wheels_stamp = estimator->yaw_rate_stamp = -HUGE_VAL;
     estimator->too_old = 0.0;
-    /* Nothing is known: the first that is overdue is believed. */
+    /* No pose has come yet: the first overdue one is enough for poses to count as rare. */
     estimator->overdue = 1;
     estimator->rare = 0;
     estimator->last_wheels[0] = estimator->last_wheels[1] = estimator->last_yaw_rate = R(0.0);
@@ -146,7 +146,7 @@ static void filter_from(ddmpc_controller *c, int first)
     }
 }
 
-/* Take what the accused sensors (bits by subject) said out of the history. */
+/* Remove the measurements of faulty sensors (`accused`, bits by subject) from the history. */
 static void disbelieve(ddmpc_controller *c, int accused)
 {
     for (int index = 0; index < c->estimator.nodes; index++) {
@@ -163,8 +163,8 @@ static void disbelieve(ddmpc_controller *c, int accused)
     }
 }
 
-/* A robot that obeys the commands sent so far as the model says, somewhere. Its speed is as uncertain as if it might
-   as well stand; that of a robot at rest is certain. */
+/* Belief of a robot that has followed the commands sent so far as the model predicts, at no particular pose. The
+   standard deviation of its speed is the speed itself, since it may be standing; at rest the speed is certain. */
 static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
 {
     const ddmpc_constants *constants = c->constants;
@@ -199,7 +199,7 @@ static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
     }
 }
 
-/* A history of one node, which is at `pose` with the motion that its prior holds. */
+/* Restart the history with one node at `pose`, with all but the pose taken from `motion`. */
 static void start(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_pose *pose, const ddmpc_belief *motion)
 {
     /* `motion` may lie in the history: it moves to the first node before the rest is dropped. */
@@ -233,7 +233,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
     const int unused = c->monitor.accused | ddmpc_monitor_doubts(c, t);
     if (has_pose) {
         ddmpc_monitor_widen(c, &pose);
-        /* Later than its stamp says, as motion has shown. */
+        /* The pose is older than its stamp states, by a delay that the monitor inferred from the motion. */
         pose.stamp -= ddmpc_monitor_delay(c);
     }
     if (newly) {

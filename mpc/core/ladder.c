@@ -4,7 +4,7 @@
 
 #include "internal.h"
 
-/* The nearest command inside `share` of range, and inside `step` of the last one. */
+/* The command nearest to `wanted` within `share` of the range and within `step` of the last command. */
 static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[2], real command[2])
 {
     for (int i = 0; i < 2; i++) {
@@ -15,9 +15,9 @@ static void clip(const ddmpc_controller *c, const real wanted[2], real share, co
     }
 }
 
-/* Turn a command inside range and slew no tighter than the least commanded radius, if there is one. Its yaw rate gives
- * way, as far as `step` allows; where that is not enough its speed is held, but never raised above that of the last one:
- * so slew is kept, and after a command that turned no tighter there is always one. */
+/* Limit a command within range and slew to min_commanded_radius, if there is one. The yaw rate is reduced as far as
+ * `step` allows. If that is not enough, the speed is kept up, but never above that of the last command. So slew is
+ * kept, and there is always such a command if the last one kept the radius. */
 static void widen(ddmpc_controller *c, real share, const real step[2], real command[2])
 {
     const real radius = c->constants->min_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
@@ -53,7 +53,7 @@ void ddmpc_ramp(ddmpc_controller *c)
 {
     const real zero[2] = {R(0.0), R(0.0)};
     clip(c, zero, R(1.0), c->constants->braking, c->result.command);
-    /* What rounding leaves of the last step is no motion. */
+    /* A rounding residue of the last step is not a motion command. */
     for (int i = 0; i < 2; i++)
         if (ddmpc_fabs(c->result.command[i]) < R(1e-13))
             c->result.command[i] = R(0.0);
@@ -107,7 +107,7 @@ static int accept(ddmpc_controller *c)
     return DDMPC_DONE;
 }
 
-/* The rest of the last good plan, a few ticks at most. */
+/* Send the next command of the last good plan, for a few ticks at most; then brake. */
 int ddmpc_reuse(ddmpc_controller *c)
 {
     const int usable = c->constants->max_reused_ticks < STEPS(c) - 1 ? c->constants->max_reused_ticks : STEPS(c) - 1;

@@ -1,6 +1,6 @@
-/* The limits of the quadratic program, one row a kind and sample, in the order of `lower` and `upper`: range of v and omega,
- * slew of v and omega (all hard), then the soft ones: predicted twist, wheels, corridor, least turn radius, the user's.
- * A soft one is linearised along the guess, as the rest of the problem is. */
+/* The limits of the quadratic program, one row per kind and sample, in the order of `lower` and `upper`. Hard limits:
+ * range of v and omega, slew of v and omega. Soft limits: predicted twist, wheels, corridor, minimum turn radius, the
+ * user's. Soft limits are linearised along the guess, like the rest of the problem. */
 #include <string.h>
 
 #include "problem.h"
@@ -27,8 +27,8 @@ static void bound_commands(ddmpc_controller *c)
         }
 }
 
-/* Where the reference drives at sample k: 1 forwards, -1 backwards; where it stands, as it does next up to the sample
-   `end`, or did last. */
+/* Direction of the reference at sample k: 1 forwards, -1 backwards. Where it stands: its next direction up to sample
+   `end`, else its last one. */
 static real direction_at(const ddmpc_controller *c, int k, int end)
 {
     const real *v = c->reference_twist;
@@ -56,7 +56,7 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
     real shipped[DDMPC_MOST_SLIPS + 1];
     if (group->radius > R(0.0)) {
         shipped[0] = group->radius;
-        /* A command acts a lag later; what is so of the last one is its own. */
+        /* A command acts one lag later: use the reference's direction at that time. The last command has its own. */
         if (group->commanded)
             shipped[1] = k >= 0            ? direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1)
                          : p->last[0] < R(0.0) ? R(-1.0)
@@ -71,7 +71,7 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
               group->term ? ddmpc_parameters_at(c, k + 1, group->term) : shipped, p->term);
 }
 
-/* What a plan adds to something at sample k + 1 whose gradient is that of `ddmpc_through_slip`. */
+/* Contribution of a plan at sample k + 1 to a quantity whose gradient is from `ddmpc_through_slip`. */
 static real value_of(const real *gradient, int k, int N, const real *moves, const real *headings, const real *by_plan,
                      const real *plan)
 {
@@ -80,8 +80,9 @@ static real value_of(const real *gradient, int k, int N, const real *moves, cons
            gradient[6] * plan[2 * k + 1];
 }
 
-/* Soft limits of one function. Where the robot is beyond a shipped limit already, its present value is the limit: back
-   inside leads the reference. Nothing else may lead back inside a limit of the user, so those stand as they are given. */
+/* Soft limits of one function. If the robot already exceeds a shipped limit, its present value is the limit: the
+   reference leads it back inside. A limit of the user applies as given, since nothing else may lead the robot back
+   inside. */
 static void limit_softly(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
 {
     ddmpc_problem *p = &c->problem;
@@ -156,7 +157,7 @@ void ddmpc_problem_limit(ddmpc_controller *c)
     bound_softly(c);
 }
 
-/* What limits are about, as far as it is linear in `plan` (4 + K, N): to be compared with lower and upper. */
+/* The limited quantities (4 + K, N), their part linear in `plan`, for comparison with `lower` and `upper`. */
 void ddmpc_limit_values(const void *context, const real *plan, real *values)
 {
     const ddmpc_controller *c = (const ddmpc_controller *)context;

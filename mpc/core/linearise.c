@@ -1,17 +1,18 @@
-/* The tracking problem linearised along a guess: how twists, headings and poses of the robot answer to the commands
+/* The tracking problem linearised along a guess: how twists, headings and poses of the robot respond to the commands
  * U = (v_ref[0], omega_ref[0], v_ref[1], ...).
  *
- * Of a linear model twists and headings answer as a linear time-invariant system does, so their matrices are Toeplitz, and
- * one row stands for all: y[k] = C A^k x + sum over j of C A^(k-1-j) B u[j], with the commands on their way in x. A nonlinear
- * model is linearised along the guess, and has a row for each sample. So is curved slip: then outputs and rows are those of
- * the body's twist itself, and no gain lies beyond them. Poses follow by exact arcs; motion, slip and aim with their
- * gradients are generated from mpc/problem/formulas.py. */
+ * Twists and headings of a linear model respond as a linear time-invariant system. Their matrices are Toeplitz, so one
+ * row represents all: y[k] = C A^k x + sum over j of C A^(k-1-j) B u[j], where x includes the commands in the dead
+ * time. A nonlinear model is linearised along the guess and has a row for each sample. Curved slip is treated the same
+ * way: outputs and rows are then those of the body's twist, and no further gain applies. Poses follow by exact arcs.
+ * Motion, slip and aim, with their gradients, are generated from mpc/problem/formulas.py. */
 #include <string.h>
 
 #include "problem.h"
 
-/* The command that a nonlinear model needs for a twist of the body, where it has one; its gain at rest gave `command`.
-   `last` is where it settles at the sample before, near which this one is sought; most often it is the same. */
+/* Replace `command`, which follows from the gain at rest, by the one at which a nonlinear model settles at the body's
+   twist `wanted`, if there is one. The search starts from `last`, the solution at the previous sample, which is usually
+   the same. */
 static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
@@ -30,7 +31,7 @@ static void look_ahead(ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     ddmpc_problem *p = &c->problem;
     const real two_pi = R(2.0) * DDMPC_PI;
-    /* The estimate counts its turns itself: meet it on the turn it is on. */
+    /* The estimated heading is unwrapped: shift the reference's heading to the same turn. */
     const real turns = two_pi * ddmpc_rint((p->pose[2] - c->reference_pose[2]) / two_pi);
     for (int i = 0; i <= STEPS(c); i++) {
         const real *pose = c->reference_pose + 3 * i;
@@ -55,8 +56,8 @@ static void look_ahead(ddmpc_controller *c)
     }
 }
 
-/* Twist of the body for the model's free output, and what a plan adds per unit of the model's: slip is affine. Where it
-   is not, the outputs are the body's already. */
+/* The body's twist for the model's free output, and its gain per unit of what a plan adds: flat slip is affine. With
+   curved slip the outputs are already those of the body. */
 static void free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -77,8 +78,8 @@ static void free_twists(ddmpc_controller *c)
     p->turn_gain = J[2];
 }
 
-/* Where the robot turns about along the guess. It stays there when the plan is sought: an acceleration moves it too
-   little to be worth a gradient. */
+/* Turning points of the robot along the guess. The solver treats them as fixed: an acceleration moves them too little
+   to be worth a gradient. */
 static void find_turning_points(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -224,7 +225,7 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
         }
 }
 
-/* From what the model says to the body's twist. */
+/* Convert the model's outputs and rows to those of the body's twist. */
 static void curve(ddmpc_controller *c, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;

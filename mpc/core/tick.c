@@ -1,6 +1,6 @@
-/* One tick straight down from measurement to command: the clock of the ticks, what has to hold for the robot to be driven,
- * and the order of all parts. What is sent when one fails stands in ladder.c. Nothing here is repeated until something comes
- * true: each part is called once a tick, and bounds its own loops. */
+/* One tick from measurement to command: the tick clock, the conditions for driving, and the order of the parts. What is
+ * sent when a part fails is decided in ladder.c. No loop here runs until a condition holds: each part is called once
+ * per tick and bounds its own loops. */
 /* for clock_gettime, which C99 alone does not know */
 #define _POSIX_C_SOURCE 199309L
 #include <string.h>
@@ -63,7 +63,7 @@ int ddmpc_relay(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
 {
     if (!c->has_reference || !isfinite(t0) || !isfinite(reference->duration))
         return 0;
-    /* Another one is not finished because the one before was. */
+    /* A new reference is not finished just because the previous one was. */
     c->finished = c->finished && t0 == c->t0;
     c->reference = *reference;
     c->t0 = t0;
@@ -72,7 +72,7 @@ int ddmpc_relay(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
 
 typedef enum { TICK_NEW, TICK_REPEATED, TICK_LEAPT, TICK_PAUSED, TICK_FAULTY } tick_kind;
 
-/* What a call at `t` is, against the last one. */
+/* Classify a call at `t` relative to the last tick. */
 static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
@@ -107,7 +107,7 @@ static tick_kind judge(ddmpc_controller *c, ddmpc_time t)
     return kind;
 }
 
-/* Take the robot to be where its rejected poses agree it is, once it has been told to stand. */
+/* Restart the estimate at the pose on which the rejected poses agree, once every command on its way is zero. */
 static int restart_elsewhere(ddmpc_controller *c)
 {
     const real *commands = ddmpc_commands(c);
@@ -135,7 +135,7 @@ static real distance_to(const ddmpc_controller *c, const real pose[3])
     return ddmpc_hypot(here[0] - pose[0], here[1] - pose[1]);
 }
 
-/* Whether the robot rests at the end of its reference, or has had the time to; what is finished stays so. */
+/* Whether the robot is at rest at the end of its reference, or finish_timeout has passed; once true, it stays true. */
 static int is_finished(ddmpc_controller *c, ddmpc_time time)
 {
     const ddmpc_constants *k = c->constants;
@@ -172,7 +172,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     const real v = twist[0], omega = twist[1];
     const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
-    /* What is not known of the pose is no reason to leave the path for. */
+    /* Uncertainty of the pose is no reason to leave the path: it widens the band. */
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real band = c->carried + ddmpc_max(k->band, k->unsure * ddmpc_hypot(deviation[0], deviation[1]));
     stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
@@ -180,7 +180,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     if (driving) {
         stray.late = -ahead / k->wait;
     } else {
-        /* It stands, or turns on the spot: then the robot has to arrive first. */
+        /* The reference stands or turns on the spot: it waits until the robot has arrived. */
         const real turning = !(ddmpc_fabs(omega) > k->turning) ? R(0.0)
                              : omega < R(0.0)                  ? stray.heading
                                                                : -stray.heading;
@@ -215,8 +215,8 @@ static int track(ddmpc_controller *c)
     return pending == DDMPC_NEEDS_BACKEND ? pending : ddmpc_use_plan(c);
 }
 
-/* A robot that turns on the spot moves by what it turns about and by its slide, whatever the controller does: so far it is
-   no reason to leave the path or to wait, nor for the time that it takes to come back. */
+/* A robot that turns on the spot moves by the offset of its turning point and by its slide, whatever the controller
+   does. A displacement of that size is no reason to leave the path or to wait, not even while the robot comes back. */
 static void carry(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -227,7 +227,7 @@ static void carry(ddmpc_controller *c)
         c->carried = ddmpc_max(c->carried, k->carried[0] * (turned_about + slide));
 }
 
-/* Follow the reference where the robot is on its path and on time; otherwise somebody has to say what to do. */
+/* Follow the reference if the robot is on its path and on time; otherwise ask the caller what to track. */
 static int follow(ddmpc_controller *c, const ddmpc_input *input)
 {
     if (!input->on_time)
@@ -261,7 +261,7 @@ static void report_rate(ddmpc_controller *c)
         c->result.reasons |= DDMPC_POSES_RARE;
 }
 
-/* Whether wheels and gyro stand in for poses that stay away: for a while, as long as the position is known to the band. */
+/* Whether wheels and gyro bridge missing poses: for a limited time, while the position is known to within the band. */
 static int is_bridged(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -282,7 +282,7 @@ static int is_bridged(ddmpc_controller *c)
     return age <= k->dead_reckoning && c->doubt <= R(1.0);
 }
 
-/* Whether the last accepted pose is too old, or will be before the next: to drive from one to the other is to lurch. */
+/* Whether the last accepted pose is too old, or will be before the next one: driving would then be stop-and-go. */
 static int has_old_pose(ddmpc_controller *c)
 {
     const ddmpc_estimator *estimator = &c->estimator;
@@ -291,7 +291,7 @@ static int has_old_pose(ddmpc_controller *c)
         c->result.reasons &= ~(unsigned int)DDMPC_POSES_RARE;
         return 0;
     }
-    /* Where poses are rare that is said, and their age only when none comes at all. */
+    /* If poses are rare, report that; report their age only when they stop altogether. */
     const ddmpc_time usual = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
     if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual)
         c->result.reasons |= missing(c, DDMPC_OLD_POSE);
@@ -340,7 +340,8 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     return follow(c, input);
 }
 
-/* Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself. */
+/* Brake: the time of this tick is unusable. After a jump or a pause of the clock, command zero at once: a base without
+   commands has stopped by itself. */
 static void lose_time(ddmpc_controller *c, tick_kind kind)
 {
     const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
@@ -388,14 +389,14 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         c->result.reasons = DDMPC_NO_REFERENCE;
         return DDMPC_DONE;
     }
-    /* A tick that nobody went on with has no plan. */
+    /* If the caller did not complete the last tick, it counts as a failed solve. */
     ddmpc_give_up(c);
     const tick_kind kind = judge(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
-        /* What was sent, if somebody else has decided that meanwhile: to repeat another would be a leap. */
+        /* Repeat the command actually sent, which the application may have replaced: any other would be a jump. */
         if (c->result.mode != DDMPC_STOPPED)
             memcpy(c->result.command, c->last, sizeof c->last);
         return DDMPC_DONE;

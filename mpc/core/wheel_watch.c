@@ -1,6 +1,6 @@
-/* Wheels at the end of their speed, or of their force: which one falls short of what reference and commands ask, and what
- * it reaches. Speeds are those at the rim: v + b omega on the right, v - b omega on the left, with half the track b. What the
- * numbers of the test are is said in mpc/config/sensor_test.yaml. */
+/* Wheels at their speed or force limit: which wheel falls short of the speed that reference and commands demand, and
+ * what speed it attains. Speeds are at the rim: v + b omega on the right, v - b omega on the left; b is half the track.
+ * mpc/config/sensor_test.yaml explains the numbers of the test. */
 #include <string.h>
 
 #include "internal.h"
@@ -19,8 +19,8 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
     rim[1] = value[3];
 }
 
-/* The least and the most that commands have asked of each wheel since a while before their lag, in the directions
- * `sign`; 0 where that is longer ago than commands are remembered. */
+/* The smallest and largest speeds that commands have demanded of each wheel over the last lag plus short_for, in the
+ * directions `sign`. Returns 0 if the stored commands do not reach back that far. */
 static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
 {
     const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
@@ -42,8 +42,8 @@ static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2
     return 1;
 }
 
-/* The wheel that falls the furthest short of what its reference and the commands ask (`asked`, in its direction); -1: none.
-   One that hardly turns is held, or dead; one that is just being stopped passes by all speeds. */
+/* The wheel that falls furthest short of what reference and commands demand (`asked`, in its direction); -1: none. A
+   wheel that hardly turns is blocked or dead, and one being stopped passes through all speeds: neither counts. */
 static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *asked)
 {
     const ddmpc_constants *k = c->constants;
@@ -68,7 +68,7 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
     return found;
 }
 
-/* Whether more command has given the wheel `found` no more speed: a wheel that only answers with another gain does gain. */
+/* Whether a larger command gave the wheel `found` no more speed; a wheel with merely another gain would speed up. */
 static int gains_nothing(ddmpc_controller *c, int found, real asked)
 {
     const ddmpc_constants *k = c->constants;
@@ -82,8 +82,8 @@ static int gains_nothing(ddmpc_controller *c, int found, real asked)
     return more > k->trial[0] * asked;
 }
 
-/* Wheels at the end of their speed, or of their force, hold the reference up. What they reach is learned from their encoders
- * (on slippery floors the estimate trusts the gyro more), and slowly forgotten. */
+/* Wheels at their speed or force limit slow the reference down. The speed they attain is learned from their encoders
+ * (on slippery floors the estimate trusts the gyro more) and slowly forgotten. */
 void ddmpc_watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -109,7 +109,7 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
         c->rim_reach *= R(1.0) + k->regain * dt;
         c->reach *= R(1.0) + k->regain * dt;
     }
-    /* Wheels that turn faster after all, or are not believed, say nothing of their end. */
+    /* Drop the learned limit if the wheel turns faster after all, or while the encoders count as faulty. */
     const int faster = ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
     if (faster || !(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
         c->reach = c->rim_reach = (real)HUGE_VAL;

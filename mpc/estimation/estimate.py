@@ -16,12 +16,12 @@ SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 
 
 class Estimate:
-    """One block of numbers, taken apart where it is looked at. The filter's state is (states, slip, gyro bias, pose).
+    """One block of numbers, split on access. The filter's state is (states, slip, gyro bias, pose).
 
     Parameters
     ----------
     layout, block
-        A copy of the core's result, and where what lies in it.
+        The layout of the core's result, and a copy of its numbers.
     time
         Time of the tick [s].
     """
@@ -68,7 +68,7 @@ class Estimate:
 
     @property
     def slip(self) -> Slip:
-        """What lies between the model's twist and that of the body."""
+        """Slip, the difference between the model's twist and that of the body."""
         return Slip(*self.mean[self._layout.slip].tolist())
 
     @property
@@ -95,7 +95,7 @@ class Estimate:
 
     @property
     def innovations(self) -> Mapping[str, float]:
-        """By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-]."""
+        """Newest squared innovation over its variance, by sensor [-]: 1 on average if the noise assumptions hold."""
         pairs = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
         return {sensor: value for sensor, value in pairs if not np.isnan(value)}
 
@@ -114,9 +114,9 @@ class Belief:
     covariance
         (Z, Z).
     sent
-        (W, 2) commands v_ref [m/s], omega_ref [rad/s] that were on their way before the tick's own, oldest first.
+        (W, 2) commands v_ref [m/s], omega_ref [rad/s] on their way before that of the tick itself, oldest first.
     states
-        n, how many states the velocity model has.
+        n, number of states of the velocity model.
     """
 
     mean: FloatArray
@@ -126,7 +126,7 @@ class Belief:
 
     @property
     def slips(self) -> slice:
-        """Where slip lies in the state; of `SLIPS` the first 10, or all 15 where the configuration speaks of others."""
+        """Slice of the slip in the state: the first 10 of `SLIPS`, or all 15 if the configuration uses curved slip."""
         return slice(self.states, len(self.mean) - 4)
 
     @property
@@ -141,7 +141,7 @@ class Belief:
 
     @property
     def slip(self) -> Slip:
-        """What lies between the model's twist and that of the body."""
+        """Slip, the difference between the model's twist and that of the body."""
         return Slip(*self.mean[self.slips].tolist())
 
     @property

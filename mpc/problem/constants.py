@@ -1,6 +1,6 @@
 """The numbers of one controller, by the names of their fields in C (`mpc/core/core.h`).
 
-They go into memory for use from Python, or as text into an exported library: in both by name.
+Python writes them to memory, and an exported library contains them as text, both by name.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ PADDING = 8
 """Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
 SLACK = 0.1
 """By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
-_POSSIBLE = 5.0  # standard deviations at the start, beyond which curved slip is never believed [-]
+_POSSIBLE = 5.0  # bound on the estimate of curved slip, in its initial standard deviations [-]
 HARD_KINDS = 4
 """Kinds of hard limit: v_ref, omega_ref, and their increments."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What one controller is about: its configuration, its sampled model, and the user's terms.
+    """Definition of one controller's problem: its configuration, its sampled model, and the user's terms.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class Problem:
 
     @cached_property
     def compiled_step(self) -> CompiledStep | None:
-        """What the core has for the model, if it has something."""
+        """The core's own functions for a nonlinear model; None if it has none."""
         return self.model.compiled_step if isinstance(self.model, NonlinearModel) else None
 
     @property
@@ -93,7 +93,7 @@ class Problem:
 
     @property
     def curved(self) -> bool:
-        """Whether the configuration speaks of slip that curves the body's twist."""
+        """Whether the configuration sets or estimates curved slip, which makes the twist non-affine."""
         s = self.config.estimator
         return any(getattr(s, name) or getattr(s, f"{name}_uncertainty") for name in CURVED_SLIPS)
 
@@ -162,7 +162,7 @@ class Problem:
         uncertainty = estimated * np.array([getattr(s, f"{kind}_uncertainty") for kind in kinds])
         drift = estimated * np.array([getattr(s, f"{kind}_drift") for kind in kinds])
         prior = configured_slip(self.config)
-        # Gains have bounds of their own; what curves is not believed beyond what was thought possible.
+        # Gains have their own bounds; curved slip is bounded by its initial uncertainty.
         far = np.full(len(SLIPS), np.inf)
         far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : -1]
         least, most = np.array(astuple(prior)) - far, np.array(astuple(prior)) + far
@@ -257,7 +257,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._all_turns  # the core knows them
+        shipped += [0.0] * self._all_turns  # placeholders: the core computes these bounds
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [limits.v, limits.omega],
@@ -319,7 +319,7 @@ def _plausibility() -> dict[str, Any]:
 
 @cache
 def _sensor_test() -> dict[str, Any]:
-    """Numbers of the test that tells a faulty sensor from an honest surprise, by their fields in C."""
+    """Numbers of the test that distinguishes a faulty sensor from unexpected motion, by their fields in C."""
     data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / "sensor_test.yaml")
     return data
 

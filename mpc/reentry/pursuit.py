@@ -1,4 +1,4 @@
-"""What the planner is to track at each tick: the reference on time, the reference that waits, or the way back to it."""
+"""Chooses what to track at each tick: the reference on time, the waiting reference, or the way back to it."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 _WINDOW_STEP = 2.5
 _MOST_SAMPLES = 5000
 _NOW = np.zeros(1)
-# Share of what the wheels reach that the reference may ask for: the rest is for holding the path. How far ahead it is
-# looked for [s].
+# Share of the attainable wheel speed that the reference may use, the rest being for path corrections [-]; and how far
+# ahead the reference is checked for it [s].
 _USABLE, _LOOK = 0.85, 0.6
-# Share of a speed limit that the reference may ask for: the rest is for holding the path.
+# Share of a speed limit that the reference may use, the rest being for path corrections [-].
 _KEPT = 0.95
 # The band is no narrower than the deviation of the position times this.
 _UNSURE = 3.0
 
 
 class Stray(Protocol):
-    """How the robot lies to a reference pose."""
+    """Deviation of the robot from a reference pose."""
 
     @property
     def outside(self) -> bool:
@@ -55,7 +55,7 @@ class Pursuit:
     config
         Limits, and the groups `reentry` and `failure`.
     stray
-        Says how the robot lies to a reference pose (3,) with twist (2,).
+        Returns the robot's deviation from a reference pose (3,) with twist (2,).
     """
 
     def __init__(self, config: ControllerConfig, stray: Callable[[FloatArray, FloatArray], Stray]) -> None:
@@ -79,7 +79,7 @@ class Pursuit:
         self._fastest = self._fastest_rate()
 
     def limit_speed(self, v: float | None) -> None:
-        """Go through the reference no faster than at a forward speed `v` [m/s] from now on; None: at any speed."""
+        """Limit the forward speed along the reference to `v` [m/s] from now on; None: no limit."""
         self._speed_limit = math.inf if v is None else v
 
     def start(self, reference: Reference, *, native: bool) -> None:
@@ -102,7 +102,7 @@ class Pursuit:
         self._time = -math.inf
 
     def switch_reference(self, reference: Reference, *, native: bool) -> None:
-        """Follow `reference`, which is the one followed laid elsewhere; a way back led to where it was."""
+        """Follow `reference`, the current one transformed by a pose; drop any way back, which led to the old place."""
         self._reference, self._native = reference, native
         self._way_back = None
 
@@ -149,9 +149,9 @@ class Pursuit:
         self._driving = False
 
     def advance(self, since_start: float) -> float:
-        """Go on to `since_start` [s] of the controller; returns the reference's time [s].
+        """Advance to `since_start` [s] on the controller's clock; return the reference's time [s].
 
-        The reference stands for as long as `target` is not called: the robot does not follow it then.
+        The reference's clock stops while `target` is not called, since the robot does not follow it then.
         """
         if not self._settings.enabled:
             return since_start
@@ -170,10 +170,10 @@ class Pursuit:
         ahead: FloatArray = _NOW,
         reach: float = math.inf,
     ) -> Target | TooFar:
-        """What to track at `since_start` [s], where `time` [s] is what `advance` returned.
+        """Return what to track at `since_start` [s], where `time` [s] is the value that `advance` returned.
 
-        `ahead` are the times from now, 0 first, at which the target will be sampled: one look at the reference serves
-        for both. The wheels reach the speed `reach` [m/s] at the rim.
+        `ahead` are the times from now, 0 first, at which the target will be sampled, so that the reference is sampled
+        only once. `reach` is the attainable wheel speed at the rim [m/s].
         """
         reference = self._reference
         assert reference is not None
@@ -220,14 +220,14 @@ class Pursuit:
         return Target(self._clock.clocked(followed), since_start, words, still)
 
     def _within_reach(self, reach: float, twist: FloatArray) -> float:
-        """Progress rate at which the twists (n, 2) soon to come ask no more of the wheels than they reach."""
+        """Progress rate at which the upcoming twists (n, 2) need no more than the attainable wheel speed."""
         if not math.isfinite(reach):
             return math.inf
         needed = float((np.abs(twist) @ [1.0, 0.5 * self._config.wheels.track]).max())
         return _USABLE * reach / max(needed, STANDING)
 
     def _within_limit(self, fastest: float) -> float:
-        """Progress rate for a reference that is soon as fast as `fastest` [m/s]; it falls as gently as robots brake."""
+        """Progress rate for a reference that soon reaches `fastest` [m/s]; slows it by `v_acceleration` at most."""
         fastest = max(fastest, STANDING)
         slowed = self._clock.rate - self._settings.v_acceleration / fastest * self._config.sample_time
         return max(_KEPT * self._speed_limit / fastest, slowed)
@@ -240,7 +240,7 @@ class Pursuit:
         return Target(reference, time) if self._driving else TooFar(distance)
 
     def _stray(self, sample: ReferenceSample) -> tuple[Stray, float]:
-        """How the robot lies to the first pose of `sample`, and the forward speed there [m/s]."""
+        """Return the robot's deviation from the first pose of `sample`, and the forward speed there [m/s]."""
         twist = sample.twist[0]
         return self._stray_from(sample.pose[0], twist), float(twist[0])
 
@@ -251,9 +251,9 @@ class Pursuit:
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate
     ) -> Rejoin | TooFar | Standing | None:
-        """A way back; standing where there is room for none.
+        """Plan a way back; return `Standing` if there is no room for one.
 
-        None if the robot is on its path after all, only earlier or later than the reference.
+        Returns None if the robot is on its path after all, only earlier or later than the reference.
         """
         settings = self._settings
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)

@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
 HELD = "held; call hold with false to let go"
 
-# A frame that has moved by less is where it was: at the robot [m], a radian counting as a metre.
+# A frame that moved by less counts as unmoved: displacement at the robot [m], with a radian counted as a metre.
 _STAYS = 1e-4
 
 
@@ -48,7 +48,7 @@ class RefusedError(DiffdriveMpcError, ValueError):
 
 @dataclass(frozen=True)
 class Request:
-    """What the controller was given at `time` [s], and how often it was asked by then."""
+    """Inputs of the controller at `time` [s]; `number` counts its calls so far, this one included."""
 
     number: int
     time: float
@@ -58,9 +58,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Begun:
-    """A start of the controller: the reference as it was placed, its time 0 [s], and whether a reset came before.
+    """A start of the controller: the reference as placed, its time 0 [s], and whether a reset came before.
 
-    Where it `goes_on`, it took the place of another one in mid-drive, and nothing was forgotten.
+    With `goes_on`, the reference replaced another one while driving, and the controller kept its state.
     """
 
     reference: Reference
@@ -100,35 +100,35 @@ class Tick:
 
 
 class ControlLoop:
-    """Asks the controller for a command once a tick; adds no control of its own.
+    """Asks the controller for a command once per tick; adds no control of its own.
 
     Parameters
     ----------
     controller
-        The controller, as new.
+        A newly built controller.
     settings
         The node's own settings.
     inbox
         Where measurements come from; its clock is that of the controller.
     trajectory
-        What to drive along until another reference is offered; None: nothing.
+        Reference to drive along until another one is offered; None: no reference.
     in_sim_time
-        Whether the period is to be judged by the node's clock instead of the computer's.
+        Whether the period is measured by the node's clock instead of the computer's.
     held
-        Whether it begins held, see `hold`.
+        Whether the loop starts held, see `hold`.
 
     Attributes
     ----------
     state
-        What it does; a hold does not change it.
+        State of the loop; a hold does not change it.
     held
         Whether the robot is kept from moving, whatever the state.
     objection
-        Why the robot must not drive, by the node around the loop: it brakes as for stale odometry. Empty: it may.
+        Why the node does not let the robot drive; the robot then brakes as for stale odometry. Empty: it may drive.
     relaid
-        How often the reference under way was laid anew, as its frame lay elsewhere.
+        How often the current reference was placed again because its frame had moved.
     warning
-        What else is out of the ordinary around the loop, for diagnostics.
+        Any other anomaly around the loop, for diagnostics.
     blocked
         Whether it paused because the robot was blocked.
     """
@@ -163,7 +163,7 @@ class ControlLoop:
         self.held = held
         self.objection = self.warning = ""
         self._requests = 0
-        # So it is when the node is activated.
+        # A newly activated node counts as reset.
         self._was_reset = True
         self.last: Tick | None = None
 
@@ -173,14 +173,14 @@ class ControlLoop:
         return self._controller.speed_limit
 
     def offer(self, reference: Reference, placement: Placement | None = None) -> None:
-        """Take `reference` for the next start, or at once where the robot drives or shall drive as one arrives.
+        """Use `reference` at the next start, or at once if the robot drives or `drive_on_reference` starts it.
 
-        With `placement` it is stated in another frame than that of control, and goes where that lies.
+        With `placement`, the reference is stated in a frame other than the control frame and moves with that frame.
 
         Raises
         ------
         ValueError
-            If it is faster than the limits, or it is not known where it lies.
+            If the reference exceeds the speed limits, or the position of its frame is not known.
         """
         self._check_speeds(reference)
         if placement is not None:
@@ -194,14 +194,14 @@ class ControlLoop:
             self._begin_when_ready = True
 
     def follow(self, reference: Reference, t0: float | None = None) -> None:
-        """Drive along `reference` from the next tick on that has a pose, whatever it does now, until `release`.
+        """Drive along `reference` from the next tick with a pose, whatever the present state, until `release`.
 
         Parameters
         ----------
         reference
-            Stays where it is.
+            The reference; it is not moved to the robot.
         t0
-            Its time 0 on the controller's clock [s]; None: when it begins.
+            Its time 0 on the controller's clock [s]; None: the tick at which it begins.
 
         Raises
         ------
@@ -215,13 +215,13 @@ class ControlLoop:
         self._next = (reference, t0)
 
     def brake(self, reason: str) -> None:
-        """Brake and stand, from whatever it does; nothing else."""
+        """Brake and stand, whatever the loop is doing; a pending start is cancelled."""
         self._next, self._begin_when_ready = None, False
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
 
     def release(self) -> None:
-        """Stand idle after `follow`, with the reference of before; a fault stays one."""
+        """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
         self._next, self._begin_when_ready, self.blocked = None, False, False
         if self._set_aside is not None:
             (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
@@ -272,7 +272,7 @@ class ControlLoop:
         return "brakes"
 
     def hold(self, *, on: bool) -> str:
-        """Brake and stand for as long as it is on, whatever is asked; nothing else changes. Returns what it does."""
+        """Brake and stand while `on`, whatever else is requested; the state does not change. Returns a message."""
         before, self.held = self.held, on
         standing = self.last is None or not self.last.command.any()
         if on:
@@ -349,7 +349,7 @@ class ControlLoop:
         return Hold(fault, failure=True) if fault else None
 
     def _follow_frame(self) -> None:
-        """Lay the reference where its frame now lies; where that is not known the robot has to stand."""
+        """Move the reference with its frame; if the frame's position is not known, the robot has to stand."""
         self._lost = ""
         if self._placement is None or self._laid is None:
             return
@@ -422,11 +422,11 @@ class ControlLoop:
 
 
 def _apart(before: FloatArray, after: FloatArray, pose: ArrayLike) -> float:
-    """How far two motions take what lies at `pose` (3,) apart [m], and turn it [rad], added up."""
+    """Displacement [m] plus rotation [rad] at `pose` (3,) when the motion `before` is replaced by `after`."""
     (ax, ay, a), (bx, by, b) = before, after
     here = np.asarray(pose, dtype=float)
     x, y = here[0] - ax, here[1] - ay
-    # Where it lay before it was moved, and where the other motion takes that.
+    # Undo the motion `before`, then apply the motion `after`.
     x, y = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
     there = bx + math.cos(b) * x - math.sin(b) * y, by + math.sin(b) * x + math.cos(b) * y
     return math.hypot(there[0] - here[0], there[1] - here[1]) + abs(math.remainder(b - a, math.tau))
