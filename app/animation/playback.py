@@ -140,7 +140,7 @@ class RecordedReference:
     name = "recorded"
 
     def __init__(self, time: FloatArray, reference: ReferenceSample) -> None:
-        self._time, self._told = time, reference
+        self._time, self._samples = time, reference
 
     @property
     def duration(self) -> float:
@@ -149,7 +149,7 @@ class RecordedReference:
 
     def sample(self, times: Any) -> ReferenceSample:  # noqa: ANN401 - ArrayLike
         """Between two ticks on the straight line."""
-        reference = self._told
+        reference = self._samples
         pose, twist = (
             np.column_stack([np.interp(times, self._time, column) for column in rows.T])
             for rows in (reference.pose, reference.twist)

@@ -180,7 +180,7 @@ class Search:
     def __init__(
         self, plan: TunePlan, factors: Mapping[str, Value], place: Place, storage: str = "", worker: int = 1
     ) -> None:
-        self._plan, self._told, self._place, self._storage, self._worker = plan, factors, place, storage, worker
+        self._plan, self._factors, self._place, self._storage, self._worker = plan, factors, place, storage, worker
         self._terms = terms_of(plan.objective)
         config = load_config(str(factors.get("config", factors["model"])))
         self.usual: Values = {key: _value(config, key) for key in plan.parameters}
@@ -253,7 +253,7 @@ class Search:
         return {"step_time": study.user_attrs[key] / stated.at_most - 1.0}
 
     def _runs(self, of: Runs, count: int, factors: Mapping[str, object]) -> list[Definition]:
-        return self._plan.runs(of, count, self._told, factors)
+        return self._plan.runs(of, count, self._factors, factors)
 
     def _name(self) -> str:
         """Of the study: another one for every plan, configuration, plant and version of the product."""

@@ -65,11 +65,13 @@ def plan(
     objective = next((one for one in OBJECTIVES if one == minimise), None)
     if objective is None:
         raise PlanError(f"--minimise '{minimise}': give {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}")
-    turn_costs, asked = load_turn_costs(costs), load_plan_settings(settings)
+    turn_costs, plan_settings = load_turn_costs(costs), load_plan_settings(settings)
     if idle_power is not None:
         turn_costs = turn_costs.with_idle_power(idle_power)
     if margin is not None:
-        asked = asked.model_copy(update={"motion": asked.motion.model_copy(update={"margin": margin})})
+        plan_settings = plan_settings.model_copy(
+            update={"motion": plan_settings.motion.model_copy(update={"margin": margin})}
+        )
     carry_out(
         PlanStudy(
             Asked(
@@ -82,7 +84,7 @@ def plan(
                 world=None if world is None else load_world(world),
                 reverse=reverse,
                 on_the_spot=on_the_spot,
-                settings=asked,
+                settings=plan_settings,
             )
         ),
         out,

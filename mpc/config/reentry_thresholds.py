@@ -1,6 +1,6 @@
 """Thresholds of re-entry that no robot has to change, where both Python and the core need them.
 
-Those of the sensor test stand in `sensor_test.yaml`, those of single measurements in `plausibility.yaml`.
+Those of the sensor test stand in `sensor_test.yaml`, those of single measurements in `core_thresholds.yaml`.
 """
 
 STANDING = 0.02

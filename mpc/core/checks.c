@@ -1,5 +1,5 @@
 /* Plausibility checks of measurements: stamps, finite numbers, ranges and jumps. A rejected measurement is noted in the
- * result with its numbers and never reaches the filter. Thresholds are in mpc/config/plausibility.yaml; ranges and
+ * result with its numbers and never reaches the filter. Thresholds are in mpc/config/core_thresholds.yaml; ranges and
  * jumps are in the configuration's `estimator`. */
 #include <string.h>
 

@@ -54,7 +54,8 @@ void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_I
     const ddmpc_problem *p = &c->problem;
     const int width = WIDTH(c), count = 2 * (k + 1);
     const real *x = p->position + 2 * k * width, *y = x + width;
-    const real *heading = ddmpc_heading_row(c, k + 1), *v = ddmpc_twist_row(c, k + 1, 0), *omega = ddmpc_twist_row(c, k + 1, 1);
+    const real *v = ddmpc_twist_row(c, k + 1, 0), *omega = ddmpc_twist_row(c, k + 1, 1);
+    const real *heading = ddmpc_heading_row(c, k + 1);
     for (int j = 0; j < count; j++)
         row[j] = gradient[0] * x[j] + gradient[1] * y[j] + gradient[2] * heading[j] + gradient[3] * v[j] +
                  gradient[4] * omega[j];
@@ -63,7 +64,7 @@ void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_I
 }
 
 void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, int rows, const real *command,
-                      const real *parameters, real *out)
+                     const real *parameters, real *out)
 {
     const ddmpc_problem *p = &c->problem;
     /* No command acts at once: what is now does not hang on the plan. */
@@ -92,7 +93,8 @@ static void fill_residuals(ddmpc_controller *c, int k)
         const ddmpc_term *term = c->functions.terms + t;
         if (term->soft)
             continue;
-        ddmpc_call_term(c, term->function, k, term->rows, p->guess + 2 * k, ddmpc_parameters_at(c, k + 1, term), p->term);
+        ddmpc_call_term(c, term->function, k, term->rows, p->guess + 2 * k, ddmpc_parameters_at(c, k + 1, term),
+                        p->term);
         for (int r = 0; r < term->rows; r++, row += width) {
             real gradient[TERM_INPUTS];
             ddmpc_through_slip(p, p->term + term->rows + r, term->rows, gradient);
@@ -133,9 +135,9 @@ static void fill_rows(ddmpc_controller *c)
             cosine, sine, constants->along[k], constants->across[k],
             constants->along[k] * along, constants->across[k] * across, omega_gain * constants->heading[k] * turned,
         };
-        fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, ddmpc_mean_row(c, k, 0), ddmpc_mean_row(c, k, 1), ddmpc_heading_row(c, k),
-                 ddmpc_heading_row(c, k + 1), p->moves, p->moves + width, position, position + width, stack, stack + width,
-                 p->gradient);
+        fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, ddmpc_mean_row(c, k, 0), ddmpc_mean_row(c, k, 1),
+                 ddmpc_heading_row(c, k), ddmpc_heading_row(c, k + 1), p->moves, p->moves + width, position,
+                 position + width, stack, stack + width, p->gradient);
         if (RESIDUALS(c))
             fill_residuals(c, k);
         if (ROWS(c)) {

@@ -68,7 +68,7 @@ typedef struct {
     real twist_variance[3];          /* wheel speed, wheel yaw rate, yaw rate */
     real largest_twist[3], largest_twist_jump[3];
     real largest_position_jump, largest_heading_jump;
-    /* see mpc/config/plausibility.yaml, by these names */
+    /* see mpc/config/core_thresholds.yaml, by these names */
     ddmpc_time clock_error;
     real largest_variance, largest_asymmetry, sent_rounding;
     int rated_poses;
@@ -121,7 +121,7 @@ typedef struct {
     int fence, fence_at_start; /* whether there is one, and whether its middle is seen from where the reference begins */
     real fence_middle[3];      /* [m, m, rad] */
     real fence_reach[2];       /* half of length and width, less the margin [m] */
-    /* see mpc/config/plausibility.yaml, by these names */
+    /* see mpc/config/core_thresholds.yaml, by these names */
     real fence_play, fence_rest;
     ddmpc_time fence_rolls_on;
     real turn_held_from[2], turn_held_share;

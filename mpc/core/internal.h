@@ -293,7 +293,7 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
    all zero at first, or where there was none. */
 typedef struct {
     real output[2], state[DDMPC_MOST_STATES], command[2], by_output[2 * (DDMPC_MOST_STATES + 2)];
-    int found;
+    int exists;
 } ddmpc_settled;
 /* Where it settles at the output `wanted`, near where it did. Returns 0 if there is none near it. */
 int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *at);

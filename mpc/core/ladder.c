@@ -23,10 +23,10 @@ static void widen(ddmpc_controller *c, real share, const real step[2], real comm
     const real radius = c->constants->min_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
     if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
         return;
-    const real widest = v / radius, asked = command[1];
+    const real widest = v / radius, requested = command[1];
     const real lower = ddmpc_max(last - step[1], -widest), upper = ddmpc_min(last + step[1], widest);
     if (lower <= upper) {
-        command[1] = ddmpc_min(ddmpc_max(asked, lower), upper);
+        command[1] = ddmpc_min(ddmpc_max(requested, lower), upper);
     } else {
         const real before = ddmpc_fabs(c->last[0]), needed = radius * (ddmpc_fabs(last) - step[1]);
         const real most = ddmpc_max(before - step[0], share * c->constants->largest_command[0]);
@@ -35,16 +35,18 @@ static void widen(ddmpc_controller *c, real share, const real step[2], real comm
         if (held > v || (command[0] < R(0.0)) != (c->last[0] < R(0.0)))
             command[0] = c->last[0] < R(0.0) ? -held : held;
     }
-    if (ddmpc_fabs(asked - command[1]) > c->constants->turn_held_from[0])
+    if (ddmpc_fabs(requested - command[1]) > c->constants->turn_held_from[0])
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 
 /* Say whether the path itself, or the way back to it, turns tighter than commands may. */
 static void report_turn(ddmpc_controller *c)
 {
-    const real *asked = c->problem.feed_forward;
+    const ddmpc_constants *k = c->constants;
+    const real *feed_forward = c->problem.feed_forward;
     if (COMMAND_TURNS(c) &&
-        ddmpc_fabs(asked[1]) * c->constants->min_commanded_radius > c->constants->turn_held_share * ddmpc_fabs(asked[0]) + c->constants->turn_held_from[1])
+        ddmpc_fabs(feed_forward[1]) * k->min_commanded_radius >
+            k->turn_held_share * ddmpc_fabs(feed_forward[0]) + k->turn_held_from[1])
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 

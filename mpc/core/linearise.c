@@ -20,7 +20,7 @@ static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settle
     const real *arguments[3] = {wanted, c->problem.slip, no_gain};
     real *results[1] = {y};
     WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
-    const int same = last->found && y[0] == last->output[0] && y[1] == last->output[1];
+    const int same = last->exists && y[0] == last->output[0] && y[1] == last->output[1];
     if (same || ddmpc_velocity_settle(c, y, last))
         memcpy(command, last->command, sizeof last->command);
 }
@@ -41,7 +41,7 @@ static void look_ahead(ddmpc_controller *c)
         WITH_SLIP(c, aim)(arguments, results, 0, 0, 0);
     }
     ddmpc_settled last;
-    last.found = 0;
+    last.exists = 0;
     for (int i = 0; i < STEPS(c); i++) {
         real wanted[2];
         for (int channel = 0; channel < 2; channel++) {

@@ -5,10 +5,8 @@
  * method, block by block. */
 #include <string.h>
 
+#include "active_rows.h"
 #include "internal.h"
-
-/* Numbers beyond this are no robot's. */
-static const real LARGEST = R(1e15);
 
 /* Whether every number is one: of H the diagonal, which bounds the rest of a positive definite matrix. */
 static int is_sound(const ddmpc_controller *c)
@@ -18,9 +16,9 @@ static int is_sound(const ddmpc_controller *c)
     int sound = 1;
     for (int i = 0; i < inputs; i++)
         /* Not the other way round: NaN must fail. */
-        sound &= ddmpc_fabs(p->H[i * inputs + i]) < LARGEST && ddmpc_fabs(p->g[i]) < LARGEST;
+        sound &= ddmpc_fabs(p->H[i * inputs + i]) < DDMPC_LARGEST && ddmpc_fabs(p->g[i]) < DDMPC_LARGEST;
     for (int i = 0; i < KINDS(c) * STEPS(c); i++)
-        sound &= p->upper[i] >= p->lower[i] && (i >= HARD * STEPS(c) || p->upper[i] < LARGEST);
+        sound &= p->upper[i] >= p->lower[i] && (i >= HARD * STEPS(c) || p->upper[i] < DDMPC_LARGEST);
     return sound;
 }
 

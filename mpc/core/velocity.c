@@ -114,14 +114,14 @@ int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc
     const int n = STATES(c), columns = n + 5;
     const real *rows = c->problem.settling, *most = c->constants->largest_twist;
     real *unknowns[2] = {at->state, at->command};
-    if (!at->found)
+    if (!at->exists)
         memset(at, 0, sizeof *at);
     for (int i = 0; i < n + 2; i++)
         for (int j = 0; j < 2; j++)
             unknowns[i >= n][i >= n ? i - n : i] += at->by_output[2 * i + j] * (wanted[j] - at->output[j]);
     memcpy(at->output, wanted, sizeof at->output);
-    at->found = 0;
-    for (int iteration = 0; iteration < NEWTON_STEPS && !at->found; iteration++) {
+    at->exists = 0;
+    for (int iteration = 0; iteration < NEWTON_STEPS && !at->exists; iteration++) {
         settling_equations(c, wanted, at->state, at->command);
         if (!eliminate(c->problem.settling, n + 2, columns))
             return 0;
@@ -136,9 +136,9 @@ int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc
             /* Not the other way round: NaN must fail. */
             if (!(ddmpc_fabs(at->command[i]) <= most[i]))
                 return 0;
-        at->found = largest <= SMALL_STEP;
+        at->exists = largest <= SMALL_STEP;
     }
-    return at->found;
+    return at->exists;
 }
 
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient)

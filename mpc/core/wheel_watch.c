@@ -21,11 +21,11 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
 
 /* The smallest and largest speeds that commands have demanded of each wheel over the last lag plus short_for, in the
  * directions `sign`. Returns 0 if the stored commands do not reach back that far. */
-static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
+static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
 {
     const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
-    const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1), newest = COMMANDS(c) - 1;
-    const int since = lag + (int)(c->constants->short_for / (real)c->constants->sample_time);
+    const int newest = COMMANDS(c) - 1;
+    const int since = LONGEST_LAG(c) + (int)(c->constants->short_for / (real)c->constants->sample_time);
     if (since > newest)
         return 0;
     for (int ago = 0; ago <= since; ago++) {
@@ -42,44 +42,44 @@ static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2
     return 1;
 }
 
-/* The wheel that falls furthest short of what reference and commands demand (`asked`, in its direction); -1: none. A
+/* The wheel that falls furthest short of what reference and commands demand (`demanded`, in its direction); -1: none. A
    wheel that hardly turns is blocked or dead, and one being stopped passes through all speeds: neither counts. */
-static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *asked)
+static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *demanded)
 {
     const ddmpc_constants *k = c->constants;
     const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
     real least[2], most[2], worst = R(0.0);
-    int found = -1;
-    if (!asked_for(c, sign, least, most))
+    int wheel = -1;
+    if (!demanded_speeds(c, sign, least, most))
         return -1;
     for (int i = 0; i < 2; i++) {
         const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], least[i]);
         const real lacks = wanted - along;
-        /* Wheels that turn faster than asked follow somebody else's commands. */
+        /* Wheels that turn faster than demanded follow somebody else's commands. */
         if (along > most[i] + k->short_by[0])
             return -1;
         if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && lacks > worst &&
             ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
             worst = lacks;
-            found = i;
-            *asked = least[i];
+            wheel = i;
+            *demanded = least[i];
         }
     }
-    return found;
+    return wheel;
 }
 
-/* Whether a larger command gave the wheel `found` no more speed; a wheel with merely another gain would speed up. */
-static int gains_nothing(ddmpc_controller *c, int found, real asked)
+/* Whether a larger command gave `wheel` no more speed; one with merely another gain would speed up. */
+static int gains_nothing(ddmpc_controller *c, int wheel, real demanded)
 {
     const ddmpc_constants *k = c->constants;
-    const real speed = ddmpc_fabs(c->rim[found]), more = asked - c->tried, gained = speed - c->tried_speed;
-    if (found != c->short_one || more < R(0.0) || (more > k->trial[0] * asked && gained > k->trial[1] * more)) {
-        c->short_one = found;
-        c->tried = asked;
+    const real speed = ddmpc_fabs(c->rim[wheel]), more = demanded - c->tried, gained = speed - c->tried_speed;
+    if (wheel != c->short_one || more < R(0.0) || (more > k->trial[0] * demanded && gained > k->trial[1] * more)) {
+        c->short_one = wheel;
+        c->tried = demanded;
         c->tried_speed = speed;
         return 0;
     }
-    return more > k->trial[0] * asked;
+    return more > k->trial[0] * demanded;
 }
 
 /* Wheels at their speed or force limit slow the reference down. The speed they attain is learned from their encoders
@@ -90,8 +90,8 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
     const real *wheels = c->estimator.last_wheels, turning = k->half_track * wheels[1] / k->wheel_yaw_ratio;
     const real read[2] = {wheels[0] + turning, wheels[0] - turning};
-    real by_reference[2], asked = R(0.0);
-    int found = -1;
+    real by_reference[2], demanded = R(0.0);
+    int wheel = -1;
     for (int i = 0; i < 2; i++)
         c->rim[i] += k->smoothed * (read[i] - c->rim[i]);
     /* Wheels that answer with another gain fall short of the model, too, but the robot keeps up with its reference. */
@@ -99,11 +99,11 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     const int behind = stray.late > k->astray[0] || ddmpc_fabs(stray.across) > k->astray[1] * k->band || stray.outside;
     if (behind && c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < (ddmpc_time)k->short_for) {
         rims(c, wanted, by_reference);
-        found = short_wheel(c, by_reference, read, &asked);
+        wheel = short_wheel(c, by_reference, read, &demanded);
     }
-    if (found >= 0 && gains_nothing(c, found, asked)) {
-        c->rim_reach = ddmpc_fabs(c->rim[found]);
-        c->reach = ddmpc_fabs(c->rim[found] / by_reference[found]) *
+    if (wheel >= 0 && gains_nothing(c, wheel, demanded)) {
+        c->rim_reach = ddmpc_fabs(c->rim[wheel]);
+        c->reach = ddmpc_fabs(c->rim[wheel] / by_reference[wheel]) *
                    (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
     } else {
         c->rim_reach *= R(1.0) + k->regain * dt;

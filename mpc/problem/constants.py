@@ -130,7 +130,14 @@ class Problem:
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
         merged: Constants = {}
-        for part in (*parts, self._solution(), self._ladder(), self._fence(), self._monitor(), _plausibility()):
+        for part in (
+            *parts,
+            self._solution(),
+            self._ladder(),
+            self._fence(),
+            self._monitor(),
+            _core_numbers("core_thresholds"),
+        ):
             merged |= part
         return merged
 
@@ -194,7 +201,7 @@ class Problem:
         }
 
     def _monitor(self) -> Constants:
-        monitor, test = self.config.monitor, dict(_sensor_test())
+        monitor, test = self.config.monitor, dict(_core_numbers("sensor_test"))
         often, scale = test.pop("alarms")
         return {
             "monitor": monitor.enabled,
@@ -257,7 +264,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._all_turns  # placeholders: the core computes these bounds
+        shipped += [0.0] * self._all_turns  # zeros that nobody reads: limits.c has these bounds from the radius
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [limits.v, limits.omega],
@@ -311,16 +318,9 @@ class Problem:
 
 
 @cache
-def _plausibility() -> dict[str, Any]:
-    """Thresholds that no robot has to change, by their fields in C."""
-    data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / "plausibility.yaml")
-    return data
-
-
-@cache
-def _sensor_test() -> dict[str, Any]:
-    """Numbers of the test that distinguishes a faulty sensor from unexpected motion, by their fields in C."""
-    data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / "sensor_test.yaml")
+def _core_numbers(name: str) -> dict[str, Any]:
+    """Numbers of the core that no robot has to change, of `mpc/config/<name>.yaml`, by their fields in C."""
+    data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / f"{name}.yaml")
     return data
 
 

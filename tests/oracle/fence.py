@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from oracle.estimator import StateEstimator
 
-# As stated in mpc/config/plausibility.yaml.
+# As stated in mpc/config/core_thresholds.yaml.
 _PLAY, _AT_REST = 0.02, 0.005
 
 
