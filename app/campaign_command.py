@@ -10,7 +10,7 @@ from pathlib import Path
 
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
 from diffdrive_mpc.bench.campaign.drive import TIME
-from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all, failed
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace, CampaignRun, drive_all, failed
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -35,7 +35,9 @@ class Part:
         return cls(int(number), int(of))
 
 
-def run_campaign(file: Path, place: Place, runs: int | None = None, part: Part | None = None) -> list[Driven]:
+def run_campaign(
+    file: Path, place: CampaignPlace, runs: int | None = None, part: Part | None = None
+) -> list[CampaignRun]:
     """Drive a campaign, print what it came to, and write the table of its runs into the folder of `place`.
 
     Parameters
@@ -74,7 +76,7 @@ def run_campaign(file: Path, place: Place, runs: int | None = None, part: Part |
     return driven
 
 
-def _sentence(driven: list[Driven], seconds: float) -> str:
+def _sentence(driven: list[CampaignRun], seconds: float) -> str:
     done = sum(one.row["completed"] is True for one in driven)
     each = statistics.fmean(one.number(f"{TIME}processor_s") for one in driven)
     return f"{len(driven)} runs, {done} completed; {each:.2f} s of one core for each; {seconds:.0f} s this time"

@@ -25,7 +25,7 @@ class Commands(WithFormerNames, OneLineErrors):
     """The commands."""
 
 
-class Listed(NamedTuple):
+class CommandEntry(NamedTuple):
     """Where a command is, below `app.commands`."""
 
     panel: str
@@ -37,23 +37,23 @@ class Listed(NamedTuple):
 
 
 _COMMANDS = {
-    "simulate": Listed("Drive", "drives"),
-    "bench": Listed("Drive", "drives"),
-    "campaign": Listed("Drive", "drives"),
-    "replay": Listed("Drive", "drives"),
-    "animate": Listed("Drive", "drives"),
-    "identify": Listed("Your robot", "robot"),
-    "excite": Listed("Your robot", "robot"),
-    "twin": Listed("Your robot", "robot"),
-    "tune": Listed("Your robot", "robot"),
-    "prove": Listed("Your robot", "robot"),
-    "commission": Listed("Your robot", "robot"),
-    "node": Listed("Robot", "ros", passed_on=True),
-    "sim-robot": Listed("Robot", "ros", "robot", passed_on=True),
-    "monitor": Listed("Robot", "ros", passed_on=True),
-    "export": Listed("Robot", "ros"),
-    "doctor": Listed("Robot", "ros"),
-    "schema": Listed("Files", "schema"),
+    "simulate": CommandEntry("Drive", "drives"),
+    "bench": CommandEntry("Drive", "drives"),
+    "campaign": CommandEntry("Drive", "drives"),
+    "replay": CommandEntry("Drive", "drives"),
+    "animate": CommandEntry("Drive", "drives"),
+    "identify": CommandEntry("Your robot", "robot"),
+    "excite": CommandEntry("Your robot", "robot"),
+    "twin": CommandEntry("Your robot", "robot"),
+    "tune": CommandEntry("Your robot", "robot"),
+    "prove": CommandEntry("Your robot", "robot"),
+    "commission": CommandEntry("Your robot", "robot"),
+    "node": CommandEntry("Robot", "ros", passed_on=True),
+    "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
+    "monitor": CommandEntry("Robot", "ros", passed_on=True),
+    "export": CommandEntry("Robot", "ros"),
+    "doctor": CommandEntry("Robot", "ros"),
+    "schema": CommandEntry("Files", "schema"),
 }
 _GROUPS = {"models": "models", "config": "config", "log": "log"}
 """Groups of commands, each with its module."""

@@ -10,7 +10,7 @@ from pydantic import Field
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.drive import TIME, Row
-from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.bench.campaign.identity import environment, key_of
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.whole_file import whole_file
@@ -34,7 +34,7 @@ class RunFile(StrictModel):
         return Definition.of(self.factors)
 
 
-def write_run(driven: Driven, path: Path) -> None:
+def write_run(driven: CampaignRun, path: Path) -> None:
     """Write a run; raises ConfigError if `path` cannot be written to."""
     usual = Definition.of({}).factors
     factors = {

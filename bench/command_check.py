@@ -26,7 +26,7 @@ _STANDS = "STOPPED"
 
 
 @dataclass(frozen=True)
-class Limits:
+class StatedLimits:
     """What the controller states of its commands; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
 
     `most`: largest command; `slew`: largest rate while driving; `braking`: rate to zero; `max_pose_age`: without a pose
@@ -75,7 +75,7 @@ class Unsafe:
         return self.not_finite + self.limit + self.slew + self.motion + self.turn
 
 
-def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) -> Limits:
+def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) -> StatedLimits:
     """Read the limits in plain YAML: what is stated, over it a configuration file, over it values by dotted key.
 
     Raises KeyError or TypeError where a number is missing, OSError where a file is.
@@ -88,7 +88,7 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
     def pair(ending: str) -> tuple[float, float]:
         return float(values[f"limits.v{ending}"]), float(values[f"limits.omega{ending}"])
 
-    return Limits(
+    return StatedLimits(
         pair(""),
         pair("_slew"),
         pair("_braking"),
@@ -99,7 +99,7 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
 
 
 def check_commands(
-    time: ArrayLike, command: ArrayLike, modes: Sequence[str], pose_came: ArrayLike, limits: Limits
+    time: ArrayLike, command: ArrayLike, modes: Sequence[str], pose_came: ArrayLike, limits: StatedLimits
 ) -> Unsafe:
     """Count what was unsafe in a run of n ticks, which began with a robot at rest.
 
@@ -133,7 +133,7 @@ def check_commands(
     )
 
 
-def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], limits: Limits) -> bool:
+def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], limits: StatedLimits) -> bool:
     if mode == _STANDS:
         return bool((now == 0.0).all())
     if mode not in (*_BRAKES, *_DRIVES):
@@ -145,7 +145,7 @@ def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], 
     return within and (mode in _DRIVES or bool(slower))
 
 
-def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: Limits) -> NDArray[np.bool_]:
+def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: StatedLimits) -> NDArray[np.bool_]:
     """(n,) whether a command turns tighter than it may."""
     v, omega = np.abs(commands).T
     tighter = omega * limits.least_radius > v + _ROUNDING
@@ -154,7 +154,7 @@ def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: 
 
 
 def _moves_blind(
-    times: NDArray[np.float64], commands: NDArray[np.float64], pose_came: NDArray[np.bool_], limits: Limits
+    times: NDArray[np.float64], commands: NDArray[np.float64], pose_came: NDArray[np.bool_], limits: StatedLimits
 ) -> NDArray[np.bool_]:
     """(n,) whether a command is larger than a ramp allows that begins when poses have been away for too long."""
     blind = np.zeros(len(times), dtype=bool)

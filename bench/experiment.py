@@ -29,7 +29,7 @@ COMPARED = "compared"
 
 
 @dataclass(frozen=True)
-class Drive:
+class ExperimentRun:
     """A run of an experiment: the case, and labels that become columns beside its dimensions."""
 
     case: Case
@@ -37,7 +37,7 @@ class Drive:
 
 
 def drive_all(
-    drives: Sequence[Drive],
+    drives: Sequence[ExperimentRun],
     jobs: int,
     on_done: OnDone,
     measure: Measure | None = None,
@@ -59,7 +59,7 @@ def drive_all(
     return frame(run_tasks([partial(_row, drive, measure, run_one) for drive in drives], jobs, on_done))
 
 
-def _row(drive: Drive, measure: Measure | None, run_one: Callable[[Case], Run]) -> Row:
+def _row(drive: ExperimentRun, measure: Measure | None, run_one: Callable[[Case], Run]) -> Row:
     began = time.process_time()
     run = run_one(drive.case)
     cost = {PROCESSOR: time.process_time() - began}

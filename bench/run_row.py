@@ -51,7 +51,7 @@ class SolverShares:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """A case and all of its run.
 
     Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the

@@ -14,7 +14,7 @@ from pydantic import Field
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, check_count
 from diffdrive_mpc.bench.cells import Cell, TableSpec
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, run_case
-from diffdrive_mpc.bench.experiment import Drive, Measure, drive_all, json_rows
+from diffdrive_mpc.bench.experiment import ExperimentRun, Measure, drive_all, json_rows
 from diffdrive_mpc.bench.experiment_file import ExperimentFile, Value, Varied
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
@@ -32,7 +32,7 @@ class Experiment(ExperimentFile):
 
     tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
 
-    def drives(self, only: Sequence[str] = ()) -> dict[str, list[Drive]]:
+    def drives(self, only: Sequence[str] = ()) -> dict[str, list[ExperimentRun]]:
         """What each part drives, all of them or those that are named.
 
         Raises ConfigError if there is no such part, variant or configuration value, ValueError where there are too
@@ -42,13 +42,13 @@ class Experiment(ExperimentFile):
         chosen = {name: blocks for name, blocks in self.parts.items() if not only or name in only}
         return {name: [drive for block in blocks for drive in self._block(block)] for name, blocks in chosen.items()}
 
-    def _block(self, block: Varied) -> list[Drive]:
+    def _block(self, block: Varied) -> list[ExperimentRun]:
         listed = {name: values for name, values in block.items() if name not in self.vary}
         listed |= {name: block.get(name, values) for name, values in self.vary.items()}
         check_count(math.prod(map(len, listed.values())))
         return [self._drive(dict(zip(listed, one, strict=True))) for one in itertools.product(*listed.values())]
 
-    def _drive(self, values: dict[str, Value]) -> Drive:
+    def _drive(self, values: dict[str, Value]) -> ExperimentRun:
         variant = values.pop(VARIANT, None)
         if variant is not None and variant not in self.variants:
             raise ConfigError(f"variants: there is no '{variant}'; known: {', '.join(self.variants)}")
@@ -56,7 +56,7 @@ class Experiment(ExperimentFile):
         overrides |= {name: value for name, value in values.items() if name not in _DIMENSIONS}
         dimensions = {name: value for name, value in values.items() if name in _DIMENSIONS}
         labels = {} if variant is None else {VARIANT: variant}
-        return Drive(Case(**dimensions, overrides=tuple(overrides.items())), labels)  # type: ignore[arg-type]
+        return ExperimentRun(Case(**dimensions, overrides=tuple(overrides.items())), labels)  # type: ignore[arg-type]
 
 
 def load_experiment(file: str | Path) -> Experiment:
@@ -64,7 +64,7 @@ def load_experiment(file: str | Path) -> Experiment:
     return load_checked(Experiment, file)
 
 
-Drives = dict[str, list[Drive]]
+Drives = dict[str, list[ExperimentRun]]
 
 
 class SpecStudy(Study[Drives, DataFrame]):

@@ -46,7 +46,7 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class BootstrapEstimate:
     """A figure over runs with its bootstrap interval (percentiles)."""
 
     value: float
@@ -54,7 +54,7 @@ class Estimate:
     high: float
 
     @classmethod
-    def of_runs(cls, values: ArrayLike, figure: Callable[..., FloatArray]) -> Estimate:
+    def of_runs(cls, values: ArrayLike, figure: Callable[..., FloatArray]) -> BootstrapEstimate:
         """`figure(values, axis=-1)` of (n,) values; the interval is NaN for fewer than two, all is without any."""
         sample = np.asarray(values, dtype=float)
         if sample.size == 0:
@@ -75,7 +75,7 @@ class Estimate:
         return cls(value, float(interval.low), float(interval.high))
 
     @classmethod
-    def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> Estimate:
+    def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> BootstrapEstimate:
         """`figure(*tables)` of tables (..., n) of the same n runs, which are drawn together; along the last axis."""
 
         def drawn(runs: ArrayLike, axis: int = -1) -> FloatArray:

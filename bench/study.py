@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import other_robots
 from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
-from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, GridMap, Page, Picture, Shown
+from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, EmbeddedPicture, GridMap, Page, Shown
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -186,7 +186,7 @@ def write_report(
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
     """The report as a page: its own views, its charts, and unless it does without them the pictures in `figures`."""
     drawn = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
-    pictures = [Picture(_title(name), picture(figures / name)) for name in drawn]
+    pictures = [EmbeddedPicture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
     views = (*report.shown.views, *report.charts, *pictures)
     shown = replace(report.shown, summary=summary, notes=notes, views=views)

@@ -32,7 +32,7 @@ _GAP = 2
 """Characters between two columns."""
 
 
-class Table(plain.Table):
+class Table(plain.TextTable):
     """A table that the terminal draws."""
 
     def rich(self) -> RichTables:
@@ -48,7 +48,7 @@ class RichTables:
     the columns of names.
     """
 
-    table: plain.Table
+    table: plain.TextTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the parts, one below the other."""
@@ -79,12 +79,12 @@ class RichTables:
         return drawn
 
 
-def rich_table(table: plain.Table) -> RichTables:
+def rich_table(table: plain.TextTable) -> RichTables:
     """A table for the terminal."""
     return RichTables(table)
 
 
-def _split(table: plain.Table, width: int) -> list[tuple[list[int], list[int]]]:
+def _split(table: plain.TextTable, width: int) -> list[tuple[list[int], list[int]]]:
     """The columns of each part of a table of at most `width` characters, with their widths."""
     cells = [
         [_brief(heading), *map(plain_line, column)] for heading, *column in zip(table.columns, *table.rows, strict=True)

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.counters import CoreCounters, Effort, watched
-from diffdrive_mpc.bench.run_row import Outcome
+from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.runner import NotReproducibleError, OnDone
 from diffdrive_mpc.bench.turns import take_turns
 from diffdrive_mpc.models.interface import FloatArray, TrackingController
@@ -78,7 +78,7 @@ UNDISTURBED = TimingPass()
 """Where nothing was timed."""
 
 
-def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Outcome], TimingPass]:
+def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list[RunOutcome], TimingPass]:
     """Replace the times by those of replays on one quiet core; those of the same place take turns.
 
     Returns
@@ -116,9 +116,9 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
     return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
 
 
-def _grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], K]) -> dict[K, list[Outcome]]:
+def _grouped(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) -> dict[K, list[RunOutcome]]:
     """Outcomes by a key, in the order of first appearance."""
-    groups: dict[K, list[Outcome]] = {}
+    groups: dict[K, list[RunOutcome]] = {}
     for outcome in outcomes:
         groups.setdefault(key(outcome), []).append(outcome)
     return groups

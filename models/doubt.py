@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DoubtRelevance:
     """Whether a kind of doubt matters for driving with the model.
 
     Attributes
@@ -26,12 +26,12 @@ class Verdict:
         return f"{'matters' if self.matters else 'does not matter'} for driving: {self.why}"
 
 
-def _yes(why: str) -> Verdict:
-    return Verdict(True, why)
+def _yes(why: str) -> DoubtRelevance:
+    return DoubtRelevance(True, why)
 
 
-def _no(why: str) -> Verdict:
-    return Verdict(False, why)
+def _no(why: str) -> DoubtRelevance:
+    return DoubtRelevance(False, why)
 
 
 _ROBOT = _yes("the model would be of no robot")
@@ -41,7 +41,7 @@ _LATE = _yes("the dead time would be wrong by as much")
 _LEFT_OUT = _no("the rest of the log is used")
 _UNKNOWN = _yes("what was not driven is not known")
 
-VERDICTS: Mapping[str, Verdict] = {
+VERDICTS: Mapping[str, DoubtRelevance] = {
     # Of logs: kinds of `models.logs.Finding`.
     "NaN rows": _LEFT_OUT,
     "time stands still": _LEFT_OUT,
@@ -116,7 +116,7 @@ class Doubt:
     words: str
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> DoubtRelevance:
         """Whether it matters for driving."""
         return VERDICTS[self.kind]
 

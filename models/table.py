@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Cells with their headings. `str` of it is text with aligned columns.
 
     Attributes

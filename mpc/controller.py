@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
     from diffdrive_mpc.mpc.rehearsal.feature import Rehearse
     from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
-    from diffdrive_mpc.mpc.rehearsal.rehearsal import Rehearsal
+    from diffdrive_mpc.mpc.rehearsal.rehearsal import LapLearner
 
 _CHANGEABLE = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
@@ -223,7 +223,7 @@ class Controller:
         return self._reference
 
     @property
-    def rehearsal(self) -> Rehearsal | FloorRehearsal | None:
+    def rehearsal(self) -> LapLearner | FloorRehearsal | None:
         """What was learned of a reference that is driven again, or of the floor; None unless `rehearsal.enabled`."""
         feature = self._features.get("rehearsal")
         return cast("Rehearse", feature).learned if feature else None

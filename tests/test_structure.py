@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -177,3 +178,13 @@ def test_a_variable_is_named_for_what_it_holds(room):
     }
     assert len(variables) > 500
     assert {entry for entry in variables if entry[1] in WORDS} == set()
+
+
+def test_a_public_class_has_a_name_of_its_own():
+    """One name, one thing: over all rooms no two public classes share one."""
+    places = defaultdict(list)
+    for name, path in MODULES.items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(name)
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.view.body import Body, robot_body
+from diffdrive_mpc.sim.view.body import BodyShape, robot_body
 from diffdrive_mpc.sim.view.offscreen import Picture
 from diffdrive_mpc.sim.view.viewer import Viewer
 
@@ -73,7 +73,7 @@ def animate_log(
         typer.echo(line)
 
 
-def _told_body(playback: Playback, log: Path) -> Body | None:
+def _told_body(playback: Playback, log: Path) -> BodyShape | None:
     """Of the robot that the log names; None where it names none, or one that does not ship."""
     try:
         with only_trusted(log):
@@ -93,7 +93,7 @@ def film_draft(path: Path, option: str) -> Iterator[Path]:
         yield draft
 
 
-def write_film(playback: Playback, film: Film, body: Body | None, draft: Path) -> None:
+def write_film(playback: Playback, film: Film, body: BodyShape | None, draft: Path) -> None:
     """Write the film of `playback` to `draft`, whose ending says how; arguments and errors are those of `pictures`."""
     from diffdrive_mpc.app.animation.pictures import pictures  # noqa: PLC0415 - matplotlib loads slowly
 
@@ -109,7 +109,7 @@ def _counted(drawn: Iterator[Picture], total: int, bar: ProgressBar) -> Iterator
         bar.at(count, total)
 
 
-def missing(playback: Playback, body: Body | None, name: str) -> list[str]:
+def missing(playback: Playback, body: BodyShape | None, name: str) -> list[str]:
     """Lines on what is not in the picture, and what would bring it there."""
     lines = []
     if not playback.plans.size:
@@ -153,13 +153,13 @@ def watched(
     body = robot_body(name) or robot_body()
     assert body is not None
     with Viewer(body, surface, path[:, :2], metric_settings().band, path[0]) as viewer:
-        yield Watched(controller, plant, viewer)
+        yield ViewedController(controller, plant, viewer)
         closed = not viewer.open
     if closed:
         typer.echo("the viewer was closed; the run went on without it, as fast as it could")
 
 
-class Watched:
+class ViewedController:
     """Shows each tick in a viewer, and passes everything on as it is; see `models.interface.TrackingController`.
 
     Parameters

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
-from diffdrive_mpc.sim.view.body import Body
+from diffdrive_mpc.sim.view.body import BodyShape
 from diffdrive_mpc.sim.view.offscreen import Picture
 from diffdrive_mpc.sim.view.shots import Camera, Shots
 
@@ -214,7 +214,7 @@ STILL = ".png"
 # From a playback to the shots that MuJoCo paints: no simulation, the recorded poses and wheel speeds.
 
 
-def shots_of(playback: Playback, film: Film, body: Body, size: tuple[int, int]) -> Shots:
+def shots_of(playback: Playback, film: Film, body: BodyShape, size: tuple[int, int]) -> Shots:
     """The shots of a film, `size` pixels wide and high."""
     times = film.times(playback)
     instants = playback.instants(times)
@@ -237,7 +237,7 @@ def shots_of(playback: Playback, film: Film, body: Body, size: tuple[int, int]) 
     )
 
 
-def wheel_angles(playback: Playback, body: Body) -> FloatArray:
+def wheel_angles(playback: Playback, body: BodyShape) -> FloatArray:
     """(n, 4) angles [rad] from the measured wheel speeds; without them from the motion, as if nothing slipped."""
     rolling = WheelKinematics(body.wheel_radius, body.track).wheel_speeds(playback.twist)
     speeds = playback.wheel_speeds if playback.wheel_speeds.size else rolling

@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
-from diffdrive_mpc.sim.view.body import Body, robot_body
+from diffdrive_mpc.sim.view.body import BodyShape, robot_body
 from diffdrive_mpc.sim.view.offscreen import Picture, painted
 
 # Errors, commands and speeds over time, drawn as far as the drive has come.
@@ -122,7 +122,7 @@ _MESSAGE_WIDTH = 66
 """Letters in a line of the message."""
 
 
-def pictures(playback: Playback, film: Film, body: Body | None) -> Iterator[Picture]:
+def pictures(playback: Playback, film: Film, body: BodyShape | None) -> Iterator[Picture]:
     """Every picture of the film, (height, width, 3) red, green, blue; the next one may overwrite it.
 
     Parameters
@@ -176,7 +176,7 @@ _HEADER = 0.12
 class _Page:
     """The parts of a picture, drawn once, with those that move on top."""
 
-    def __init__(self, playback: Playback, film: Film, body: Body | None) -> None:
+    def __init__(self, playback: Playback, film: Film, body: BodyShape | None) -> None:
         width, height = film.size
         self._playback, self._film = playback, film
         scale = min(height / _USUAL_HEIGHT, width / 1280)

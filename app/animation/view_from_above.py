@@ -13,7 +13,7 @@ from matplotlib.patches import Polygon
 from diffdrive_mpc.app.animation.playback import Playback
 from diffdrive_mpc.bench.figure_style import PALETTE
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.view.body import Body
+from diffdrive_mpc.sim.view.body import BodyShape
 
 BLUE, VERMILLION, GREEN, _, AMBER, SKY, _ = PALETTE
 WAY, PLAN, ARRIVED, BAND = BLUE, VERMILLION, GREEN, "#CFE8F7"
@@ -50,7 +50,7 @@ class ViewFromAbove:
     """
 
     def __init__(
-        self, axes: Axes, playback: Playback, shown: slice, band: float, body: Body | None, thickness: float = 1.0
+        self, axes: Axes, playback: Playback, shown: slice, band: float, body: BodyShape | None, thickness: float = 1.0
     ) -> None:
         self._playback, self._first = playback, shown.start
         axes.set_aspect("equal", adjustable="box")
@@ -116,7 +116,7 @@ def _draw_path(axes: Axes, reference: FloatArray, band: float, thickness: float)
     return [*strip, *line]
 
 
-def _shapes(body: Body) -> list[tuple[FloatArray, Look]]:
+def _shapes(body: BodyShape) -> list[tuple[FloatArray, Look]]:
     """Corners (k, 2) of wheels, box and front [m], in the robot's frame, with their looks."""
     length, width, _ = body.size
     tyre: Look = {"facecolor": _TYRE, "linewidth": 0}

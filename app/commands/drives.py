@@ -52,9 +52,9 @@ def campaign(
     The exit code is 1 when a run ended in an error; its row says which.
     """
     from diffdrive_mpc.app.campaign_command import Part, run_campaign  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.campaign.engine import Place, failed  # noqa: PLC0415
+    from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
 
-    driven = run_campaign(file, Place(out, jobs, scheduler), runs, None if part is None else Part.read(part))
+    driven = run_campaign(file, CampaignPlace(out, jobs, scheduler), runs, None if part is None else Part.read(part))
     if failed(driven):
         raise typer.Exit(FAILED)
 
@@ -129,11 +129,11 @@ def replay(
 
     The measurements are those of the log, and the controller believes that the recorded commands went out.
     """
-    from diffdrive_mpc.app.replay.study import Asked, replay_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.replay.study import ReplayRequest, replay_into  # noqa: PLC0415 - --help does without it
 
     if pose not in ("log", "odometry"):
         raise ValueError(f"--pose '{pose}': give log or odometry")
-    asked = Asked(
+    asked = ReplayRequest(
         log=log,
         config=config,
         model=model,

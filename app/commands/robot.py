@@ -342,10 +342,10 @@ def prove(
     from diffdrive_mpc.app.proof.proof_file import load_proof  # noqa: PLC0415
     from diffdrive_mpc.app.proof.report import is_unsafe  # noqa: PLC0415
     from diffdrive_mpc.app.proof.study import ProofStudy, keep  # noqa: PLC0415
-    from diffdrive_mpc.bench.campaign.engine import Place, failed  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
-    study = ProofStudy(config, load_proof(campaign), Place(out, jobs, scheduler), runs, worst)
+    study = ProofStudy(config, load_proof(campaign), CampaignPlace(out, jobs, scheduler), runs, worst)
     proven = carry_out(study, out, jobs)
     keep(proven, out)
     unsafe = sum(map(is_unsafe, proven.driven))
@@ -405,7 +405,7 @@ def commission(
     The robot is a simulated one, or a person drives: then the command says what to drive, and takes the log. The exit
     code is 1 where a step does not pass.
     """
-    from diffdrive_mpc.app.commission.commissioning import Asked, NeedsAPersonError  # noqa: PLC0415 - --help
+    from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError  # noqa: PLC0415 - --help
     from diffdrive_mpc.app.commission.ledger import commission_settings  # noqa: PLC0415
     from diffdrive_mpc.app.commission.run import commission_into  # noqa: PLC0415
     from diffdrive_mpc.mpc.trajectories.model_excitation import Room  # noqa: PLC0415
@@ -415,7 +415,7 @@ def commission(
     simulated = robot is not None or drawn is not None
     if log and simulated:
         raise ValueError("--log: the simulated robot is driven here; leave it out, or the robot")
-    asked = Asked(
+    asked = CommissionRequest(
         Room(*read_room(inside)),
         robot,
         config,

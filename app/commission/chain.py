@@ -18,7 +18,7 @@ from diffdrive_mpc.app.proof.report import Outcomes, is_unsafe, percent
 from diffdrive_mpc.app.proof.study import ProofStudy, keep
 from diffdrive_mpc.app.twin.study import twin_into
 from diffdrive_mpc.bench.campaign.definition import stated
-from diffdrive_mpc.bench.campaign.engine import Place, failed
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, Setting
@@ -131,7 +131,9 @@ def twin(folder: Path, logs: Logs, robot: str | None, jobs: int | None, seconds:
 def prove(folder: Path, config: Path, plant: Path, runs: int, jobs: int | None, *, scaled: bool) -> Gate:
     """Drive the configuration on twins around the fitted one: no unsafe command, and all runs without faults arrive."""
     settings = commission_settings().proof
-    study = ProofStudy(str(config), twin_proof(plant, runs, scaled=scaled), Place(folder, jobs), runs, settings.worst)
+    study = ProofStudy(
+        str(config), twin_proof(plant, runs, scaled=scaled), CampaignPlace(folder, jobs), runs, settings.worst
+    )
     proven = carry_out(study, folder, jobs)
     keep(proven, folder)
     of = Outcomes.of(proven.driven)

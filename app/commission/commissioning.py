@@ -44,7 +44,7 @@ TWIN_FILE, REPORT = "twin.yaml", "report.md"
 
 
 @dataclass(frozen=True)
-class Asked:
+class CommissionRequest:
     """What is to be commissioned, and how.
 
     Attributes
@@ -93,7 +93,7 @@ class Asked:
     seed: int = 0
     jobs: int | None = None
 
-    def quick(self) -> Asked:
+    def quick(self) -> CommissionRequest:
         """The same in the short form, without tuning: it shows that the chain works, and proves little."""
         short = commission_settings().quick
         return replace(
@@ -130,7 +130,11 @@ def _check_known(path: Path) -> None:
 
 
 def commission(
-    asked: Asked, out: Path, *, one: bool = False, on_step: Callable[[str, Done, bool], None] = lambda *_: None
+    asked: CommissionRequest,
+    out: Path,
+    *,
+    one: bool = False,
+    on_step: Callable[[str, Done, bool], None] = lambda *_: None,
 ) -> bool:
     """Do the steps that are not done, up to the first that does not pass; write `RESULT` in the end.
 
@@ -185,7 +189,7 @@ def commission(
     return True
 
 
-def _steps(asked: Asked, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
+def _steps(asked: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
     """The steps in order; each is made when those before are done."""
     size = {"room": [asked.room.length, asked.room.width], "seed": asked.seed}
     start = () if is_shipped(asked.config) else (Path(asked.config),)
@@ -239,7 +243,13 @@ def _steps(asked: Asked, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterat
 
 
 def _recorded(
-    name: str, asked: Asked, drive: Path, config: str, inputs: tuple[Path, ...], ledger: Ledger, fresh: list[Path]
+    name: str,
+    asked: CommissionRequest,
+    drive: Path,
+    config: str,
+    inputs: tuple[Path, ...],
+    ledger: Ledger,
+    fresh: list[Path],
 ) -> Step:
     """The step that drives: on the simulated robot, or by a person, whose logs are taken once."""
     if asked.robot is not None:
@@ -261,7 +271,7 @@ def _recorded(
     return Step(name, {}, key_inputs, partial(chain.take, logs=logs))
 
 
-def _logs(folder: Path, asked: Asked) -> Logs:
+def _logs(folder: Path, asked: CommissionRequest) -> Logs:
     """What a step recorded."""
     if asked.robot is not None:
         return Logs((folder / LOG,))
@@ -269,7 +279,7 @@ def _logs(folder: Path, asked: Asked) -> Logs:
     return Logs(files, asked.mapping)
 
 
-def _finish(asked: Asked, out: Path, ledger: Ledger) -> None:
+def _finish(asked: CommissionRequest, out: Path, ledger: Ledger) -> None:
     """Put what is to be used into one folder."""
     config = out / ("tune" if asked.tuned else "identify") / CONFIG_FILE
     words = re.sub(r"(?m)^model: \S+", f"model: {MODEL_FILE}", config.read_text(encoding="utf-8"), count=1)

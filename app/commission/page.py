@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from diffdrive_mpc.app.commission.commissioning import RESULT, TWIN_FILE, Asked
+from diffdrive_mpc.app.commission.commissioning import RESULT, TWIN_FILE, CommissionRequest
 from diffdrive_mpc.app.commission.ledger import Done, steps_table
 from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.engine import Place, drive_all
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace, drive_all
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.html_report.document import picture
@@ -22,11 +22,11 @@ from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
-    Configuration,
+    ConfigurationView,
+    EmbeddedPicture,
     KeyFigure,
     Page,
-    Picture,
-    Runs,
+    RunViews,
     Series,
     Shown,
     Toggle,
@@ -115,7 +115,7 @@ SHIPPED, INFORMED, COMMISSIONED = "shipped", "true parameters", "commissioned"
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ControllerComparison:
     """Position RMSE [m] over the paths' seeds, by controller and path."""
 
     errors: Mapping[str, Mapping[str, float]]
@@ -150,7 +150,7 @@ class Comparison:
         )
 
 
-def compare(robot: Path, config: Path, shipped: str, folder: Path, jobs: int | None) -> Comparison:
+def compare(robot: Path, config: Path, shipped: str, folder: Path, jobs: int | None) -> ControllerComparison:
     """Drive the four paths on the robot with all three.
 
     Raises
@@ -170,13 +170,15 @@ def compare(robot: Path, config: Path, shipped: str, folder: Path, jobs: int | N
         for path in PATHS
     }
     with ProgressBar("comparing") as bar:
-        driven = drive_all([one for group in runs.values() for one in group], Place(folder, jobs), bar, "comparing")
+        driven = drive_all(
+            [one for group in runs.values() for one in group], CampaignPlace(folder, jobs), bar, "comparing"
+        )
     results = iter(driven)
     errors: dict[str, dict[str, float]] = {name: {} for name in controllers}
     for (name, path), group in runs.items():
         values = [next(results).number("position_rmse_m") for _ in group]
         errors[name][path] = float(np.sqrt(np.mean(np.square(values))))
-    return Comparison(errors)
+    return ControllerComparison(errors)
 
 
 _FILES = {CONFIG_FILE: "Configuration for the robot", "model.yaml": "Model", TWIN_FILE: "Twin"}
@@ -188,7 +190,11 @@ _NEXT = (
 
 
 def commission_page(
-    asked: Asked, out: Path, steps: Mapping[str, Done], comparison: Comparison | None, seconds: float
+    asked: CommissionRequest,
+    out: Path,
+    steps: Mapping[str, Done],
+    comparison: ControllerComparison | None,
+    seconds: float,
 ) -> Page:
     """The page of the commissioning in `out`.
 
@@ -214,7 +220,7 @@ def commission_page(
         toggles=[Toggle("path", tuple(runs), tuple(runs)[:1])] if runs else [],
         views=[*_views(out, runs), *([_compared(comparison)] if comparison else []), _cost(steps), *_proof(out)],
         warnings=_warnings(steps, out, runs),
-        configurations=Configuration.of_files(out / RESULT, _FILES),
+        configurations=ConfigurationView.of_files(out / RESULT, _FILES),
     )
     tables = [table, *([comparison.table()] if comparison else [])]
     robot = [("robot", Path(asked.robot).stem if asked.robot else "a person drove it"), ("seed", str(asked.seed))]
@@ -231,7 +237,7 @@ def _sentence(steps: Mapping[str, Done], whole: bool) -> str:
 
 
 def _key_figures(
-    steps: Mapping[str, Done], runs: Mapping[str, Run], comparison: Comparison | None, whole: bool
+    steps: Mapping[str, Done], runs: Mapping[str, Run], comparison: ControllerComparison | None, whole: bool
 ) -> list[KeyFigure]:
     passed, cost = sum(step.passed for step in steps.values()), sum(one.processor_s for one in steps.values())
     made = [
@@ -248,7 +254,7 @@ def _key_figures(
     return made
 
 
-def _on_the_twin(asked: Asked, out: Path) -> dict[str, Run]:
+def _on_the_twin(asked: CommissionRequest, out: Path) -> dict[str, Run]:
     """The delivered controller along some paths on the twin, by path."""
     place = out / RESULT
     config = str(place / CONFIG_FILE)
@@ -269,10 +275,10 @@ def _views(out: Path, runs: Mapping[str, Run]) -> list[View]:
         for path, run in runs.items()
     ]
     note = "The delivered controller on the twin that was fitted to the robot's log. Point at either view."
-    return [Runs(series, note)]
+    return [RunViews(series, note)]
 
 
-def _compared(comparison: Comparison) -> Chart:
+def _compared(comparison: ControllerComparison) -> Chart:
     series = [
         Series(name, PATHS, [round(1e3 * comparison.errors[name][path], 2) for path in PATHS], i, "bars")
         for i, name in enumerate((SHIPPED, COMMISSIONED, INFORMED))
@@ -288,7 +294,7 @@ def _cost(steps: Mapping[str, Done]) -> Chart:
 
 def _proof(out: Path) -> list[View]:
     figures = sorted((out / "prove" / "figures").glob("*.png"))
-    return [Picture(f"Proof: {path.stem.replace('-', ' ')}", picture(path), broad=False) for path in figures]
+    return [EmbeddedPicture(f"Proof: {path.stem.replace('-', ' ')}", picture(path), broad=False) for path in figures]
 
 
 def _warnings(steps: Mapping[str, Done], out: Path, runs: Mapping[str, Run]) -> list[Warned]:

@@ -12,9 +12,16 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffdrive_mpc.app.commission.commissioning import RESULT, Asked, commission
+from diffdrive_mpc.app.commission.commissioning import RESULT, CommissionRequest, commission
 from diffdrive_mpc.app.commission.ledger import Done
-from diffdrive_mpc.app.commission.page import COMMISSIONED, INFORMED, SHIPPED, Comparison, commission_page, compare
+from diffdrive_mpc.app.commission.page import (
+    COMMISSIONED,
+    INFORMED,
+    SHIPPED,
+    ControllerComparison,
+    commission_page,
+    compare,
+)
 from diffdrive_mpc.bench.campaign.draws import Draw, read_factor
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import output_console
@@ -64,7 +71,7 @@ def _draws() -> dict[str, Draw]:
 ROBOT_FILE, COMPARISON = "robot.yaml", "comparison.json"
 
 
-def commission_into(asked: Asked, out: Path, *, one: bool = False, drawn: int | None = None) -> bool:
+def commission_into(asked: CommissionRequest, out: Path, *, one: bool = False, drawn: int | None = None) -> bool:
     """Commission, print what each step found, and compare where the robot is a drawn one.
 
     Returns whether all steps passed; raises as `commissioning.commission` and `comparison.compare`.
@@ -89,7 +96,7 @@ def commission_into(asked: Asked, out: Path, *, one: bool = False, drawn: int | 
     return passed
 
 
-def _compared(asked: Asked, out: Path, drawn: int) -> Comparison:
+def _compared(asked: CommissionRequest, out: Path, drawn: int) -> ControllerComparison:
     """Compare what was commissioned on the robot that was drawn, print it and keep it."""
     comparison = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, asked.config, out / "compare", asked.jobs)
     _write(comparison, drawn, out / COMPARISON)
@@ -98,7 +105,7 @@ def _compared(asked: Asked, out: Path, drawn: int) -> Comparison:
     return comparison
 
 
-def _sentence(comparison: Comparison) -> str:
+def _sentence(comparison: ControllerComparison) -> str:
     less = 100 * comparison.below_shipped
     return (
         f"On the robot itself: {comparison.over_informed:.2f} times the error of a controller with the true "
@@ -106,7 +113,7 @@ def _sentence(comparison: Comparison) -> str:
     )
 
 
-def _write(comparison: Comparison, seed: int, path: Path) -> None:
+def _write(comparison: ControllerComparison, seed: int, path: Path) -> None:
     content = {
         "seed": seed,
         "position_rmse_m": {name: dict(comparison.errors[name]) for name in (SHIPPED, COMMISSIONED, INFORMED)},

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 
 from diffdrive_mpc.app.doctor import computer, pictures, product, real_time, ros
-from diffdrive_mpc.app.doctor.machine import Finding, Machine
+from diffdrive_mpc.app.doctor.machine import Machine, MachineFinding
 from diffdrive_mpc.bench.machine import describe_machine, git_revision, project_version
 from diffdrive_mpc.bench.table import Table
 
-Look = Callable[[Machine], Finding | Iterator[Finding]]
+Look = Callable[[Machine], MachineFinding | Iterator[MachineFinding]]
 LOOKS: dict[str, tuple[Look, ...]] = {
     "controller": (
         product.controller,
@@ -43,23 +43,23 @@ LOOKS: dict[str, tuple[Look, ...]] = {
 """By what they are about."""
 
 
-def examine(machine: Machine | None = None) -> dict[str, list[Finding]]:
+def examine(machine: Machine | None = None) -> dict[str, list[MachineFinding]]:
     """What every look found, by what it is about. A look that fails is a finding, too."""
     where = machine or Machine()
     return {about: [one for look in looks for one in _careful(look, where)] for about, looks in LOOKS.items()}
 
 
-def _careful(look: Look, machine: Machine) -> list[Finding]:
+def _careful(look: Look, machine: Machine) -> list[MachineFinding]:
     try:
         findings = look(machine)
-        return [findings] if isinstance(findings, Finding) else list(findings)
+        return [findings] if isinstance(findings, MachineFinding) else list(findings)
     except Exception as error:
         name = look.__name__.replace("_", " ")
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        return [Finding(name, "unknown", reason, "could not be looked at")]
+        return [MachineFinding(name, "unknown", reason, "could not be looked at")]
 
 
-def can_run(findings: dict[str, list[Finding]]) -> bool:
+def can_run(findings: dict[str, list[MachineFinding]]) -> bool:
     """Whether nothing is missing that the controller needs."""
     return not any(one.needed and one.status == "missing" for group in findings.values() for one in group)
 
@@ -71,14 +71,14 @@ def heading() -> str:
     return f"{name}; Python {platform.python_version()}; {describe_machine()['os']}, {platform.machine()}"
 
 
-def tables(findings: dict[str, list[Finding]]) -> Iterator[Table]:
+def tables(findings: dict[str, list[MachineFinding]]) -> Iterator[Table]:
     """One table for each subject."""
     for about, group in findings.items():
         rows = tuple((one.what, one.status, one.found, one.means) for one in group)
         yield Table("", (about, "", "found", "what it means"), rows, text_columns=4)
 
 
-def as_json(groups: dict[str, list[Finding]]) -> str:
+def as_json(groups: dict[str, list[MachineFinding]]) -> str:
     """The same for programs."""
     findings = {about: [asdict(one) for one in group] for about, group in groups.items()}
     return json.dumps({"heading": heading(), "can_run": can_run(groups), "findings": findings}, indent=2)

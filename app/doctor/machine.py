@@ -143,7 +143,7 @@ Status = Literal["ok", "warn", "missing", "unknown"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class MachineFinding:
     """One row of the table.
 
     Attributes

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from diffdrive_mpc.app.doctor.machine import Finding, Machine
+from diffdrive_mpc.app.doctor.machine import Machine, MachineFinding
 
 _BACKENDS = {"EGL": "egl", "OSMesa": "osmesa"}
 """Libraries that draw without a display, and MuJoCo's names for them."""
 
 
-def display(machine: Machine) -> Finding:
+def display(machine: Machine) -> MachineFinding:
     """A screen to open windows on."""
     for name in ("WAYLAND_DISPLAY", "DISPLAY"):
         if machine.variable(name):
-            return Finding("display", "ok", f"{name}={machine.variable(name)}", "windows open")
-    return Finding(
+            return MachineFinding("display", "ok", f"{name}={machine.variable(name)}", "windows open")
+    return MachineFinding(
         "display", "missing", "none", "no viewer windows; figures, films and reports are files and need none"
     )
 
 
-def off_screen(machine: Machine) -> Finding:
+def off_screen(machine: Machine) -> MachineFinding:
     """OpenGL without a display."""
     there = [name for name in _BACKENDS if machine.library(name)]
     chosen = machine.variable("MUJOCO_GL")
@@ -28,7 +28,7 @@ def off_screen(machine: Machine) -> Finding:
         + (", /dev/dri" if machine.there("dev/dri") else "")
     )
     if not there:
-        return Finding(
+        return MachineFinding(
             "OpenGL off screen",
             "missing",
             libraries.strip(", ") or "none",
@@ -36,12 +36,12 @@ def off_screen(machine: Machine) -> Finding:
         )
     if chosen and chosen not in (*(_BACKENDS[name] for name in there), "glfw"):
         means = f"its library is not there: set MUJOCO_GL={_BACKENDS[there[0]]}"
-        return Finding("OpenGL off screen", "warn", libraries, means)
-    return Finding("OpenGL off screen", "ok", libraries, "MuJoCo's own pictures can be rendered")
+        return MachineFinding("OpenGL off screen", "warn", libraries, means)
+    return MachineFinding("OpenGL off screen", "ok", libraries, "MuJoCo's own pictures can be rendered")
 
 
-def ffmpeg(machine: Machine) -> Finding:
+def ffmpeg(machine: Machine) -> MachineFinding:
     """What writes MP4."""
     if machine.program("ffmpeg"):
-        return Finding("ffmpeg", "ok", "found", "films are MP4")
-    return Finding("ffmpeg", "missing", "none", "films are WebP or GIF instead of MP4: apt install ffmpeg")
+        return MachineFinding("ffmpeg", "ok", "found", "films are MP4")
+    return MachineFinding("ffmpeg", "missing", "none", "films are WebP or GIF instead of MP4: apt install ffmpeg")

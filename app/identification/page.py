@@ -11,11 +11,11 @@ from diffdrive_mpc.app.identification.trial_drives import TrialDrive, trial_doub
 from diffdrive_mpc.bench.html_report.document import picture
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
-    Configuration,
+    ConfigurationView,
+    EmbeddedPicture,
     KeyFigure,
     Page,
-    Picture,
-    Runs,
+    RunViews,
     Shown,
     Toggle,
     View,
@@ -28,7 +28,7 @@ from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.table import Table
+from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _FILES = {"config.yaml": "Configuration that was written", "model.yaml": "Model that was written"}
@@ -71,9 +71,9 @@ def identification_page(
         toggles=toggles,
         views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],
         warnings=_warnings(report, trials),
-        configurations=Configuration.of_files(folder, _FILES),
+        configurations=ConfigurationView.of_files(folder, _FILES),
     )
-    tables: list[Table] = [report.scores[0], *([trial_table(trials)] if trials else []), *report.tables]
+    tables: list[TextTable] = [report.scores[0], *([trial_table(trials)] if trials else []), *report.tables]
     logs = [("logs", ", ".join(report.data.logs))]
     return Page("diffdrive-mpc identify", report.name, shown, tables, origin(describe_run(seconds), logs))
 
@@ -131,12 +131,12 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
         for drive in drives
     ]
     note = "Trial drives with the configuration that was written, on paths scaled to the robot. Point at either view."
-    return [Runs(runs, note)]
+    return [RunViews(runs, note)]
 
 
 def _pictures(folder: Path) -> list[View]:
     drawn = {title: folder / FOLDER / name for title, name in _PICTURES.items()}
-    return [Picture(title, picture(path), broad=False) for title, path in drawn.items() if path.is_file()]
+    return [EmbeddedPicture(title, picture(path), broad=False) for title, path in drawn.items() if path.is_file()]
 
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from diffdrive_mpc.models.table import Table, number
+from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
@@ -126,10 +126,10 @@ def _of_held_out(identification: Identification) -> tuple[VelocityModel | Nonlin
         return None
 
 
-def trial_table(drives: Sequence[TrialDrive]) -> Table:
+def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
     """Errors, a row for each stand-in and path."""
     columns = ("stand-in", "path", "position RMSE [m]", "largest lateral [m]", "of the turning circle [%]")
-    return Table(
+    return TextTable(
         _TITLE,
         (*columns, "fall-backs", "completed"),
         tuple(

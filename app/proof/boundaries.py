@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from diffdrive_mpc.app.proof.proof_file import Map, Search
+from diffdrive_mpc.app.proof.proof_file import BoundarySearch, Map
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-Drive = Callable[[list[Definition]], list[Driven]]
+Drive = Callable[[list[Definition]], list[CampaignRun]]
 """Drives runs and gives them in order; each is another one."""
 
 
@@ -37,7 +37,7 @@ class Boundary:
     """
 
     factor: str
-    search: Search
+    search: BoundarySearch
     held: float | None = None
     failed: float | None = None
     values: dict[float, int] = field(default_factory=dict)
@@ -63,13 +63,13 @@ class Boundary:
             self.failed = value
 
 
-def holds(driven: Driven) -> bool:
+def holds(driven: CampaignRun) -> bool:
     """Whether a run came to its end and never left the band (`band` of sim/metrics/metrics.yaml)."""
     return driven.row["completed"] is True and driven.number("lateral_max_m") <= metric_settings().band
 
 
 def find_boundaries(
-    searches: Mapping[str, Search], probe: Definition, seeds: Sequence[int], drive: Drive
+    searches: Mapping[str, BoundarySearch], probe: Definition, seeds: Sequence[int], drive: Drive
 ) -> list[Boundary]:
     """Search for the boundaries of several factors at once, each by itself from `probe`.
 
@@ -93,7 +93,7 @@ def _with(probe: Definition, factor: str, value: Value) -> Definition:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrivenMap:
     """A map that was driven: (rows, columns), a row for each value of y, a column for each of x.
 
     Attributes
@@ -120,7 +120,7 @@ def map_runs(of: Map, probe: Definition, seed: int) -> list[Definition]:
     return [probe.changed({of.x.factor: x, of.y.factor: y}).with_seed(seed) for y in of.y.values for x in of.x.values]
 
 
-def drawn_map(name: str, of: Map, runs: Sequence[Definition], driven: Sequence[Driven]) -> Drawn:
+def drawn_map(name: str, of: Map, runs: Sequence[Definition], driven: Sequence[CampaignRun]) -> DrivenMap:
     """What came of the runs of `map_runs`."""
     by_run = {one.definition: one for one in driven}
     shape = (of.y.steps, of.x.steps)
@@ -128,4 +128,4 @@ def drawn_map(name: str, of: Map, runs: Sequence[Definition], driven: Sequence[D
     def grid(column: str) -> FloatArray:
         return np.array([by_run[run].number(column) for run in runs]).reshape(shape)
 
-    return Drawn(name, of, grid("position_rmse_m"), grid("lateral_max_m"), grid("completed"))
+    return DrivenMap(name, of, grid("position_rmse_m"), grid("lateral_max_m"), grid("completed"))

@@ -17,7 +17,7 @@ PROOFS = Path(__file__).parent
 DEFAULT = PROOFS / "default.yaml"
 
 
-class Axis(StrictModel):
+class MapAxis(StrictModel):
     """A factor of a map and its ends, in the unit of the factor."""
 
     factor: str
@@ -26,7 +26,7 @@ class Axis(StrictModel):
     steps: Annotated[int, Field(ge=2, le=100)] = Field(description="values, ends included")
 
     @model_validator(mode="after")
-    def _useful(self) -> Axis:
+    def _useful(self) -> MapAxis:
         check_factor(self.factor, "maps")
         if not self.low < self.high:
             raise ValueError(f"low ({self.low:g}) has to be below high ({self.high:g})")
@@ -42,11 +42,11 @@ class Axis(StrictModel):
 class Map(StrictModel):
     """Two factors at a time."""
 
-    x: Axis
-    y: Axis
+    x: MapAxis
+    y: MapAxis
 
 
-class Search(StrictModel):
+class BoundarySearch(StrictModel):
     """Where a factor stops to hold, between a value that does and one that is far beyond."""
 
     holds: float = Field(description="value that should hold")
@@ -55,7 +55,7 @@ class Search(StrictModel):
     unit: str = Field("", description="of the factor, for tables")
 
     @model_validator(mode="after")
-    def _apart(self) -> Search:
+    def _apart(self) -> BoundarySearch:
         if abs(self.holds - self.beyond) <= self.within:
             raise ValueError("holds and beyond are no further apart than within")
         return self
@@ -75,7 +75,7 @@ class Proof(Campaign):
     maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
         default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
     )
-    boundaries: dict[str, Search] = Field(default_factory=dict, description="by factor")
+    boundaries: dict[str, BoundarySearch] = Field(default_factory=dict, description="by factor")
 
     @model_validator(mode="after")
     def _can_be_driven(self) -> Proof:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive_mpc.app.proof.boundaries import Boundary, Drawn, holds
+from diffdrive_mpc.app.proof.boundaries import Boundary, DrivenMap, holds
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.drive import TIME
-from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
-    Configuration,
+    ConfigurationView,
     GridAxis,
     GridMap,
     KeyFigure,
@@ -28,7 +28,7 @@ from diffdrive_mpc.bench.html_report.page import (
     tail,
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
-from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, Estimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, BootstrapEstimate, Rate, cvar, mean, median
 from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_config
@@ -61,7 +61,7 @@ class Outcomes:
     unsafe: Rate
 
     @classmethod
-    def of(cls, driven: Sequence[Driven]) -> Outcomes:
+    def of(cls, driven: Sequence[CampaignRun]) -> Outcomes:
         """Count them."""
         count = len(driven)
         return cls(
@@ -72,38 +72,38 @@ class Outcomes:
         )
 
 
-def is_unsafe(one: Driven) -> bool:
+def is_unsafe(one: CampaignRun) -> bool:
     """Whether a run had an unsafe command of any kind."""
     return any(one.row.get(f"unsafe_{kind}") for kind in UNSAFE)
 
 
-def errors(driven: Sequence[Driven]) -> FloatArray:
+def errors(driven: Sequence[CampaignRun]) -> FloatArray:
     """Position RMSE [m] of the runs that have one; of one that ended early, of what was driven."""
     return _known(driven, "position_rmse_m")
 
 
-def error_estimates(driven: Sequence[Driven]) -> dict[str, Estimate]:
+def error_estimates(driven: Sequence[CampaignRun]) -> dict[str, BootstrapEstimate]:
     """Mean, median and CVaR of the position RMSE [m], of all runs and of those that came to their end."""
     arrived = [one for one in driven if one.row["completed"] is True]
     named = {"mean": mean, "median": median, CVAR: cvar}
     return {
-        f"{name}, {which}": Estimate.of_runs(errors(runs), figure)
+        f"{name}, {which}": BootstrapEstimate.of_runs(errors(runs), figure)
         for which, runs in (("all runs", driven), ("completed runs", arrived))
         for name, figure in named.items()
     }
 
 
-def worst(driven: Sequence[Driven], count: int) -> list[Driven]:
+def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
     """The worst runs first: unsafe, ended in an error, then by position RMSE; last those that stopped by themselves."""
 
-    def badness(one: Driven) -> tuple[bool, bool, bool, float]:
+    def badness(one: CampaignRun) -> tuple[bool, bool, bool, float]:
         error = one.number("position_rmse_m")
         return is_unsafe(one), one.row["error"] != "", not _stopped(one), error if math.isfinite(error) else math.inf
 
     return sorted(driven, key=badness, reverse=True)[:count]
 
 
-def facts(driven: Sequence[Driven], others: int) -> list[str]:
+def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
     """What was driven, what it cost, and what it says of unsafe commands."""
     times = np.array([one.number(f"{TIME}processor_s") for one in driven])
     ticks = sum(one.number("steps") for one in driven if math.isfinite(one.number("steps")))
@@ -119,7 +119,7 @@ def facts(driven: Sequence[Driven], others: int) -> list[str]:
 
 
 def tables(
-    driven: Sequence[Driven], boundaries: Sequence[Boundary], files: Mapping[str, Driven], seeds: int
+    driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], files: Mapping[str, CampaignRun], seeds: int
 ) -> list[Table]:
     """All tables of a proof; `files` are the worst runs by the name of their file."""
     made = [_rates(driven), _errors(driven), _unsafe(driven), *_by_factor(driven)]
@@ -131,7 +131,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.1f}"
 
 
-def _rates(driven: Sequence[Driven]) -> Table:
+def _rates(driven: Sequence[CampaignRun]) -> Table:
     of = Outcomes.of(driven)
     named = {
         "completed": of.completed,
@@ -153,7 +153,7 @@ def _rates(driven: Sequence[Driven]) -> Table:
     )
 
 
-def _errors(driven: Sequence[Driven]) -> Table:
+def _errors(driven: Sequence[CampaignRun]) -> Table:
     return Table.of(
         "Position error",
         ("figure",),
@@ -167,7 +167,7 @@ def _errors(driven: Sequence[Driven]) -> Table:
     )
 
 
-def _unsafe(driven: Sequence[Driven]) -> Table:
+def _unsafe(driven: Sequence[CampaignRun]) -> Table:
     def ticks(kind: str) -> int:
         return sum(int(one.row.get(f"unsafe_{kind}") or 0) for one in driven)
 
@@ -188,11 +188,11 @@ def _unsafe(driven: Sequence[Driven]) -> Table:
     )
 
 
-def _by_factor(driven: Sequence[Driven]) -> list[Table]:
+def _by_factor(driven: Sequence[CampaignRun]) -> list[Table]:
     """A table for each factor with a few named values, such as scenarios and paths."""
     made = []
     for factor in ("scenario", "trajectory", "plant", "surface", "sensors"):
-        groups: dict[str, list[Driven]] = {}
+        groups: dict[str, list[CampaignRun]] = {}
         for one in driven:
             groups.setdefault(str(one.definition.columns[factor]), []).append(one)
         if 1 < len(groups) <= max(len(driven) / 2, 2):
@@ -232,8 +232,8 @@ def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
     )
 
 
-def _worst(files: Mapping[str, Driven]) -> Table:
-    def words(one: Driven) -> str:
+def _worst(files: Mapping[str, CampaignRun]) -> Table:
+    def words(one: CampaignRun) -> str:
         reason = one.row["error"] or one.row.get("ended") or one.row.get("message") or ""
         return str(reason)
 
@@ -258,20 +258,20 @@ def _brief(definition: Definition) -> str:
     return ", ".join([*parts, f"seed {columns['seed']}"])
 
 
-def _stopped(one: Driven) -> bool:
+def _stopped(one: CampaignRun) -> bool:
     return one.row["completed"] is False and one.row.get("last_mode") in ("STOPPED", "BRAKING") and not one.row["ended"]
 
 
-def _mean(driven: Sequence[Driven], column: str) -> float:
+def _mean(driven: Sequence[CampaignRun], column: str) -> float:
     """Mean of the runs that have a value."""
     return _or_nan(np.mean, _known(driven, column))
 
 
-def _largest(driven: Sequence[Driven], column: str) -> float:
+def _largest(driven: Sequence[CampaignRun], column: str) -> float:
     return _or_nan(np.max, _known(driven, column))
 
 
-def _known(driven: Sequence[Driven], column: str) -> FloatArray:
+def _known(driven: Sequence[CampaignRun], column: str) -> FloatArray:
     values = np.array([one.number(column) for one in driven])
     return np.asarray(values[np.isfinite(values)])
 
@@ -287,7 +287,7 @@ _MOST_POINTS = 4000
 _WORDS_AGAIN = "drive the worst again with `simulate --from-run worst/01.yaml --out worst/01`, and read its report"
 
 
-def shown(config: str, driven: Sequence[Driven], boundaries: Sequence[Boundary], seeds: int) -> Shown:
+def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], seeds: int) -> Shown:
     """Everything that the page shows beside tables, tail and maps.
 
     Parameters
@@ -312,11 +312,11 @@ def shown(config: str, driven: Sequence[Driven], boundaries: Sequence[Boundary],
         toggles=toggles,
         views=views,
         warnings=_warnings(driven, boundaries),
-        configurations=[Configuration("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
+        configurations=[ConfigurationView("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
     )
 
 
-def _key_figures(driven: Sequence[Driven]) -> list[KeyFigure]:
+def _key_figures(driven: Sequence[CampaignRun]) -> list[KeyFigure]:
     of, tail = Outcomes.of(driven), error_estimates(driven)[f"{CVAR}, completed runs"]
     bound = f"with 95 % confidence fewer than {percent(of.unsafe.bound)} %"
     return [
@@ -332,7 +332,7 @@ def _interval(rate: Rate) -> str:
     return f"{rate.count} of {rate.of}; 95 %: {100 * rate.low:.1f} to {100 * rate.high:.1f} %"
 
 
-def tail_charts(driven: Sequence[Driven]) -> list[Chart]:
+def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
     """The share of completed runs with a larger error than a given one, and CVaR; empty without such runs."""
     rmse = 1e3 * errors([one for one in driven if one.row["completed"] is True])
     if not rmse.size:
@@ -344,7 +344,7 @@ def tail_charts(driven: Sequence[Driven]) -> list[Chart]:
     return [Chart("How large the error is", *axes, [series], marks=marks)]
 
 
-def _by_path(driven: Sequence[Driven], scenarios: Sequence[str]) -> Chart:
+def _by_path(driven: Sequence[CampaignRun], scenarios: Sequence[str]) -> Chart:
     """A point for each run; where there are too many, the worst."""
     ordered = sorted(driven, key=lambda one: -np.nan_to_num(one.number("position_rmse_m")))[:_MOST_POINTS]
     series = []
@@ -360,7 +360,7 @@ def _by_path(driven: Sequence[Driven], scenarios: Sequence[str]) -> Chart:
     return Chart("Every run, by path and scenario", *axes, series, left_out)
 
 
-def map_chart(drawn: Drawn) -> GridMap:
+def map_chart(drawn: DrivenMap) -> GridMap:
     """Position error by two factors."""
     x, y = drawn.of.x, drawn.of.y
     values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
@@ -385,7 +385,7 @@ def _boundary(one: Boundary, seeds: int) -> Chart:
     return Chart(f"Where it stops to hold: {one.factor}", *axes, [series], note, height=280)
 
 
-def _warnings(driven: Sequence[Driven], boundaries: Sequence[Boundary]) -> list[Warned]:
+def _warnings(driven: Sequence[CampaignRun], boundaries: Sequence[Boundary]) -> list[Warned]:
     of, warnings = Outcomes.of(driven), []
     failed = sum(one.row["error"] != "" for one in driven)
     band = f"{1e3 * metric_settings().band:g} mm"

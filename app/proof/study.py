@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from diffdrive_mpc.app.proof.boundaries import Boundary, Drawn, drawn_map, find_boundaries, map_runs
+from diffdrive_mpc.app.proof.boundaries import Boundary, DrivenMap, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc.app.proof.proof_file import Proof
 from diffdrive_mpc.app.proof.report import (
     Outcomes,
@@ -21,7 +21,7 @@ from diffdrive_mpc.app.proof.report import (
 from diffdrive_mpc.app.run_file import write_run
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace, CampaignRun, drive_all
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.plain_values import plain
@@ -60,11 +60,11 @@ class Proven:
         The worst runs by the name of their file.
     """
 
-    driven: list[Driven]
-    maps: list[Drawn]
+    driven: list[CampaignRun]
+    maps: list[DrivenMap]
     boundaries: list[Boundary]
     others: int
-    worst: dict[str, Driven] = field(default_factory=dict)
+    worst: dict[str, CampaignRun] = field(default_factory=dict)
 
 
 class ProofStudy(Study[ProofPlan, Proven]):
@@ -88,7 +88,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
     title = "Proof"
     shared = True
 
-    def __init__(self, config: str, proof: Proof, place: Place, runs: int | None = None, kept: int = 10) -> None:
+    def __init__(
+        self, config: str, proof: Proof, place: CampaignPlace, runs: int | None = None, kept: int = 10
+    ) -> None:
         self._config, self._proof, self._place, self._runs, self._kept = config, proof, place, runs, kept
 
     def plan(self) -> ProofPlan:
@@ -112,9 +114,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
         asked = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
         mapped = drive_all([run for runs in asked for run in runs], place, bar, "driving maps")
         maps = [drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), asked, strict=True)]
-        tried: dict[str, Driven] = {one.key: one for one in mapped}
+        tried: dict[str, CampaignRun] = {one.key: one for one in mapped}
 
-        def drive(runs: list[Definition]) -> list[Driven]:
+        def drive(runs: list[Definition]) -> list[CampaignRun]:
             outcomes = drive_all(runs, place, bar, "searching boundaries")
             tried.update((one.key, one) for one in outcomes)
             return outcomes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.recording import Start, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Start
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 
 # A drive that begins with a command beyond this share of the largest one has begun before its log.
@@ -44,7 +44,7 @@ class Readings:
 
 def assembled(
     time: FloatArray, command: FloatArray, readings: Mapping[str, Readings], *, reset: bool = True
-) -> list[Tick]:
+) -> list[RecordedTick]:
     """The ticks from the first that drives: one whose command (n, 2) is not zero.
 
     At each tick at `time` (n,) [s] the newest reading of each sensor (fields of `Measurement`) is given that has come
@@ -61,7 +61,7 @@ def assembled(
             if newest[name][k] > (newest[name][k - 1] if k > first else -1)
         }
         start = Start(None, float(time[k]), reset, command[:first] if first else None) if k == first else None
-        ticks.append(Tick(float(time[k]), _measurement(given), command[k], start=start))
+        ticks.append(RecordedTick(float(time[k]), _measurement(given), command[k], start=start))
     return ticks
 
 

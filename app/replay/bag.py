@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffdrive_mpc.app.replay.assembly import Readings, assembled, on_grid
-from diffdrive_mpc.app.replay.recording import Recording, Start, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Recording, Start
 from diffdrive_mpc.app.replay.signals import by_odometry
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
@@ -101,12 +101,12 @@ def recorded_drive(
         raise ConfigError(f"{path}: no tick at which the controller drove is in it")
     by_number = dict(drives)
     config_of = {key: configs.read(drive.config, drive.model) for key, drive in drives}
-    recorded: list[Tick] = []
+    recorded: list[RecordedTick] = []
     approximated: list[str] = []
     now: tuple[int, int] | None = None
     for key, record in ticks:
         hold = None if record.hold is None else Hold(*record.hold)
-        tick = Tick(record.time, record.measurement, record.command, hold)
+        tick = RecordedTick(record.time, record.measurement, record.command, hold)
         tick = replace(tick, mode=record.mode, solver_path=record.solver_path, message=record.message)
         if key != now:
             tick = _begin(tick, by_number.get(key), config_of.get(key), now is None, approximated)
@@ -123,8 +123,8 @@ def recorded_drive(
 
 
 def _begin(
-    tick: Tick, drive: DriveRecord | None, config: ControllerConfig | None, first: bool, approximated: list[str]
-) -> Tick:
+    tick: RecordedTick, drive: DriveRecord | None, config: ControllerConfig | None, first: bool, approximated: list[str]
+) -> RecordedTick:
     """The first tick of a drive, or of a change of its configuration."""
     if drive is None:
         approximated.append(

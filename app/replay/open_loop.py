@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.recording import Recording, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Recording
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
-from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTime
+from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.step_result import LearnedDeadTime, Mode, StepResult
 
-OnStep = Callable[[Tick, StepResult], None]
+OnStep = Callable[[RecordedTick, StepResult], None]
 
 
 @dataclass(frozen=True)
@@ -161,14 +161,14 @@ class DeadTimeWatch:
             # Found up to twice as far as the controller would go: here nothing is driven by it.
             settings = config.online_dead_time
             wide = {"online_dead_time.longer": 2 * settings.longer, "online_dead_time.shorter": 2 * settings.shorter}
-            self._learner = DeadTime(replace_values(config, wide), model)
+            self._learner = DeadTimeEstimator(replace_values(config, wide), model)
 
     @property
     def found(self) -> LearnedDeadTime | None:
         """What was learned so far; None without a linear model."""
         return None if self._learner is None else self._learner.found
 
-    def take(self, tick: Tick, step: StepResult) -> None:
+    def take(self, tick: RecordedTick, step: StepResult) -> None:
         """Learn from a tick at which the recorded command was sent, and the controller said `step`."""
         if self._learner is None:
             return

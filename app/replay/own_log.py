@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.app.replay.bag import LoggedConfigs, recorded_drive
 from diffdrive_mpc.app.replay.open_loop import Replayed
-from diffdrive_mpc.app.replay.recording import Recording, Start, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Recording, Start
 from diffdrive_mpc.app.replay.signals import logged_reference
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement
@@ -109,7 +109,7 @@ def _recording(
     reference = logged_reference(numbers, between, config)
     outcomes = zip(texts["mode"], texts["solver_path"], texts["message"], strict=True)
     ticks = [
-        Tick(t, measurement, sent, None, None, None, *words)
+        RecordedTick(t, measurement, sent, None, None, None, *words)
         for t, measurement, sent, words in zip(numbers["t_s"].tolist(), measurements, command, outcomes, strict=True)
     ]
     ticks[0] = replace(ticks[0], start=Start(reference, ticks[0].time, reset=False))

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from diffdrive_mpc.app.replay.open_loop import Replayed
 from diffdrive_mpc.app.replay.recording import Recording
 from diffdrive_mpc.app.replay.statistics import NAMES, Difference
-from diffdrive_mpc.app.replay.verdicts import Verdict
+from diffdrive_mpc.app.replay.verdicts import Diagnosis
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
-    Configuration,
+    ConfigurationView,
     KeyFigure,
     Mark,
-    Runs,
+    RunViews,
     Series,
     Shown,
     Toggle,
@@ -54,7 +54,7 @@ def replay_page(
     references: Sequence[Reference],
     counted: BoolArray,
     difference: Difference,
-    verdicts: Sequence[Verdict],
+    verdicts: Sequence[Diagnosis],
 ) -> Shown:
     """Everything that the page shows beside tables and charts.
 
@@ -72,7 +72,7 @@ def replay_page(
     return Shown(
         key_figures=_key_figures(difference, replayed, counted, verdicts),
         toggles=toggles,
-        views=[Runs(runs, _HINT)] if runs else [],
+        views=[RunViews(runs, _HINT)] if runs else [],
         warnings=[Warned(one.what, one.remedy) for one in verdicts],
         configurations=[_configuration(who, replay.config) for who, replay in replays.items()],
         pictures=not runs,
@@ -80,7 +80,7 @@ def replay_page(
 
 
 def _key_figures(
-    difference: Difference, replayed: Replayed, counted: BoolArray, verdicts: Sequence[Verdict]
+    difference: Difference, replayed: Replayed, counted: BoolArray, verdicts: Sequence[Diagnosis]
 ) -> list[KeyFigure]:
     times = 1e3 * replayed.step_time[counted]
     p50, p99 = np.percentile(times, [50, 99])
@@ -98,10 +98,10 @@ def _key_figures(
     ]
 
 
-def _configuration(who: str, config: ControllerConfig) -> Configuration:
+def _configuration(who: str, config: ControllerConfig) -> ConfigurationView:
     model = config.model if is_shipped(config.model) else config.model.rsplit("/", 1)[-1]
     text = commented_yaml(config.model_copy(update={"model": model}))
-    return Configuration(f"Configuration, {who}, every value with its meaning (YAML)", text)
+    return ConfigurationView(f"Configuration, {who}, every value with its meaning (YAML)", text)
 
 
 def _runs(

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive_mpc.app.replay.bag import LoggedConfigs, read_bag_drive
 from diffdrive_mpc.app.replay.own_log import is_own_csv, read_own_csv, read_own_mcap
-from diffdrive_mpc.app.replay.recording import Recording, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Recording
 from diffdrive_mpc.app.replay.settings import replay_settings
 from diffdrive_mpc.app.replay.signals import STAND_IN, read_mapped_csv
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -89,7 +89,7 @@ def up_to(recording: Recording, end: float | None) -> Recording:
     return replace(recording, ticks=ticks)
 
 
-def _moves(tick: Tick, most: FloatArray) -> bool:
+def _moves(tick: RecordedTick, most: FloatArray) -> bool:
     """Whether the robot moves at the first tick: by its wheels, or else by a command beyond `most` (2,) from rest."""
     wheels = tick.measurement.wheel_twist
     if wheels is None:

@@ -31,7 +31,7 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Tick:
+class RecordedTick:
     """One tick of the recorded drive.
 
     Attributes
@@ -87,7 +87,7 @@ class Recording:
 
     name: str
     source: str
-    ticks: tuple[Tick, ...]
+    ticks: tuple[RecordedTick, ...]
     config: ControllerConfig | None = None
     by_controller: bool = True
     approximated: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from diffdrive_mpc.app.replay.assembly import Readings, assembled, on_grid
-from diffdrive_mpc.app.replay.recording import Recording, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Recording
 from diffdrive_mpc.app.replay.settings import replay_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
@@ -130,7 +130,7 @@ def read_mapped_csv(path: Path, mapping: LogMapping, sample_time: float, *, stan
     Raises ConfigError if the file or a column cannot be used, or no stretch of it is long enough.
     """
     raw = read_csv(path, mapping)
-    ticks: list[Tick] = []
+    ticks: list[RecordedTick] = []
     approximated: list[str] = [FOREIGN]
     left_out = 0
     for stretch in raw.stretches:
@@ -157,7 +157,7 @@ def read_mapped_csv(path: Path, mapping: LogMapping, sample_time: float, *, stan
 
 def _stretch(
     stretch: RawStretch, mapping: LogMapping, sample_time: float, name: str, *, stand_in: bool
-) -> tuple[list[Tick], list[str]]:
+) -> tuple[list[RecordedTick], list[str]]:
     assert mapping.columns is not None
     time, command, words = on_grid(stretch.command.time, stretch.command.value, sample_time, name)
     readings = {}

@@ -15,7 +15,7 @@ from diffdrive_mpc.app.replay.open_loop import DeadTimeWatch, Replayed, replay
 from diffdrive_mpc.app.replay.own_log import NAME, read_commands, write_replay
 from diffdrive_mpc.app.replay.page import command_charts, draw_path, replay_page, trust_charts
 from diffdrive_mpc.app.replay.reading import PoseSource, from_mid_drive, read_recording, up_to
-from diffdrive_mpc.app.replay.recording import Recording, Tick
+from diffdrive_mpc.app.replay.recording import RecordedTick, Recording
 from diffdrive_mpc.app.replay.signals import DRIVEN, driven_paths
 from diffdrive_mpc.app.replay.statistics import Difference, SensorRow, difference, sensor_rows
 from diffdrive_mpc.app.replay.tables import (
@@ -26,7 +26,7 @@ from diffdrive_mpc.app.replay.tables import (
     time_table,
     verdict_table,
 )
-from diffdrive_mpc.app.replay.verdicts import Evidence, Verdict, verdicts
+from diffdrive_mpc.app.replay.verdicts import Diagnosis, Evidence, verdicts
 from diffdrive_mpc.bench.case import Overrides
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -45,7 +45,7 @@ RECORDED, REPLAYED = "recorded", "replayed"
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReplayRequest:
     """What was asked for on the command line; see `diffdrive-mpc replay --help`."""
 
     log: Path
@@ -99,7 +99,7 @@ class ReplayPlan:
 
 
 @dataclass(frozen=True)
-class Found:
+class ReplayResult:
     """What a replay gave.
 
     Attributes
@@ -120,7 +120,7 @@ class Found:
     pairs: Mapping[tuple[str, str], Difference]
     sensors: tuple[SensorRow, ...]
     dead_time: LearnedDeadTime | None
-    said: tuple[Verdict, ...]
+    said: tuple[Diagnosis, ...]
 
     @property
     def other(self) -> FloatArray | None:
@@ -128,7 +128,7 @@ class Found:
         return self.plan.beside if self.against is None else self.against.command
 
 
-class ReplayStudy(Study[ReplayPlan, Found]):
+class ReplayStudy(Study[ReplayPlan, ReplayResult]):
     """Measurements of a log through a controller, open loop.
 
     Parameters
@@ -142,7 +142,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
     name: ClassVar[str] = "replay"
     title: ClassVar[str] = "A recorded drive, replayed"
 
-    def __init__(self, asked: Asked, scratch: Path) -> None:
+    def __init__(self, asked: ReplayRequest, scratch: Path) -> None:
         self._asked, self._scratch = asked, scratch
 
     def plan(self) -> ReplayPlan:
@@ -201,12 +201,12 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             return recording.references, "The reference is the one in the log."
         return driven_paths(recording), DRIVEN
 
-    def run(self, plan: ReplayPlan, jobs: int, bar: ProgressBar) -> Found:
+    def run(self, plan: ReplayPlan, jobs: int, bar: ProgressBar) -> ReplayResult:
         """Ask the controller at every tick, and the second one."""
         del jobs
         watch = DeadTimeWatch(plan.config)
 
-        def on_step(tick: Tick, step: StepResult) -> None:
+        def on_step(tick: RecordedTick, step: StepResult) -> None:
             watch.take(tick, step)
             bar.advance()
 
@@ -226,7 +226,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         sensors = sensor_rows(plan.recording, replayed, plan.counted)
         evidence = Evidence(plan.recording, replayed, plan.counted, sensors, watch.found)
         pairs = self._pairs(plan, replayed, against)
-        return Found(plan, replayed, against, pairs, sensors, watch.found, verdicts(evidence))
+        return ReplayResult(plan, replayed, against, pairs, sensors, watch.found, verdicts(evidence))
 
     def _pairs(
         self, plan: ReplayPlan, replayed: Replayed, against: Replayed | None
@@ -244,7 +244,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             for other in names[i + 1 :]
         }
 
-    def report(self, results: Found, seconds: float) -> Report:
+    def report(self, results: ReplayResult, seconds: float) -> Report:
         """What there is to show."""
         del seconds
         plan, replayed = results.plan, results.replayed
@@ -292,7 +292,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         )
 
 
-def agreement(results: Found, *, by_controller: bool) -> str:
+def agreement(results: ReplayResult, *, by_controller: bool) -> str:
     """Whether the replay commands what was recorded, in a sentence."""
     pair = results.pairs[RECORDED, REPLAYED]
     if not pair.compared:
@@ -312,7 +312,7 @@ def agreement(results: Found, *, by_controller: bool) -> str:
     )
 
 
-def content(results: Found) -> dict[str, object]:
+def content(results: ReplayResult) -> dict[str, object]:
     """What replay.json holds beside `meta`."""
     return {
         "commands": [{"one": one, "other": other, **vars(pair)} for (one, other), pair in results.pairs.items()],
@@ -349,7 +349,7 @@ def _first_pose(recording: Recording) -> FloatArray:
 # What `diffdrive-mpc replay` does: the study, what it found in words, and replay.csv.
 
 
-def replay_into(asked: Asked, out: Path) -> None:
+def replay_into(asked: ReplayRequest, out: Path) -> None:
     """Replay a log into the folder `out`, and say what was found; raises as `carry_out` does."""
     check_not_read(out / NAME, f"--out {out / NAME}")
     with tempfile.TemporaryDirectory() as folder:

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.app.replay.open_loop import Replayed
 from diffdrive_mpc.app.replay.recording import Recording
 from diffdrive_mpc.app.replay.statistics import Difference, SensorRow, shares
-from diffdrive_mpc.app.replay.verdicts import Verdict
+from diffdrive_mpc.app.replay.verdicts import Diagnosis
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.logs.record import BoolArray
 
@@ -18,7 +18,7 @@ _SAID = 12
 _WORDS = 160
 
 
-def verdict_table(verdicts: Sequence[Verdict]) -> Table:
+def verdict_table(verdicts: Sequence[Diagnosis]) -> Table:
     """What the log tells, and what can be done."""
     rows = tuple((one.what, one.remedy) for one in verdicts)
     return Table("Worth a look", ("what the log shows", "what to do"), rows, 2)

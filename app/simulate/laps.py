@@ -21,12 +21,12 @@ from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
-from diffdrive_mpc.bench.run_row import Outcome
+from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
-from diffdrive_mpc.mpc.rehearsal.rehearsal import Rehearsal
+from diffdrive_mpc.mpc.rehearsal.rehearsal import LapLearner
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.laps import lap_parts
 
@@ -38,7 +38,7 @@ class Laps:
     """Runs along one reference, in order, and what was learned before the last."""
 
     runs: tuple[Run, ...]
-    rehearsal: Rehearsal | FloorRehearsal | None
+    rehearsal: LapLearner | FloorRehearsal | None
 
 
 def drive_laps(
@@ -112,7 +112,7 @@ def simulate_laps(
         if folder is not None:
             from diffdrive_mpc.bench.chart_drawing import draw_charts  # noqa: PLC0415 - matplotlib loads slowly
 
-            draw_figures(Outcome(case, learned.runs[-1]), folder)
+            draw_figures(RunOutcome(case, learned.runs[-1]), folder)
             draw_charts(lap_charts(learned, plain), folder / "laps.png")
             seconds = time.perf_counter() - began
             page = laps_page(

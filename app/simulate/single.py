@@ -20,7 +20,7 @@ from diffdrive_mpc.bench.controllers import build, chosen_model, controller_conf
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
-from diffdrive_mpc.bench.run_row import Outcome, who_drives
+from diffdrive_mpc.bench.run_row import RunOutcome, who_drives
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -102,11 +102,11 @@ def simulate_one(
             run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
         write_log(run, case)
         if folder is not None:
-            draw(Outcome(case, run), folder, time.perf_counter() - began)
+            draw(RunOutcome(case, run), folder, time.perf_counter() - began)
         if film is not None and reel is not None:
             body = robot_body(case.plant)
             write_film(from_columns(run.columns, run.plans, command_limits(case)), film.film, body, reel)
-    report(Outcome(case, run), out, details=details)
+    report(RunOutcome(case, run), out, details=details)
 
 
 def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
@@ -127,7 +127,7 @@ def command_limits(case: Case) -> tuple[float, float] | None:
     return limits.v, limits.omega
 
 
-def report(outcome: Outcome, out: Path | None, *, details: bool = False) -> None:
+def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:
     """Print a summary of a run, or its tables, and its controller's messages; `out` is the folder of the report."""
     console = output_console()
     for line in _summary(outcome, out) if not details else ():
@@ -151,7 +151,7 @@ def report(outcome: Outcome, out: Path | None, *, details: bool = False) -> None
         console.print(f"and {len(messages) - _MESSAGES_SHOWN} other messages", highlight=False)
 
 
-def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
+def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
     """Six lines, and one more each for a scenario and a world."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
@@ -189,7 +189,7 @@ def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
         yield f"report: {out / REPORT}; --details prints the tables"
 
 
-def tables(outcome: Outcome) -> list[Table]:
+def tables(outcome: RunOutcome) -> list[Table]:
     """The tables of one run."""
     from diffdrive_mpc.bench.comparison.tables import (  # noqa: PLC0415 - the summary does without them
         error_table,
@@ -208,7 +208,7 @@ def tables(outcome: Outcome) -> list[Table]:
     return [world_table(rows), *made] if outcome.run.passage else made
 
 
-def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
+def draw(outcome: RunOutcome, folder: Path, seconds: float) -> None:
     """Draw a run, which took so many `seconds`, and its step times into `folder`, and write its page."""
     from diffdrive_mpc.app.simulate.single_page import single_page  # noqa: PLC0415
     from diffdrive_mpc.bench.html_report.document import write_page  # noqa: PLC0415 - only --out needs it
@@ -217,7 +217,7 @@ def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
     write_page(single_page(outcome, tables(outcome), seconds), folder / REPORT)
 
 
-def draw_figures(outcome: Outcome, folder: Path) -> None:
+def draw_figures(outcome: RunOutcome, folder: Path) -> None:
     """Draw a run and its step times into `folder`."""
     from diffdrive_mpc.bench.chart_drawing import draw_charts  # noqa: PLC0415 - matplotlib loads slowly
     from diffdrive_mpc.bench.comparison.figures import draw_case  # noqa: PLC0415
@@ -264,10 +264,10 @@ def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) 
         if run is not None:
             write_log(run, definition.case, ["--from-run", str(file)])
         if run is not None and folder is not None:
-            draw(Outcome(definition.case, run), folder, time.perf_counter() - began)
+            draw(RunOutcome(definition.case, run), folder, time.perf_counter() - began)
     console = output_console()
     if run is not None:
-        report(Outcome(definition.case, run), out, details=details)
+        report(RunOutcome(definition.case, run), out, details=details)
     else:
         console.print(f"not completed: {row['error']}", markup=False, highlight=False)
     same, sentence = compared(stored, row)

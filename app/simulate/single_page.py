@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
 from diffdrive_mpc.bench.html_report.origin import case_config, configuration, origin
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, Runs, Shown, Toggle, View
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, RunViews, Shown, Toggle, View
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.run_row import STATISTICS, Outcome, who_drives
+from diffdrive_mpc.bench.run_row import STATISTICS, RunOutcome, who_drives
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import Metrics
@@ -57,7 +57,7 @@ def sentences(case: Case, run: Run) -> list[str]:
     ]
 
 
-def single_page(outcome: Outcome, tables: Sequence[Table], seconds: float) -> Page:
+def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) -> Page:
     """The page of one run, whose tables are given; it took so many `seconds`."""
     case, run = outcome.case, outcome.run
     config = case_config(case)
@@ -66,7 +66,7 @@ def single_page(outcome: Outcome, tables: Sequence[Table], seconds: float) -> Pa
         summary=sentences(case, run),
         notes=[f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path."],
         key_figures=key_figures(run),
-        views=[Runs([series], _hint(run, POINTS))],
+        views=[RunViews([series], _hint(run, POINTS))],
         warnings=run_warnings(run, config),
         configurations=configuration(case),
     )
@@ -77,7 +77,12 @@ def single_page(outcome: Outcome, tables: Sequence[Table], seconds: float) -> Pa
 
 
 def laps_page(
-    case: Case, learned: Sequence[Run], plain: Sequence[Run], table: Table, views: Sequence[View], seconds: float
+    case: Case,
+    learned: Sequence[Run],
+    plain: Sequence[Run],
+    table: Table,
+    views: Sequence[View],
+    seconds: float,
 ) -> Page:
     """The page of laps with rehearsal and without: both as toggles, and each lap."""
     names = ("with rehearsal", "without rehearsal")
@@ -101,7 +106,7 @@ def laps_page(
         ],
         key_figures=figures,
         toggles=[Toggle("controller", names, names, styled=True), Toggle("lap", laps, laps[-1:])],
-        views=[Runs(series, _hint(learned[-1], _LAP_POINTS)), *views],
+        views=[RunViews(series, _hint(learned[-1], _LAP_POINTS)), *views],
         warnings=[
             one for lap, run in zip(laps, learned, strict=True) for one in run_warnings(run, config, f"lap {lap}")
         ],

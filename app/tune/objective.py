@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from diffdrive_mpc.app.proof.report import is_unsafe
 from diffdrive_mpc.app.tune.tune_file import Constraint, Figure, Objective, StepTime, Weighted
 from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller, run_case
 from diffdrive_mpc.bench.statistics import cvar, mean
@@ -26,7 +26,7 @@ _FIGURES = {"mean": mean, "cvar": cvar}
 
 
 @dataclass(frozen=True)
-class Term:
+class ObjectiveTerm:
     """One figure of the objective; `weight` is its share of the whole [-]."""
 
     side: Side
@@ -40,7 +40,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Score:
+class ObjectiveScore:
     """The objective of a point and its parts, each 1 for the defaults on the same runs [-].
 
     Attributes
@@ -56,7 +56,7 @@ class Score:
     effort: FloatArray
 
 
-def terms_of(objective: Objective) -> list[Term]:
+def terms_of(objective: Objective) -> list[ObjectiveTerm]:
     """All terms, error first; their weights add up to 1."""
     sides: dict[Side, Weighted] = {"error": objective.error, "effort": objective.effort}
     listed = [
@@ -66,15 +66,15 @@ def terms_of(objective: Objective) -> list[Term]:
         for figure, weight in figures.items()
     ]
     total = sum(weight for *_, weight in listed)
-    return [Term(side, column, figure, weight / total) for side, column, figure, weight in listed]
+    return [ObjectiveTerm(side, column, figure, weight / total) for side, column, figure, weight in listed]
 
 
-def table_of(terms: Sequence[Term], driven: Sequence[Driven]) -> FloatArray:
+def table_of(terms: Sequence[ObjectiveTerm], driven: Sequence[CampaignRun]) -> FloatArray:
     """(terms, runs) what each term is a figure of; NaN where a run has no such value."""
     return np.array([[one.number(term.column) for one in driven] for term in terms])
 
 
-def score(terms: Sequence[Term], table: FloatArray, usual: FloatArray) -> Score:
+def score(terms: Sequence[ObjectiveTerm], table: FloatArray, usual: FloatArray) -> ObjectiveScore:
     """Score of a table (terms, ..., runs) beside that of the defaults, of the same shape."""
     weights = np.array([term.weight for term in terms])
     ratios = np.array([term.of(mine) / term.of(theirs) for term, mine, theirs in zip(terms, table, usual, strict=True)])
@@ -84,10 +84,10 @@ def score(terms: Sequence[Term], table: FloatArray, usual: FloatArray) -> Score:
         part = np.tensordot(weights[chosen], ratios[chosen], 1)
         return np.asarray(part / weights[chosen].sum() if chosen.any() else np.full_like(part, np.nan))
 
-    return Score(np.asarray(np.tensordot(weights, ratios, 1)), of_side("error"), of_side("effort"))
+    return ObjectiveScore(np.asarray(np.tensordot(weights, ratios, 1)), of_side("error"), of_side("effort"))
 
 
-def check_usual(terms: Sequence[Term], table: FloatArray) -> None:
+def check_usual(terms: Sequence[ObjectiveTerm], table: FloatArray) -> None:
     """Raise ConfigError if the defaults have no figure that others could be held against."""
     for term, values in zip(terms, table, strict=True):
         figure = float(term.of(values))
@@ -98,7 +98,9 @@ def check_usual(terms: Sequence[Term], table: FloatArray) -> None:
             )
 
 
-def broken(driven: Sequence[Driven], usual: Sequence[Driven], terms: Sequence[Term]) -> dict[str, float]:
+def broken(
+    driven: Sequence[CampaignRun], usual: Sequence[CampaignRun], terms: Sequence[ObjectiveTerm]
+) -> dict[str, float]:
     """What must hold of every point, by name: above zero where it does not.
 
     No unsafe command, every run driven with all values of the objective, and no more runs that do not complete than the
@@ -111,7 +113,7 @@ def broken(driven: Sequence[Driven], usual: Sequence[Driven], terms: Sequence[Te
     }
 
 
-def exceeded(constraint: Constraint, driven: Sequence[Driven], usual: Sequence[Driven], name: str) -> float:
+def exceeded(constraint: Constraint, driven: Sequence[CampaignRun], usual: Sequence[CampaignRun], name: str) -> float:
     """By which share of its limit the largest value of a constraint's column is beyond it; 0 or less where it holds.
 
     Runs without such a value do not count. Raises ConfigError if none of the defaults' has one.
@@ -133,11 +135,11 @@ def in_words(violations: Mapping[str, float]) -> str:
     return ", ".join(name.replace("_", " ") for name, value in violations.items() if value > 0.0)
 
 
-def _lost(driven: Sequence[Driven]) -> int:
+def _lost(driven: Sequence[CampaignRun]) -> int:
     return sum(one.row["completed"] is not True for one in driven)
 
 
-def _largest(column: str, driven: Sequence[Driven]) -> float:
+def _largest(column: str, driven: Sequence[CampaignRun]) -> float:
     values = np.array([one.number(column) for one in driven])
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
 

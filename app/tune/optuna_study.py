@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.app.tune.tune_file import Range
+from diffdrive_mpc.app.tune.tune_file import SearchRange
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
@@ -69,7 +69,7 @@ def sampler(*seeds: int) -> Any:  # noqa: ANN401 - a sampler
     return needs_optuna().samplers.TPESampler(seed=int(seed[0]), n_startup_trials=STARTUP, constant_liar=True)
 
 
-def distribution(key: str, of: Range, now: Value) -> Any:  # noqa: ANN401 - a distribution
+def distribution(key: str, of: SearchRange, now: Value) -> Any:  # noqa: ANN401 - a distribution
     """What Optuna draws from for a parameter; raises ConfigError where `now`, its value, is none or lies outside."""
     if isinstance(now, bool) or not isinstance(now, (int, float)):
         raise ConfigError(f"parameters.{key}: its value is {now!r}; only numbers are tuned, leave it out")

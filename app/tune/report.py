@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from diffdrive_mpc.app.tune.search import Point, Searched
+from diffdrive_mpc.app.tune.search import Searched, TunePoint
 from diffdrive_mpc.app.tune.tune_file import TunePlan
-from diffdrive_mpc.app.tune.verdict import PutBack, Verdict
+from diffdrive_mpc.app.tune.verdict import PutBack, TuneVerdict
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
-    Configuration,
+    ConfigurationView,
     KeyFigure,
     Mark,
     Series,
@@ -25,7 +25,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Warned,
     rounded,
 )
-from diffdrive_mpc.bench.statistics import Estimate
+from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import ControllerConfig, load_config
@@ -35,7 +35,7 @@ from diffdrive_mpc.mpc.config.rooms import plain_key
 _LISTED = 12
 
 
-def facts(plan: TunePlan, searched: Searched, verdict: Verdict) -> list[str]:
+def facts(plan: TunePlan, searched: Searched, verdict: TuneVerdict) -> list[str]:
     """What came of it, and what was driven for it."""
     through = [sum(one.fidelity > k for one in searched.points) for k in range(len(plan.fidelities))]
     runs = " / ".join(str(fidelity.runs) for fidelity in plan.fidelities)
@@ -55,7 +55,7 @@ def facts(plan: TunePlan, searched: Searched, verdict: Verdict) -> list[str]:
     return lines
 
 
-def tables(searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) -> list[Table]:
+def tables(searched: Searched, verdict: TuneVerdict, usual: Mapping[str, Value]) -> list[Table]:
     """All tables of a tuning."""
     made = [_verdict(verdict), _chosen(searched, verdict, usual)]
     if verdict.put_back:
@@ -64,7 +64,7 @@ def tables(searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) -> 
 
 
 def configuration(
-    config: str, searched: Searched, verdict: Verdict, plan: TunePlan, usual: Mapping[str, Value], path: Path
+    config: str, searched: Searched, verdict: TuneVerdict, plan: TunePlan, usual: Mapping[str, Value], path: Path
 ) -> None:
     """Write the chosen configuration, or the defaults where it is no better; raises ConfigError if that cannot be.
 
@@ -90,7 +90,7 @@ def _note(usual: Value, worth: PutBack | None) -> str:
     return was if worth is None else f"{was}, with which the objective is {_points(worth.rise)}"
 
 
-def _points(of: Estimate) -> str:
+def _points(of: BootstrapEstimate) -> str:
     """A difference of the objective in percent of that of the defaults, in words."""
     if not math.isfinite(of.value):
         return "unknown"
@@ -105,7 +105,7 @@ def _beside(config: ControllerConfig, folder: Path) -> ControllerConfig:
     return config.model_copy(update={"model": named(config.model), "terms": terms})
 
 
-def _verdict(verdict: Verdict) -> Table:
+def _verdict(verdict: TuneVerdict) -> Table:
     rows = [
         (
             f"{figure.term.column}, {figure.term.figure}",
@@ -121,7 +121,7 @@ def _verdict(verdict: Verdict) -> Table:
         if math.isfinite(one.value):
             rows.append((name, "", "1", number(one.value, 3), _change(one), _interval(one)))
     gain = verdict.gain
-    whole = Estimate(1.0 - gain.value, 1.0 - gain.high, 1.0 - gain.low)
+    whole = BootstrapEstimate(1.0 - gain.value, 1.0 - gain.high, 1.0 - gain.low)
     rows.append(("objective", "", "1", number(whole.value, 3), _change(whole), _interval(whole)))
     return Table(
         "Verdict",
@@ -133,15 +133,15 @@ def _verdict(verdict: Verdict) -> Table:
     )
 
 
-def _change(ratio: Estimate) -> str:
+def _change(ratio: BootstrapEstimate) -> str:
     return f"{100 * (ratio.value - 1.0):+.1f}"
 
 
-def _interval(ratio: Estimate) -> str:
+def _interval(ratio: BootstrapEstimate) -> str:
     return f"{100 * (ratio.low - 1.0):+.1f} to {100 * (ratio.high - 1.0):+.1f}"
 
 
-def _chosen(searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) -> Table:
+def _chosen(searched: Searched, verdict: TuneVerdict, usual: Mapping[str, Value]) -> Table:
     best = searched.best
     rows = [
         (key, _value(usual[key]), _value(best.values[key]), number(100 * searched.importance.get(key, math.nan), 1))
@@ -157,8 +157,8 @@ def _chosen(searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) ->
     return Table("Chosen point", columns, tuple(rows), 1, note)
 
 
-def _put_back(verdict: Verdict) -> Table:
-    def cell(of: Estimate) -> str:
+def _put_back(verdict: TuneVerdict) -> Table:
+    def cell(of: BootstrapEstimate) -> str:
         return f"{100 * of.value:+.1f} ({100 * of.low:+.1f} to {100 * of.high:+.1f})"
 
     rows = tuple(
@@ -188,7 +188,7 @@ def _front(searched: Searched) -> Table:
     )
 
 
-def _score(one: Point) -> tuple[str, str, str]:
+def _score(one: TunePoint) -> tuple[str, str, str]:
     return number(one.error, 3), number(one.effort, 3), number(one.value, 3)
 
 
@@ -202,7 +202,7 @@ def _value(value: Value) -> str:
 _NOT_BETTER = "keep the defaults, which config.yaml holds; search longer (--points), or change the plan"
 
 
-def shown(config: str, searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) -> Shown:
+def shown(config: str, searched: Searched, verdict: TuneVerdict, usual: Mapping[str, Value]) -> Shown:
     """Everything that the page shows beside the tables, the front and the search.
 
     Parameters
@@ -223,15 +223,15 @@ def shown(config: str, searched: Searched, verdict: Verdict, usual: Mapping[str,
         views=charts,
         warnings=_warnings(searched, verdict),
         configurations=[
-            Configuration("Values of the best point that are not those of the defaults (YAML)", changed),
-            Configuration("Configuration that was started from (YAML)", commented_yaml(load_config(config))),
+            ConfigurationView("Values of the best point that are not those of the defaults (YAML)", changed),
+            ConfigurationView("Configuration that was started from (YAML)", commented_yaml(load_config(config))),
         ],
     )
 
 
-def _key_figures(searched: Searched, verdict: Verdict) -> list[KeyFigure]:
+def _key_figures(searched: Searched, verdict: TuneVerdict) -> list[KeyFigure]:
     gain = verdict.gain
-    whole = Estimate(1.0 - gain.value, 1.0 - gain.high, 1.0 - gain.low)
+    whole = BootstrapEstimate(1.0 - gain.value, 1.0 - gain.high, 1.0 - gain.low)
     named = {"objective": whole, "error": verdict.error, "effort": verdict.effort}
     better = KeyFigure(
         "better than the defaults",
@@ -298,7 +298,7 @@ def _importance(searched: Searched) -> Chart:
     return Chart("Which parameters matter", *axes, [Series("importance", names, shares, 0, "bars")], note)
 
 
-def _page_put_back(verdict: Verdict) -> Chart:
+def _page_put_back(verdict: TuneVerdict) -> Chart:
     names = [one.key for one in verdict.put_back]
     rises = [one.rise for one in verdict.put_back]
     value, low, high = ([round(100 * getattr(rise, of), 2) for rise in rises] for of in ("value", "low", "high"))
@@ -309,7 +309,7 @@ def _page_put_back(verdict: Verdict) -> Chart:
     return Chart("What each parameter buys", *axes, [series], note, [Mark(0.0, "no difference")])
 
 
-def _warnings(searched: Searched, verdict: Verdict) -> list[Warned]:
+def _warnings(searched: Searched, verdict: TuneVerdict) -> list[Warned]:
     warnings = []
     if verdict.broken:
         warnings.append(Warned(f"On runs of other seeds the best point breaks {verdict.broken}.", _NOT_BETTER))
@@ -329,7 +329,7 @@ def _warnings(searched: Searched, verdict: Verdict) -> list[Warned]:
     return warnings
 
 
-def _told(point: Point) -> str:
+def _told(point: TunePoint) -> str:
     values = ", ".join(f"{key} {_value(value)}" for key, value in point.values.items())
     return f"point {point.number}, objective {number(point.value, 3)}: {values}"
 

@@ -35,10 +35,10 @@ from diffdrive_mpc.app.tune.optuna_study import (
     sampler,
     values_of,
 )
-from diffdrive_mpc.app.tune.tune_file import Runs, TunePlan
+from diffdrive_mpc.app.tune.tune_file import TunePlan, TuneRuns
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace, CampaignRun, drive_all
 from diffdrive_mpc.bench.campaign.identity import key_of
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -54,7 +54,7 @@ _TOP, _LEAST_TOP = 0.1, 5
 
 
 @dataclass(frozen=True)
-class Point:
+class TunePoint:
     """A point that was tried.
 
     Attributes
@@ -90,27 +90,27 @@ class Point:
 class Searched:
     """All points that were tried, in order, and the importance of each parameter, the largest first."""
 
-    points: list[Point]
+    points: list[TunePoint]
     importance: dict[str, float]
 
     @property
-    def best(self) -> Point:
+    def best(self) -> TunePoint:
         """The usable point with the least objective; the defaults where there is none."""
         return min(self.usable, key=lambda one: (one.value, one.number), default=self.points[0])
 
     @property
-    def usable(self) -> list[Point]:
+    def usable(self) -> list[TunePoint]:
         """Points that can be used."""
         return [point for point in self.points if point.usable]
 
     @property
-    def front(self) -> list[Point]:
+    def front(self) -> list[TunePoint]:
         """Usable points that no other is better than in error and effort, the least error first."""
         ordered = sorted(self.usable, key=lambda one: (one.error, one.effort, one.number))
         return [one for k, one in enumerate(ordered) if all(one.effort < other.effort for other in ordered[:k])]
 
 
-def importance_of(points: Sequence[Point], distributions: Mapping[str, object]) -> dict[str, float]:
+def importance_of(points: Sequence[TunePoint], distributions: Mapping[str, object]) -> dict[str, float]:
     """How much each parameter decides whether a point is among the best tenth with the first fidelity; adds up to 1.
 
     PED-ANOVA (Watanabe, Bansal, Hutter, IJCAI 2023). Empty where there are too few points.
@@ -139,7 +139,7 @@ class RunSet:
     """Runs that points are judged by, and what the defaults did on them."""
 
     runs: list[Definition]
-    usual: list[Driven] = field(default_factory=list)
+    usual: list[CampaignRun] = field(default_factory=list)
 
 
 @dataclass
@@ -158,7 +158,7 @@ class Judged:
         return not self.pruned and not in_words(self.violations)
 
 
-class Search:
+class ConfigurationSearch:
     """The search for a configuration.
 
     Parameters
@@ -178,7 +178,7 @@ class Search:
     """
 
     def __init__(
-        self, plan: TunePlan, factors: Mapping[str, Value], place: Place, storage: str = "", worker: int = 1
+        self, plan: TunePlan, factors: Mapping[str, Value], place: CampaignPlace, storage: str = "", worker: int = 1
     ) -> None:
         self._plan, self._factors, self._place, self._storage, self._worker = plan, factors, place, storage, worker
         self._terms = terms_of(plan.objective)
@@ -202,7 +202,7 @@ class Search:
         """So many runs of the verdict."""
         return self._runs(self._plan.verdict, count, {})
 
-    def constraint_sets(self, of: Runs) -> dict[str, RunSet]:
+    def constraint_sets(self, of: TuneRuns) -> dict[str, RunSet]:
         """The runs of each constraint that has its own, not driven yet."""
         listed = {name: constraint for name, constraint in self._plan.constraints.items() if constraint.runs}
         return {name: RunSet(self._runs(of, one.runs, one.factors)) for name, one in listed.items()}
@@ -229,7 +229,7 @@ class Search:
 
     def drive(
         self, points: Sequence[Mapping[str, Value]], runs: Sequence[Definition], bar: ProgressBar, text: str
-    ) -> list[list[Driven]]:
+    ) -> list[list[CampaignRun]]:
         """Drive `runs` with the values of each point; what differs from the defaults is replaced in them."""
         asked = []
         for values in points:
@@ -252,7 +252,7 @@ class Search:
             study.set_user_attr(key, predicted_p99(stated, case, other))
         return {"step_time": study.user_attrs[key] / stated.at_most - 1.0}
 
-    def _runs(self, of: Runs, count: int, factors: Mapping[str, object]) -> list[Definition]:
+    def _runs(self, of: TuneRuns, count: int, factors: Mapping[str, object]) -> list[Definition]:
         return self._plan.runs(of, count, self._factors, factors)
 
     def _name(self) -> str:
@@ -316,7 +316,7 @@ class Search:
                 skip_if_finished=True,
             )
 
-    def _take(self, one: Judged, fidelity: int, driven: Sequence[Driven], usual: Sequence[Driven]) -> None:
+    def _take(self, one: Judged, fidelity: int, driven: Sequence[CampaignRun], usual: Sequence[CampaignRun]) -> None:
         """Take what came of a point with one fidelity, and decide whether it goes on."""
         one.violations |= broken(driven, usual, self._terms)
         for name, constraint in self._plan.constraints.items():
@@ -339,15 +339,15 @@ class Search:
     def _values(self, params: Mapping[str, Value]) -> Values:
         return values_of(params, self.usual)
 
-    def _point(self, trial: Any) -> Point:  # noqa: ANN401
+    def _point(self, trial: Any) -> TunePoint:  # noqa: ANN401
         attributes = trial.user_attrs[_SCORE]
         values = self._values(trial.params)
         usable = trial.state == needs_optuna().trial.TrialState.COMPLETE
         if not attributes["scores"]:
-            return Point(trial.number, values, broken=attributes["broken"])
+            return TunePoint(trial.number, values, broken=attributes["broken"])
         value, error, effort = attributes["scores"][-1]
         first = attributes["scores"][0][0]
-        return Point(
+        return TunePoint(
             trial.number,
             values,
             len(attributes["scores"]),

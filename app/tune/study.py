@@ -9,11 +9,11 @@ from pathlib import Path
 from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
 from diffdrive_mpc.app.tune.report import configuration, facts, front_chart, search_chart, shown, tables
-from diffdrive_mpc.app.tune.search import Search, Searched
+from diffdrive_mpc.app.tune.search import ConfigurationSearch, Searched
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
-from diffdrive_mpc.app.tune.verdict import Verdict, judge
+from diffdrive_mpc.app.tune.verdict import TuneVerdict, judge
 from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import Place
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -27,11 +27,11 @@ CONFIG = "config.yaml"
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TuningOutcome:
     """What a tuning found: the points, the verdict on the best of them, and the values that the defaults have."""
 
     searched: Searched
-    verdict: Verdict
+    verdict: TuneVerdict
     usual: Mapping[str, Value]
 
 
@@ -54,10 +54,10 @@ class TuneResult:
     config_path: Path
     improved: bool
     sentence: str
-    tuned: Tuned
+    tuned: TuningOutcome
 
 
-class TuneStudy(Study[Search, Tuned]):
+class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
     """Search for a configuration, and the verdict on what was found.
 
     Parameters
@@ -69,32 +69,32 @@ class TuneStudy(Study[Search, Tuned]):
     place
         Where runs are driven and kept.
     storage, worker
-        Those of `tune.search.Search`.
+        Those of `tune.search.ConfigurationSearch`.
     """
 
     name, title, shared = "tune", "Tuning", True
 
-    def __init__(self, config: str, plan: TunePlan, place: Place, storage: str = "", worker: int = 1) -> None:
+    def __init__(self, config: str, plan: TunePlan, place: CampaignPlace, storage: str = "", worker: int = 1) -> None:
         self._config, self._plan, self._place = config, plan, place
         self._storage, self._worker = storage, worker
 
-    def plan(self) -> Search:
+    def plan(self) -> ConfigurationSearch:
         """Make the search; raises ConfigError where a range or a factor has a mistake."""
         needs_optuna()
-        return Search(self._plan, told_of(self._config), self._place, self._storage, self._worker)
+        return ConfigurationSearch(self._plan, told_of(self._config), self._place, self._storage, self._worker)
 
-    def cases(self, plan: Search) -> Iterable[Case]:
+    def cases(self, plan: ConfigurationSearch) -> Iterable[Case]:
         """A run of the verdict."""
         return [plan.verdict_runs(1)[0].case]
 
-    def run(self, plan: Search, jobs: int, bar: ProgressBar) -> Tuned:  # noqa: ARG002 - the place has them
+    def run(self, plan: ConfigurationSearch, jobs: int, bar: ProgressBar) -> TuningOutcome:  # noqa: ARG002 - the place has them
         """Search, then judge the best point."""
         # Many short lists of runs: processes that start anew for each would cost as much as the runs.
         with lasting_processes():
             searched = plan.run(bar)
-            return Tuned(searched, judge(self._plan, plan, searched.best, bar), plan.usual)
+            return TuningOutcome(searched, judge(self._plan, plan, searched.best, bar), plan.usual)
 
-    def report(self, results: Tuned, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
+    def report(self, results: TuningOutcome, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
         """Tables, the front, and how the search went."""
         searched, verdict = results.searched, results.verdict
         front = {"front.png": [front_chart(searched)]} if self._plan.objective.effort else {}
@@ -169,7 +169,7 @@ def tune(
         read = check(TunePlan, read.model_dump() | {"points": points}, "--points")
     folder = Path(out)
     check_not_read(folder / CONFIG, f"--out {folder / CONFIG}")
-    study = TuneStudy(str(config), read, Place(folder, workers, scheduler), storage, worker)
+    study = TuneStudy(str(config), read, CampaignPlace(folder, workers, scheduler), storage, worker)
     tuned = carry_out(study, folder, workers)
     path = folder / CONFIG
     configuration(str(config), tuned.searched, tuned.verdict, read, tuned.usual, path)

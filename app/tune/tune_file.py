@@ -32,7 +32,7 @@ COLUMNS = (
 """Columns of a run's row that an objective or a constraint may name."""
 
 
-class Range(StrictModel):
+class SearchRange(StrictModel):
     """Where a value of the configuration is searched: as factors of what it is now, or between two values."""
 
     times: tuple[Share, Share] | None = Field(None, description="lowest and highest factor on what it is now")
@@ -41,7 +41,7 @@ class Range(StrictModel):
     log: bool = Field(False, description="whether ratios count between low and high; with `times` they always do")
 
     @model_validator(mode="after")
-    def _one_way(self) -> Range:
+    def _one_way(self) -> SearchRange:
         low, high = self.times or (self.low, self.high)
         if (self.times is None) == ((self.low, self.high) == (None, None)) or low is None or high is None:
             raise ValueError("give either times: [LOW, HIGH], or low and high")
@@ -106,14 +106,14 @@ class Fidelity(StrictModel):
     factors: Factors = Field(default_factory=dict, description="what these runs have in place of the others' factors")
 
 
-class Runs(StrictModel):
+class TuneRuns(StrictModel):
     """Which runs: points of the spread and seeds of the noise."""
 
     draw_seed: Seed = Field(description="of the points of the spread")
     first_seed: Seed = Field(description="of the noise; the next run has the next one")
 
 
-class Verdict(Runs):
+class ValidationRuns(TuneRuns):
     """Runs that the search has not seen, on which the chosen point is held against the defaults."""
 
     runs: Annotated[int, Field(ge=2, le=10_000)]
@@ -130,13 +130,15 @@ class TunePlan(StrictModel):
     at_once: Count = Field(description="points that are asked for together")
     keep: Annotated[int, Field(ge=2, le=100)] = Field(3, description="one of so many goes on to the next fidelity")
     search_seed: Seed = Field(0, description="of the sampler")
-    parameters: Annotated[dict[str, Range], Field(min_length=1)] = Field(description="by key of the configuration")
+    parameters: Annotated[dict[str, SearchRange], Field(min_length=1)] = Field(
+        description="by key of the configuration"
+    )
     objective: Objective
     constraints: dict[Annotated[str, Field(pattern="^[a-z_]+$")], Constraint] = Field(default_factory=dict)
     step_time: StepTime | None = None
     fidelities: Annotated[tuple[Fidelity, ...], Field(min_length=1)]
-    tuning: Runs
-    verdict: Verdict
+    tuning: TuneRuns
+    verdict: ValidationRuns
     factors: dict[str, object] = Field(default_factory=dict, description="as in a campaign")
     spread: dict[str, tuple[float, float]] = Field(
         default_factory=dict, description="lowest and highest factor on what plant, floor or sensors say"
@@ -169,7 +171,9 @@ class TunePlan(StrictModel):
         check_count(searched + 2 * self.verdict.runs + alone, MOST_RUNS)
         return self
 
-    def runs(self, of: Runs, count: int, usual: Mapping[str, Value], factors: Mapping[str, object]) -> list[Definition]:
+    def runs(
+        self, of: TuneRuns, count: int, usual: Mapping[str, Value], factors: Mapping[str, object]
+    ) -> list[Definition]:
         """`count` runs of the controller that `usual` names, with `factors` in place of the plan's.
 
         Raises ConfigError if a factor has a mistake, or plant, floor or sensors have no value that is to be spread.

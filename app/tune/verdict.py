@@ -7,12 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diffdrive_mpc.app.tune.objective import Score, Term, broken, exceeded, in_words, score, table_of, terms_of
-from diffdrive_mpc.app.tune.search import Point, RunSet, Search
+from diffdrive_mpc.app.tune.objective import (
+    ObjectiveScore,
+    ObjectiveTerm,
+    broken,
+    exceeded,
+    in_words,
+    score,
+    table_of,
+    terms_of,
+)
+from diffdrive_mpc.app.tune.search import ConfigurationSearch, RunSet, TunePoint
 from diffdrive_mpc.app.tune.tune_file import TunePlan
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.statistics import Estimate
+from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.models.interface import FloatArray
 
 
@@ -23,23 +32,23 @@ class PutBack:
     key: str
     value: Value
     usual: Value
-    rise: Estimate
-    error: Estimate
-    effort: Estimate
+    rise: BootstrapEstimate
+    error: BootstrapEstimate
+    effort: BootstrapEstimate
 
 
 @dataclass(frozen=True)
 class TermFigure:
     """A term of the objective: its figure for the defaults and for the chosen point, and the ratio of the two [-]."""
 
-    term: Term
+    term: ObjectiveTerm
     usual: float
     mine: float
-    ratio: Estimate
+    ratio: BootstrapEstimate
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TuneVerdict:
     """What the chosen point is worth.
 
     Attributes
@@ -59,9 +68,9 @@ class Verdict:
     """
 
     runs: int
-    gain: Estimate
-    error: Estimate
-    effort: Estimate
+    gain: BootstrapEstimate
+    error: BootstrapEstimate
+    effort: BootstrapEstimate
     figures: list[TermFigure]
     broken: str
     usual_broken: str
@@ -78,7 +87,7 @@ class Verdict:
         on = f"on {self.runs} runs of other seeds"
         of = f"95 % interval {100 * self.gain.low:.1f} to {100 * self.gain.high:.1f} %"
         by = f"{100 * abs(self.gain.value):.1f} % {'below' if self.gain.value >= 0.0 else 'above'} that of the defaults"
-        if self.gain == Estimate(0.0, 0.0, 0.0):
+        if self.gain == BootstrapEstimate(0.0, 0.0, 0.0):
             also = f"; the defaults break {self.usual_broken}" if self.usual_broken else ""
             return f"no better than the defaults: none of the points that were tried is{also}"
         if self.broken:
@@ -89,7 +98,7 @@ class Verdict:
         return f"the objective is {by} {on} ({of}){also}"
 
 
-def judge(plan: TunePlan, search: Search, chosen: Point, bar: ProgressBar) -> Verdict:
+def judge(plan: TunePlan, search: ConfigurationSearch, chosen: TunePoint, bar: ProgressBar) -> TuneVerdict:
     """Drive the chosen point and the defaults with the seeds of the verdict.
 
     Raises StudyFailedError if runs could not be driven.
@@ -109,7 +118,7 @@ def judge(plan: TunePlan, search: Search, chosen: Point, bar: ProgressBar) -> Ve
         of = own.get(name, RunSet(runs, usual))
         violations[name] = exceeded(constraint, constrained.get(name, mine), of.usual, name)
         usual_violations[name] = exceeded(constraint, of.usual, of.usual, name)
-    return Verdict(
+    return TuneVerdict(
         len(runs),
         _estimate(terms, ours, theirs, lambda one: 1.0 - one.value),
         _estimate(terms, ours, theirs, lambda one: one.error),
@@ -130,14 +139,16 @@ def judge(plan: TunePlan, search: Search, chosen: Point, bar: ProgressBar) -> Ve
 
 
 def _estimate(
-    terms: Sequence[Term], mine: FloatArray, usual: FloatArray, figure: Callable[[Score], FloatArray]
-) -> Estimate:
+    terms: Sequence[ObjectiveTerm], mine: FloatArray, usual: FloatArray, figure: Callable[[ObjectiveScore], FloatArray]
+) -> BootstrapEstimate:
     if not (np.isfinite(mine).all() and np.isfinite(usual).all()):
-        return Estimate(np.nan, np.nan, np.nan)
-    return Estimate.of_same_runs((mine, usual), lambda ours, theirs: figure(score(terms, ours, theirs)))
+        return BootstrapEstimate(np.nan, np.nan, np.nan)
+    return BootstrapEstimate.of_same_runs((mine, usual), lambda ours, theirs: figure(score(terms, ours, theirs)))
 
 
-def _put_back(plan: TunePlan, search: Search, chosen: Point, terms: Sequence[Term], bar: ProgressBar) -> list[PutBack]:
+def _put_back(
+    plan: TunePlan, search: ConfigurationSearch, chosen: TunePoint, terms: Sequence[ObjectiveTerm], bar: ProgressBar
+) -> list[PutBack]:
     other = [key for key, value in chosen.values.items() if value != search.usual[key]]
     if not other or not plan.verdict.put_back:
         return []
@@ -145,14 +156,14 @@ def _put_back(plan: TunePlan, search: Search, chosen: Point, terms: Sequence[Ter
     points = [{}, chosen.values, *({**chosen.values, key: search.usual[key]} for key in other)]
     usual, mine, *back = (table_of(terms, one) for one in search.drive(points, runs, bar, "putting parameters back"))
 
-    def rise(changed: FloatArray, of: Callable[[Score], FloatArray]) -> Estimate:
+    def rise(changed: FloatArray, of: Callable[[ObjectiveScore], FloatArray]) -> BootstrapEstimate:
         if not all(np.isfinite(table).all() for table in (usual, mine, changed)):
-            return Estimate(np.nan, np.nan, np.nan)
+            return BootstrapEstimate(np.nan, np.nan, np.nan)
 
         def difference(one: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
             return of(score(terms, one, theirs)) - of(score(terms, ours, theirs))
 
-        return Estimate.of_same_runs((changed, mine, usual), difference)
+        return BootstrapEstimate.of_same_runs((changed, mine, usual), difference)
 
     changes = [
         PutBack(

@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_styl
 from diffdrive_mpc.bench.html_report.page import from_zero
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.structures.identified import rounded
-from diffdrive_mpc.sim.twin.fitting import Told
+from diffdrive_mpc.sim.twin.fitting import FittedParameter
 from diffdrive_mpc.sim.twin.from_log import FittedTwin
 from diffdrive_mpc.sim.twin.settings import twin_settings
 
@@ -126,7 +126,7 @@ def numbers(twin: FittedTwin) -> dict[str, Any]:
             "drift": [dict(zip(keys, (d.horizon, d.position_rmse, d.heading_rmse), strict=True)) for d in one.drift],
         }
 
-    def told(one: Told) -> dict[str, Any]:
+    def told(one: FittedParameter) -> dict[str, Any]:
         return {name: value for name, value in asdict(one).items() if name != "words"}
 
     return {

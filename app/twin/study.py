@@ -29,7 +29,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.logs.record import counted
-from diffdrive_mpc.sim.twin.free_run import Motion
+from diffdrive_mpc.sim.twin.free_run import FreeMotion
 from diffdrive_mpc.sim.twin.from_log import FittedTwin, twin_of
 from diffdrive_mpc.sim.twin.problem import Task, one_by_one
 
@@ -50,7 +50,7 @@ def twin_into(logs: Sequence[Path], out: Path, *, jobs: int | None = None, **opt
     with staged(out, files=files, folders=(FIGURES,), owner="twin") as folder, ProgressBar("reading", 1) as bar:
         with Parallel(n_jobs=count) as pool:
 
-            def together(tasks: Sequence[Task]) -> list[list[Motion] | None]:
+            def together(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
                 return list(pool(delayed(_call)(task) for task in tasks))
 
             twin = _twin(
@@ -72,7 +72,7 @@ def twin_into(logs: Sequence[Path], out: Path, *, jobs: int | None = None, **opt
     return twin
 
 
-def _call(task: Task) -> list[Motion] | None:
+def _call(task: Task) -> list[FreeMotion] | None:
     return task()
 
 

@@ -12,11 +12,11 @@ from contextlib import suppress
 from typing import Any
 
 from diffdrive_mpc.bench.campaign.drive import Row
-from diffdrive_mpc.bench.campaign.engine import Task, do
+from diffdrive_mpc.bench.campaign.engine import CampaignTask, do
 from diffdrive_mpc.bench.runner import StudyFailedError, WorkerDiedError
 from diffdrive_mpc.models.errors import MissingPackageError
 
-OnRow = Callable[[Task, Row], None]
+OnRow = Callable[[CampaignTask, Row], None]
 
 _CONNECT = 10.0
 """So long a scheduler may take to answer [s]."""
@@ -33,7 +33,7 @@ class SchedulerLostError(StudyFailedError):
     """There is no answer from the scheduler."""
 
 
-def drive_there(tasks: Sequence[Task], scheduler: str, on_row: OnRow, patience: float = 600.0) -> None:
+def drive_there(tasks: Sequence[CampaignTask], scheduler: str, on_row: OnRow, patience: float = 600.0) -> None:
     """Drive every run on the workers of `scheduler`; `on_row` is called here, once for each run.
 
     What was under way on a worker or a scheduler that is lost is sent again. Without a scheduler or an answer from it
@@ -46,7 +46,7 @@ def drive_there(tasks: Sequence[Task], scheduler: str, on_row: OnRow, patience: 
     losses: dict[str, int] = {}
     first, since = True, time.monotonic()
 
-    def done(task: Task, row: Row) -> None:
+    def done(task: CampaignTask, row: Row) -> None:
         nonlocal since
         since = time.monotonic()
         if left.pop(task.key, None) is not None:
@@ -79,9 +79,9 @@ class _Session:
     def __init__(self, client: Any, losses: dict[str, int], done: OnRow, patience: float) -> None:  # noqa: ANN401
         self._client, self._losses, self._done, self._patience = client, losses, done, patience
         self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._under_way: dict[str, tuple[Task, Any]] = {}
+        self._under_way: dict[str, tuple[CampaignTask, Any]] = {}
 
-    def drive(self, tasks: Sequence[Task]) -> None:
+    def drive(self, tasks: Sequence[CampaignTask]) -> None:
         """Drive them all; raises SchedulerLostError when the connection is gone."""
         waiting = deque(tasks)
         looked = answered = working = time.monotonic()
@@ -108,14 +108,14 @@ class _Session:
                     f"the scheduler has had no worker for {self._patience:.0f} s; start `dask worker`"
                 )
 
-    def _send(self, task: Task) -> None:
+    def _send(self, task: CampaignTask) -> None:
         # Another name for a run that is sent again: the scheduler keeps why the first was lost.
         name = f"{task.key}-{self._losses.get(task.key, 0)}"
         future = self._client.submit(do, task, key=name, pure=False)
         self._under_way[task.key] = task, future
         future.add_done_callback(lambda _, key=task.key: self._finished.put(key))
 
-    def _take(self, key: str) -> Task | None:
+    def _take(self, key: str) -> CampaignTask | None:
         """Take what came of a run; gives the task where it has to be sent again."""
         from distributed import KilledWorker  # noqa: PLC0415 - see drive_there
         from distributed.client import FutureCancelledError  # noqa: PLC0415

@@ -164,7 +164,7 @@ class Each(Counted):
         return self.each + index
 
 
-class Market(Counted):
+class MarketDraw(Counted):
     """Another robot of the market for each run: the reserved ones that can drive and turn on the spot, in order."""
 
     market: Annotated[int, Field(ge=0)] = Field(description="number of the first run's, for the factor `plant`")
@@ -182,7 +182,7 @@ KINDS: dict[str, type[Draw]] = {
     "one_of": OneOf,
     "integers": Integers,
     "each": Each,
-    "market": Market,
+    "market": MarketDraw,
 }
 
 

@@ -75,7 +75,7 @@ OnTick = Callable[[int, int], None]
 _PHYSICS = "mujoco"
 
 
-class WatchedController:
+class RecordedController:
     """A controller, and what it commanded when: also commands that the loop refuses."""
 
     def __init__(self, controller: TrackingController) -> None:
@@ -131,12 +131,12 @@ def drive_whole(
     """The same, with the run, where there is one; `on_tick` and `keep_plans` are those of `sim.simulate`."""
     began, processor = time.perf_counter(), time.process_time()
     run: Run | None = None
-    watched: WatchedController | None = None
+    watched: RecordedController | None = None
     error = ""
     with threadpool_limits(limits=1):
         try:
             with built(definition) as (controller, plant, reference):
-                watched = WatchedController(controller)
+                watched = RecordedController(controller)
                 run = simulate(watched, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
                 _ = run.errors
         except (MemoryError, OSError, UntrustedFileError):

@@ -41,14 +41,14 @@ class OtherVersionError(StudyFailedError):
 
 
 @dataclass(frozen=True)
-class Task:
+class CampaignTask:
     """A run, and the key under which it is kept."""
 
     definition: Definition
     key: str
 
     @classmethod
-    def of(cls, definition: Definition) -> Task:
+    def of(cls, definition: Definition) -> CampaignTask:
         """The task for a run."""
         return cls(definition, key_of(definition))
 
@@ -58,7 +58,7 @@ class Task:
         return identify(self.definition)
 
 
-def do(task: Task) -> Row:
+def do(task: CampaignTask) -> Row:
     """Drive the run and give its row; raises OtherVersionError where it would not be the run that was asked for."""
     if key_of(task.definition) != task.key:
         raise OtherVersionError(
@@ -126,7 +126,7 @@ _TRIES = 3
 """So many pools in a row may break without a run done in between."""
 
 
-def drive_here(tasks: Iterable[Task], folder: Path, jobs: int, on_done: OnDone) -> None:
+def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: OnDone) -> None:
     """Drive every run that the store in `folder` does not have, in `jobs` processes at most; each keeps its own.
 
     Runs of a process that was ended from outside are done again. Raises WorkerDiedError when that does not help,
@@ -147,13 +147,13 @@ def drive_here(tasks: Iterable[Task], folder: Path, jobs: int, on_done: OnDone) 
             left = fewer
 
 
-def _keep(task: Task, folder: Path) -> None:
+def _keep(task: CampaignTask, folder: Path) -> None:
     row = do(task)
     Store(folder).save(task.key, task.identity, row)
 
 
 @dataclass(frozen=True)
-class Driven:
+class CampaignRun:
     """A run of a campaign and what came of it.
 
     Attributes
@@ -182,7 +182,7 @@ class Driven:
 
 
 @dataclass(frozen=True)
-class Place:
+class CampaignPlace:
     """Where runs are driven, and where their rows are kept.
 
     Attributes
@@ -205,10 +205,10 @@ class Place:
 
 def drive_all(
     definitions: Sequence[Definition],
-    place: Place,
+    place: CampaignPlace,
     bar: ProgressBar,
     text: str = "driving",
-) -> list[Driven]:
+) -> list[CampaignRun]:
     """Drive those runs that the store does not have, and give all in order; a run that is named twice counts once.
 
     Parameters
@@ -225,7 +225,7 @@ def drive_all(
     Raises ConfigError where the store cannot be written to or a run cannot be built, before anything is driven;
     StudyFailedError where runs could not be driven.
     """
-    tasks = list({task.key: task for task in map(Task.of, definitions)}.values())
+    tasks = list({task.key: task for task in map(CampaignTask.of, definitions)}.values())
     store = Store(place.folder)
     store.clear_drafts()
     kept = store.keys()
@@ -236,7 +236,7 @@ def drive_all(
     if missing and place.scheduler:
         from diffdrive_mpc.bench.campaign.dask_pool import drive_there  # noqa: PLC0415 - needs Dask
 
-        def keep(task: Task, row: Row) -> None:
+        def keep(task: CampaignTask, row: Row) -> None:
             store.save(task.key, task.identity, row)
             bar.advance()
 
@@ -248,11 +248,11 @@ def drive_all(
         row = store.load(task.key)
         if row is None:
             raise StudyFailedError(f"{place.folder}: run {task.key[:12]} was taken away while the campaign went on")
-        driven.append(Driven(task.definition, task.key, row))
+        driven.append(CampaignRun(task.definition, task.key, row))
     return driven
 
 
-def failed(driven: Sequence[Driven]) -> str:
+def failed(driven: Sequence[CampaignRun]) -> str:
     """How many runs ended in an error, and the first of them, in one line; empty without any."""
     errors = [one for one in driven if one.row["error"]]
     if not errors:

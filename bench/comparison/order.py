@@ -22,7 +22,7 @@ RULE = (
 
 
 @dataclass(frozen=True)
-class Place:
+class Rank:
     """One controller in the order.
 
     Attributes
@@ -53,7 +53,7 @@ def interval(differences: FloatArray) -> FloatArray:
     return np.asarray(np.percentile(differences[draws].mean(axis=1), [tail, 100.0 - tail]))
 
 
-def order(rows: DataFrame) -> list[Place]:
+def order(rows: DataFrame) -> list[Rank]:
     """Controllers by mean position RMSE, the best first; those with a run that has none are left out."""
     compared = by(rows, COMPARED)
     errors = {name: _errors(runs) for name, runs in compared.items()}
@@ -62,7 +62,7 @@ def order(rows: DataFrame) -> list[Place]:
     for before, name in itertools.pairwise(["", *ranked]):
         behind = interval(_differences(errors[before], errors[name])) if before else np.full(2, np.nan)
         means = [mean(runs, "position_rmse_m") for runs in by(compared[name], "seed").values()]
-        places.append(Place(name, _mean_of(errors)(name), float(np.std(means)), behind))
+        places.append(Rank(name, _mean_of(errors)(name), float(np.std(means)), behind))
     return places
 
 

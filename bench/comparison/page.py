@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Division,
     KeyFigure,
     Mark,
-    Runs,
+    RunViews,
     Series,
     Shown,
     Toggle,
@@ -110,7 +110,7 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
     ]
 
 
-def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> Runs:
+def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
     """Every run, styled by its controller, the predictive ones first; the more there are, the thinner."""
     points = min(_TICKS_OF_A_RUN, _TICKS // len(main))
     series = []
@@ -129,7 +129,7 @@ def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> Runs:
                     every_layer=len(main) == 1,
                 )
             )
-    return Runs(series, f"{HOW_TO_READ}; its rows are the runs in their order. {PEAKS}.")
+    return RunViews(series, f"{HOW_TO_READ}; its rows are the runs in their order. {PEAKS}.")
 
 
 def error_chart(main: DataFrame) -> Chart:

@@ -39,7 +39,7 @@ class ComparisonResults:
     settings
         What was asked for.
     main
-        Rows of the comparison, each with its run, as `bench.run_row.Outcome.row` gives them.
+        Rows of the comparison, each with its run, as `bench.run_row.RunOutcome.row` gives them.
     horizon
         Those of the horizon sweep; they may be among `main` too.
     timing

@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table,
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.run_row import STATISTICS, Outcome, Row, row_of
+from diffdrive_mpc.bench.run_row import STATISTICS, Row, RunOutcome, row_of
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
@@ -52,11 +52,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         bar.begin(f"running, {jobs} at a time", len(cases))
         # Of the cases that are timed the whole run is kept, of the others their row.
         driven = run_tasks([partial(_drive, case, whole=case in plan.all) for case in cases], jobs, bar.advance)
-        recorded = [one for one in driven if isinstance(one, Outcome)]
+        recorded = [one for one in driven if isinstance(one, RunOutcome)]
         bar.begin("timing, in turns", len(recorded))
         timed, timing = time_outcomes(recorded, bar.advance)
         rows: dict[Case, Row] = {one.case: one.row for one in timed}
-        rows |= {one["case"]: one for one in driven if not isinstance(one, Outcome)}
+        rows |= {one["case"]: one for one in driven if not isinstance(one, RunOutcome)}
 
         def of(listed: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in listed)
@@ -103,10 +103,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         )
 
 
-def _drive(case: Case, *, whole: bool) -> Outcome | Row:
+def _drive(case: Case, *, whole: bool) -> RunOutcome | Row:
     run = run_case(case)
     _ = run.errors  # worked out where there are several processes to do it
-    return Outcome(case, run) if whole else row_of(case, run)
+    return RunOutcome(case, run) if whole else row_of(case, run)
 
 
 def _undisturbed(timing: TimingPass) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from diffdrive_mpc.bench.case import Case, label
 from diffdrive_mpc.bench.command_line.options import command_line
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.html_report.page import Configuration, Origin
+from diffdrive_mpc.bench.html_report.page import ConfigurationView, Origin
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.mpc.config.described import commented_yaml
@@ -48,14 +48,14 @@ def case_config(case: Case) -> ControllerConfig | None:
     return None if case.controller in PEERS else controller_config(case.model, case.config, case.overrides)
 
 
-def configuration(case: Case) -> list[Configuration]:
+def configuration(case: Case) -> list[ConfigurationView]:
     """The configuration of a case with every value, its model named without folders."""
     config = case_config(case)
     if config is None:
         return []
     named = config.model_copy(update={"model": label(config.model)})
     return [
-        Configuration(
+        ConfigurationView(
             f"Configuration of {who_drives(case)}, every value with its meaning (YAML)", commented_yaml(named)
         )
     ]

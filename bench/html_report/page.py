@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.table import Table
+from diffdrive_mpc.models.table import TextTable
 
 Labels = Mapping[str, str]
 """Value of each toggle that shows or hides something, by the toggle's name."""
@@ -152,7 +152,7 @@ class GridMap:
 
 
 @dataclass(frozen=True)
-class Picture:
+class EmbeddedPicture:
     """A picture that stands in the page itself; `source` is a data address, see `document.picture`."""
 
     title: str
@@ -163,7 +163,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Runs:
+class RunViews:
     """Linked views of closed-loop runs; each is what `run_series.run_series` gives."""
 
     runs: Sequence[Mapping[str, object]]
@@ -171,18 +171,18 @@ class Runs:
     kind: Literal["runs"] = "runs"
 
 
-View = Chart | GridMap | Picture | Runs
+View = Chart | GridMap | EmbeddedPicture | RunViews
 
 
 @dataclass(frozen=True)
-class Configuration:
+class ConfigurationView:
     """A configuration as it was used, as text."""
 
     name: str
     text: str
 
     @classmethod
-    def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[Configuration]:
+    def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[ConfigurationView]:
         """Those files of a folder, by name with their titles, that are there."""
         paths = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
         return [cls(title, path.read_text(encoding="utf-8")) for title, path in paths.items() if path.is_file()]
@@ -216,7 +216,7 @@ class Shown:
     toggles: Sequence[Toggle] = ()
     views: Sequence[View] = ()
     warnings: Sequence[Warned] = ()
-    configurations: Sequence[Configuration] = ()
+    configurations: Sequence[ConfigurationView] = ()
     pictures: bool = True
 
 
@@ -239,7 +239,7 @@ class Page:
     command: str
     title: str
     shown: Shown
-    tables: Sequence[Table]
+    tables: Sequence[TextTable]
     origin: Origin
 
 

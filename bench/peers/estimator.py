@@ -57,7 +57,7 @@ class HeldEstimator:
         self._sent = (float(command[0]), float(command[1]))
 
 
-class Motion(NamedTuple):
+class PredictedMotion(NamedTuple):
     """Where the robot will be, and how it will move there."""
 
     pose: FloatArray
@@ -102,7 +102,7 @@ class DelayPredictor:
         """Enter the command (2,) of this tick."""
         self._past = np.vstack([self._past[1:], command])
 
-    def predict(self, pose: FloatArray, state: FloatArray, slip: Slip) -> Motion:
+    def predict(self, pose: FloatArray, state: FloatArray, slip: Slip) -> PredictedMotion:
         """The motion one lead later.
 
         Parameters
@@ -120,4 +120,4 @@ class DelayPredictor:
         middle = 0.5 * (outputs[:-1] + outputs[1:])
         rows = (one[None] for one in (theta[:-1], acceleration, self._durations))
         moved = np.array(self._move(middle.T, slips, *rows)[0]).sum(axis=1)
-        return Motion(pose + moved, (1 - self._share) * twists[-2] + self._share * twists[-1])
+        return PredictedMotion(pose + moved, (1 - self._share) * twists[-2] + self._share * twists[-1])

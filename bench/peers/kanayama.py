@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, LawInput, NotNegative
 from diffdrive_mpc.models.checked_yaml import load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
@@ -55,7 +55,7 @@ class KanayamaLaw:
     def start(self, reference: Reference) -> None:
         """Begin to track `reference`: nothing to prepare."""
 
-    def decide(self, sight: Sight) -> FloatArray:
+    def decide(self, sight: LawInput) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""
         return kanayama_twist(self._gains, sight.feed_forward, sight.error)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, LawInput, NotNegative
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
 
@@ -72,7 +72,7 @@ class LqrLaw:
         before = self._Q + A.T @ P @ (A - B @ K)
         return K, np.asarray(0.5 * (before + before.T))
 
-    def decide(self, sight: Sight) -> FloatArray:
+    def decide(self, sight: LawInput) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""
         gap = sight.motion.pose - sight.reference
         along, across = ahead_and_left(gap, sight.reference[2])

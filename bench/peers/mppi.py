@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, LawInput, NotNegative
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
 
@@ -56,7 +56,7 @@ class MppiLaw:
         self._reference, self._random = reference, np.random.default_rng(_SEED)
         self._plan = np.zeros((2, self._steps), dtype=np.float32)
 
-    def decide(self, sight: Sight) -> FloatArray:
+    def decide(self, sight: LawInput) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""
         dt = self._dt
         ahead = self._reference.sample(sight.time + dt * np.arange(1, self._steps + 1))
@@ -73,7 +73,7 @@ class MppiLaw:
         self._plan = np.column_stack([(best - wanted)[:, 1:], np.zeros(2, dtype=np.float32)])
         return np.asarray(best[:, 0], dtype=float)
 
-    def _feed_forward(self, sight: Sight) -> Floats32:
+    def _feed_forward(self, sight: LawInput) -> Floats32:
         """(2, N) commands without a deviation: the reference's twist, one lag ahead."""
         times = sight.time + self._dt * np.arange(self._steps)
         later = self._reference.sample(np.concatenate([times + lag for lag in self._lag])).twist
@@ -81,7 +81,7 @@ class MppiLaw:
         wanted[:, 0] = sight.feed_forward
         return wanted
 
-    def _cost(self, sight: Sight, reference: FloatArray, commands: Floats32, wanted: Floats32) -> Floats32:
+    def _cost(self, sight: LawInput, reference: FloatArray, commands: Floats32, wanted: Floats32) -> Floats32:
         """(S,) cost of each plan."""
         gains, dt = self._gains, np.float32(self._dt)
         first = sight.motion.twist.astype(np.float32)
@@ -105,7 +105,7 @@ class MppiLaw:
         beside = self._beside(sight, x, y, turned)
         return np.asarray(cost if beside is None else cost + beside, dtype=np.float32)
 
-    def _beside(self, sight: Sight, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
+    def _beside(self, sight: LawInput, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
         """(S,) what else a plan costs, by its poses (S, N) in the robot's frame of now; None for nothing."""
         del sight, x, y, turned
         return None

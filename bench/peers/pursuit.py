@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, LawInput, NotNegative
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
 
@@ -44,7 +44,7 @@ class PursuitLaw:
         """Begin to track `reference`."""
         self._reference = reference
 
-    def decide(self, sight: Sight) -> FloatArray:
+    def decide(self, sight: LawInput) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""
         gains, (v, omega) = self._gains, sight.feed_forward
         ahead, _, turned = sight.error
@@ -57,7 +57,7 @@ class PursuitLaw:
         regulated = pace * min(1.0, 1.0 / max(abs(curvature) * gains.least_radius, 1e-9))
         return np.array([regulated, regulated * curvature])
 
-    def carrot(self, sight: Sight) -> FloatArray:
+    def carrot(self, sight: LawInput) -> FloatArray:
         """(2,) the point to reach in the robot's frame [m]; a path that ends or turns back is thought to go on."""
         gains, v = self._gains, sight.feed_forward[0]
         direction = np.sign(v)

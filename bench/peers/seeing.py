@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_edt
 
 from diffdrive_mpc.bench.peers.mppi import Floats32, MppiGains, MppiLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
-from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, Delayed, Law, Sight, TrackingPeer, delayed
+from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, Delayed, Law, LawInput, TrackingPeer, delayed
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, integrate_pose
@@ -74,7 +74,7 @@ def seeing_settings() -> SeeingSettings:
     return load_checked(SeeingSettings, Path(__file__).parent / "seeing.yaml")
 
 
-class DistanceField:
+class SeenDistanceField:
     """Distance to the nearest thing that was seen, looked up cell by cell.
 
     Parameters
@@ -122,7 +122,7 @@ class SeeingPeer(TrackingPeer):
         super().__init__(law, lead, side_slip=True, config=load_config(MODEL))
         self._wait = wait
         self._look: Seen | None = None
-        self._around: DistanceField | None = None
+        self._around: SeenDistanceField | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
         """As every tracking peer; nothing has been seen yet."""
@@ -139,7 +139,7 @@ class SeeingPeer(TrackingPeer):
         if estimate is None or self._reference is None:
             return self._progress
         if self._look is not None:
-            self._around, self._look = DistanceField(self._look, estimate.pose[:2]), None
+            self._around, self._look = SeenDistanceField(self._look, estimate.pose[:2]), None
         pose = self._reference.sample([self._progress]).pose[0]
         lag = float(ahead_and_left(pose - estimate.pose, pose[2])[0])
         self._progress += passed * float(np.clip(2.0 - lag / self._wait, 0.0, 1.0))
@@ -155,7 +155,7 @@ class PursuitThatStops(SeeingPeer):
         super().__init__(law, settings.rpp.gains.lead, settings.rpp.wait)
         self._stop, self._outline = settings.rpp, outline_points(settings.outline)
 
-    def _allowed(self, twist: FloatArray, sight: Sight) -> tuple[FloatArray, str]:
+    def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
         if self._around is None:
             return twist, ""
         v, omega = twist
@@ -178,7 +178,7 @@ class GridMppiLaw(MppiLaw):
         slower = Delayed(robot.sample_time * settings.ticks, robot.time_constant, robot.limits)
         super().__init__(settings.gains, slower, settings.samples, settings.steps)
         self._settings = settings
-        self.around: DistanceField | None = None
+        self.around: SeenDistanceField | None = None
         quarter = 0.25 * np.array(outline)
         self._discs = quarter * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
         self._radius = float(np.hypot(*quarter))
@@ -193,14 +193,14 @@ class GridMppiLaw(MppiLaw):
         pace = np.abs(reference.sample(np.linspace(0.0, reference.duration, _PACES)).twist[:, 0]).max()
         self._most[0] = min(self._robot_v, self._settings.pace * pace)
 
-    def decide(self, sight: Sight) -> FloatArray:
+    def decide(self, sight: LawInput) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]; a new plan every so many ticks."""
         if self._waited == 0:
             self._kept = super().decide(sight)
         self._waited = (self._waited + 1) % self._settings.ticks
         return self._kept
 
-    def _beside(self, sight: Sight, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
+    def _beside(self, sight: LawInput, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
         if self.around is None:
             return None
         here_x, here_y, heading = sight.motion.pose

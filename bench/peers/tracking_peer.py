@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import LAWS, PeerStep
-from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, Motion
+from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_linear_model
@@ -57,7 +57,7 @@ class Gains(StrictModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class LawInput:
     """What a law is told at one tick; all of it belongs to the instant at which its command takes effect.
 
     Attributes
@@ -73,7 +73,7 @@ class Sight:
     """
 
     time: float
-    motion: Motion
+    motion: PredictedMotion
     reference: FloatArray
     feed_forward: FloatArray
 
@@ -113,7 +113,7 @@ class Law(Protocol):
         """Begin to track `reference`."""
         ...
 
-    def decide(self, sight: Sight) -> FloatArray:
+    def decide(self, sight: LawInput) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s] of the body."""
         ...
 
@@ -193,12 +193,12 @@ class TrackingPeer:
         del estimate
         return t - self._t0
 
-    def _allowed(self, twist: FloatArray, sight: Sight) -> tuple[FloatArray, str]:
+    def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
         """What becomes of the twist (2,) that the law wants, and why, or an empty text."""
         del sight
         return twist, ""
 
-    def _sight(self, reference: Reference, since_start: float, motion: Motion, slip: Slip) -> Sight:
+    def _sight(self, reference: Reference, since_start: float, motion: PredictedMotion, slip: Slip) -> LawInput:
         sample = reference.sample(since_start + np.array([self._lead, *self._lag]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
         # Turning on the spot, there is no direction of travel.
@@ -207,7 +207,7 @@ class TrackingPeer:
         travel = motion.pose - np.array([0.0, 0.0, crab])
         pose = sample.pose[0].copy()
         pose[2] = travel[2] + float(wrap_angle(pose[2] - travel[2]))
-        return Sight(since_start + self._lead, Motion(travel, motion.twist), pose, feed_forward)
+        return LawInput(since_start + self._lead, PredictedMotion(travel, motion.twist), pose, feed_forward)
 
 
 def make_tracking_peer(

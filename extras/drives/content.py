@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from diffdrive_mpc.extras.drives.drive_model import DRIVE_FILES, Chassis, ExperimentalFile, PhysicalFile
+from diffdrive_mpc.extras.drives.drive_model import DRIVE_FILES, DriveChassis, ExperimentalFile, PhysicalFile
 from diffdrive_mpc.extras.drives.fitting import DriveFit
 from diffdrive_mpc.extras.drives.settings import fit_settings
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
@@ -58,7 +58,7 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
     forward, turning = fit.values[0]["stiffness"], fit.values[1]["stiffness"]
     together = robot.mass * radius**2 / 2
     apart = together * forward / turning
-    chassis = Chassis(
+    chassis = DriveChassis(
         mass=robot.mass,
         wheel_radius=radius,
         track=track,

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 from scipy.linalg import expm
 
-from diffdrive_mpc.extras.drives.smoothing import Shapes, Sharp, Smooth
+from diffdrive_mpc.extras.drives.smoothing import DriveFunctions, Sharp, Smooth
 from diffdrive_mpc.models.checked_yaml import StrictModel, check
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -46,7 +46,7 @@ def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
     dead time. c: gain [-], largest slope when speeding up and when slowing down, lag [s], threshold without slope and
     by slope [s]. After a change of direction the robot stands while the reference rises and is below the threshold.
     """
-    shapes: Shapes = Sharp() if sharp else Smooth()
+    shapes: DriveFunctions = Sharp() if sharp else Smooth()
     x, u, c = ca.SX.sym("x", STATES), ca.SX.sym("u"), ca.SX.sym("c", 6)
     reference, speed, slope, direction = ca.vertsplit(x)
     gain, quicker, slower, lag, least, by_slope = ca.vertsplit(c)
@@ -74,7 +74,7 @@ def physical_step(channel: Channel, *, sharp: bool) -> ca.Function:
     x: slope-limited reference, speed, torque and integral of the error of `wheel_response`. u: command after the dead
     time. c: gain [-], largest slope when speeding up and when slowing down, then the response by columns (3, 4).
     """
-    shapes: Shapes = Sharp() if sharp else Smooth()
+    shapes: DriveFunctions = Sharp() if sharp else Smooth()
     x, u, c = ca.SX.sym("x", STATES), ca.SX.sym("u"), ca.SX.sym("c", 15)
     gain, quicker, slower = ca.vertsplit(c[:3])
     ramped = _ramped(shapes, channel, x[0], u, quicker, slower)
@@ -116,7 +116,9 @@ def wheel_response(
     return np.asarray(expm(dt * continuous)[:3])
 
 
-def _ramped(shapes: Shapes, channel: Channel, reference: ca.SX, u: ca.SX, quicker: ca.SX, slower: ca.SX) -> ca.SX:
+def _ramped(
+    shapes: DriveFunctions, channel: Channel, reference: ca.SX, u: ca.SX, quicker: ca.SX, slower: ca.SX
+) -> ca.SX:
     """The reference one sample later, on its way to `u`, with slopes up to `quicker` and, towards zero, `slower`."""
     dt, still = channel
     towards = (1 - shapes.sign(reference, still) * shapes.sign(u - reference, still)) / 2
@@ -230,7 +232,7 @@ class ExperimentalChannel(DriveChannel):
     threshold_by_slope: NotNegative = Field(description="its growth with the slope of the reference [s]")
 
 
-class Chassis(StrictModel):
+class DriveChassis(StrictModel):
     """Equations 16 and 17."""
 
     mass: Positive = Field(description="m [kg]")
@@ -287,7 +289,7 @@ class PhysicalFile(FunctionFile):
     """The parameter file of a physical drive model."""
 
     structure: Literal["drive_physical"]
-    chassis: Chassis
+    chassis: DriveChassis
     wheel_drive: WheelDrive
     v: DriveChannel
     omega: DriveChannel

@@ -32,7 +32,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.doubts import badly_known
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -125,7 +125,7 @@ def _is_known(numbers: _Numbers, point: dict[str, float], free: list[str], name:
 class _Numbers:
     """The numbers of both channels in one row, and what they leave of the records."""
 
-    def __init__(self, fit: DriveFit, runs: Sequence[Experiment]) -> None:
+    def __init__(self, fit: DriveFit, runs: Sequence[SampledExperiment]) -> None:
         self._fit = fit
         self._runs = [[run.channel(row, row) for run in runs] for row in (0, 1)]
         self._errors = lru_cache(maxsize=64)(self._channel)

@@ -22,10 +22,10 @@ from diffdrive_mpc.extras.drives.drive_model import (
     settled_state,
     wheel_response,
 )
-from diffdrive_mpc.extras.drives.settings import Range, fit_settings
+from diffdrive_mpc.extras.drives.settings import ParameterRange, fit_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
 
 _COARSE, _CLOSE = 1e-3, 1e-4
 """Relative change of cost or numbers at which a search ends: while dead times are compared, and at last."""
@@ -130,7 +130,7 @@ def parameter_names(kind: Kind, row: int) -> list[str]:
     return ["gain", "quicker", "slower", *own, *(["offset"] if row == 1 else [])]
 
 
-def _fit_channel(kind: Kind, row: int, runs: Sequence[Experiment]) -> tuple[dict[str, float], int]:
+def _fit_channel(kind: Kind, row: int, runs: Sequence[SampledExperiment]) -> tuple[dict[str, float], int]:
     """Numbers and dead time of one channel."""
     names, starts = parameter_names(kind, row), fit_settings().starts
     known: dict[int, tuple[float, FloatArray]] = {}
@@ -157,7 +157,7 @@ def _fit_channel(kind: Kind, row: int, runs: Sequence[Experiment]) -> tuple[dict
 
 
 def _share_integral_time(
-    values: Sequence[dict[str, float]], dead: Sequence[int], runs: Sequence[Experiment]
+    values: Sequence[dict[str, float]], dead: Sequence[int], runs: Sequence[SampledExperiment]
 ) -> list[dict[str, float]]:
     names = [parameter_names("drive_physical", row) for row in (0, 1)]
     own = [[name for name in group if name != "integral_time"] for group in names]
@@ -209,16 +209,16 @@ def _least(
     return float(solution.cost), np.asarray(solution.x * size)
 
 
-def _near_bound(value: float, bound: Range) -> bool:
+def _near_bound(value: float, bound: ParameterRange) -> bool:
     return value - bound.low < 1e-2 * bound.size or bound.high - value < 0.05 * (bound.high - bound.low)
 
 
-def _errors(kind: Kind, row: int, runs: Sequence[Experiment], values: dict[str, float], dead: int) -> FloatArray:
+def _errors(kind: Kind, row: int, runs: Sequence[SampledExperiment], values: dict[str, float], dead: int) -> FloatArray:
     return np.concatenate(channel_errors(kind, row, runs, values, dead))
 
 
 def channel_errors(
-    kind: Kind, row: int, runs: Sequence[Experiment], values: dict[str, float], dead: int
+    kind: Kind, row: int, runs: Sequence[SampledExperiment], values: dict[str, float], dead: int
 ) -> list[FloatArray]:
     """For each run of one channel (K,) simulated less measured, at its readings."""
     offset = values.get("offset", 0.0)
@@ -231,7 +231,7 @@ def channel_errors(
 
 
 def _free_run(
-    kind: Kind, row: int, run: Experiment, coefficients: FloatArray, dead: int, *, sharp: bool = False
+    kind: Kind, row: int, run: SampledExperiment, coefficients: FloatArray, dead: int, *, sharp: bool = False
 ) -> FloatArray:
     """(K,) speed from the commands (K, 1) alone, after a time at the first reading's speed."""
     start = settled_state(kind, float(run.outputs[np.argmax(run.counts[:, 0]), 0]), coefficients)
@@ -249,7 +249,7 @@ def _simulation(kind: Kind, channel: Channel, samples: int, *, sharp: bool) -> c
     return ca.Function("free_run", [x, u, c], [ca.horzcat(x[1], later[1, :-1])])
 
 
-def _plain_delay(runs: Sequence[Experiment]) -> int:
+def _plain_delay(runs: Sequence[SampledExperiment]) -> int:
     """The delay in samples after which commands, scaled and lagged, fit best: where the search begins."""
     longest = round(fit_settings().most_dead_time / runs[0].dt)
     costs = []

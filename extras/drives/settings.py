@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 
 
-class Range(StrictModel):
+class ParameterRange(StrictModel):
     """Where a number is looked for."""
 
     low: float
@@ -28,7 +28,7 @@ class FitSettings(StrictModel):
     still: tuple[Positive, Positive] = Field(description="speed below which a robot stands [m/s], [rad/s]")
     actuator_lag: Positive = Field(description="of the physical model, not searched [s]")
     friction: Positive = Field(description="viscous, of the physical model, not searched [N m s/rad]")
-    bounds: dict[str, Range]
+    bounds: dict[str, ParameterRange]
     starts: tuple[dict[str, float], ...]
     priors: dict[str, float] = Field(description="of numbers that a log need not tell")
     min_gain: Positive = Field(description="rise of the error power that a prior has to cost, or it is kept [-]")

@@ -10,7 +10,7 @@ _CORNER = 4
 """Even power of the rounded limit: at the corner it gives 2^(-1/4) = 84 % of the limit."""
 
 
-class Shapes(Protocol):
+class DriveFunctions(Protocol):
     """The functions of which the equations of a drive are made."""
 
     def limited(self, x: ca.SX) -> ca.SX:
@@ -38,23 +38,23 @@ class Sharp:
     """As they are; for plants."""
 
     def limited(self, x: ca.SX) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.fmin(1, ca.fmax(-1, x))
 
     def size(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002 - nothing is rounded here
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.fabs(x)
 
     def sign(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.sign(x)
 
     def positive(self, x: ca.SX) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.fmax(x, 0)
 
     def exceeds(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.if_else(x > 0, 1, 0)
 
 
@@ -65,22 +65,22 @@ class Smooth:
     """
 
     def limited(self, x: ca.SX) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return x * (1 + x**_CORNER) ** (-1 / _CORNER)
 
     def size(self, x: ca.SX, width: float) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.sqrt(x**2 + width**2) - width
 
     def sign(self, x: ca.SX, width: float) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return ca.tanh(x / width)
 
     def positive(self, x: ca.SX) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         small = 0.05
         return (ca.sqrt(x**2 + small**2) + x - small) / 2
 
     def exceeds(self, x: ca.SX, width: float) -> ca.SX:
-        """See `Shapes`."""
+        """See `DriveFunctions`."""
         return (1 + ca.tanh(x / width)) / 2

@@ -18,7 +18,7 @@ from diffdrive_mpc.extras.hybrids.hybrid_model import (
     hybrid_of,
     write_hybrid,
 )
-from diffdrive_mpc.extras.hybrids.training import Run, hybrid_settings, runs_of, silent, trained
+from diffdrive_mpc.extras.hybrids.training import TrainingRun, hybrid_settings, runs_of, silent, trained
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.fitting import Fitted
@@ -157,7 +157,7 @@ def _part(records: Sequence[Record]) -> list[Record]:
     return most_informative(records, identification_settings().most_rows["effects"])
 
 
-def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[Run]) -> float:
+def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:
     """Logarithm of the squared errors over those of the linear model, mean over v and omega."""
     try:
         model = hybrid_model(_NAME, linear, correction)

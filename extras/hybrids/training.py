@@ -22,7 +22,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, settled_start
 from diffdrive_mpc.models.robot import Positive
 
@@ -60,7 +60,7 @@ _NARROWEST = 1e-4
 """Least variance of the features in any direction [-]."""
 
 
-class Run(NamedTuple):
+class TrainingRun(NamedTuple):
     """K samples as the states see them."""
 
     states: FloatArray
@@ -96,7 +96,7 @@ class Segments(NamedTuple):
     """(S, L, 2) of squared errors; 0 where none counts"""
 
 
-def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[Experiment]) -> list[Run]:
+def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[SampledExperiment]) -> list[TrainingRun]:
     """The experiments, each after rest in the settled state that gives its first readings; `linear` is of `system`."""
     runs = []
     for experiment in experiments:
@@ -106,12 +106,14 @@ def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[E
         drive = recent @ linear.B0.T + older @ linear.B1.T
         states = StateResponse(linear.A)(drive.T[:, None], start[:, None])[:, 0].T
         runs.append(
-            Run(states, recent, experiment.outputs - system.offset, experiment.counts.astype(float), sent, before)
+            TrainingRun(
+                states, recent, experiment.outputs - system.offset, experiment.counts.astype(float), sent, before
+            )
         )
     return runs
 
 
-def silent(runs: Sequence[Run], settings: HybridSettings) -> Correction:
+def silent(runs: Sequence[TrainingRun], settings: HybridSettings) -> Correction:
     """A correction that is silent yet, for the features of `runs`.
 
     Their covariance is about rest: as the network is odd, what was seen in one direction is known in the other.
@@ -128,7 +130,7 @@ def silent(runs: Sequence[Run], settings: HybridSettings) -> Correction:
 
 
 def trained(
-    linear: DiscreteModel, runs: Sequence[Run], decays: Sequence[float], settings: HybridSettings
+    linear: DiscreteModel, runs: Sequence[TrainingRun], decays: Sequence[float], settings: HybridSettings
 ) -> list[Correction]:
     """The network with which the mean squared error is least, for each penalty of squared weights in turn.
 
@@ -160,7 +162,7 @@ def trained(
     return networks
 
 
-def segments(linear: DiscreteModel, runs: Sequence[Run]) -> Segments:
+def segments(linear: DiscreteModel, runs: Sequence[TrainingRun]) -> Segments:
     """Runs cut into segments of equal length, each with a time before it in which its start is forgotten.
 
     Length and number are whole multiples, the last segments weighing nothing: what is compiled for one serves others.

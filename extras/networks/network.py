@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.lstm_cell import hidden, next_cell
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 
 NETWORK = "lstm"
 """By which files and options call such a network."""
@@ -187,7 +187,7 @@ class Windows:
         return Windows(self.commands[first:stop], self.twists[first:stop])
 
 
-def windows_of(experiments: Sequence[Experiment], window: int) -> Windows:
+def windows_of(experiments: Sequence[SampledExperiment], window: int) -> Windows:
     """Every window whose next sample has a reading of both outputs, in the order of time.
 
     Raises

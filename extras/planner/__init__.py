@@ -9,16 +9,16 @@ if TYPE_CHECKING:
     from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
     from diffdrive_mpc.extras.planner.planner import plan, plan_each
     from diffdrive_mpc.extras.planner.result import Plan
-    from diffdrive_mpc.extras.planner.search import Found, Piece
+    from diffdrive_mpc.extras.planner.search import Piece, PlanSearchResult
     from diffdrive_mpc.extras.planner.settings import PlanSettings, load_plan_settings
 
 __all__ = [
     "OBJECTIVES",
-    "Found",
     "Objective",
     "Piece",
     "Plan",
     "PlanError",
+    "PlanSearchResult",
     "PlanSettings",
     "load_plan_settings",
     "plan",
@@ -33,7 +33,7 @@ __getattr__ = on_first_use(
         "plan": "planner",
         "plan_each": "planner",
         "Plan": "result",
-        "Found": "search",
+        "PlanSearchResult": "search",
         "Piece": "search",
         "PlanSettings": "settings",
         "load_plan_settings": "settings",

@@ -143,16 +143,16 @@ class ClearanceMap:
         gaps = self._gaps[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
         return np.asarray((inside & (gaps - self._clearance.robot[:, 2] >= margin)).all(axis=-1))
 
-    def distances(self, target: Sequence[float], margin: float) -> DistanceField:
+    def distances(self, target: Sequence[float], margin: float) -> WayLowerBound:
         """How far it is to a point around everything, for a disc as narrow as the robot's narrowest."""
         every = max(1, round(0.15 / self._cell))
         gaps = self._gaps[::every, ::every]
         # What is narrower than the way between two cells is let pass: the field must not say more than the truth.
         slack = (1 + math.sqrt(0.5)) * every * self._cell
-        return DistanceField(gaps + slack > self._clearance.robot[0, 2] + margin, self._low, every * self._cell, target)
+        return WayLowerBound(gaps + slack > self._clearance.robot[0, 2] + margin, self._low, every * self._cell, target)
 
 
-class DistanceField:
+class WayLowerBound:
     """Lower bound of the way to a point over free cells."""
 
     def __init__(self, free: NDArray[np.bool_], low: FloatArray, cell: float, target: Sequence[float]) -> None:

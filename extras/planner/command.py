@@ -58,7 +58,7 @@ def plan(
 
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from diffdrive_mpc.extras.planner import OBJECTIVES, PlanError, load_plan_settings  # noqa: PLC0415
-    from diffdrive_mpc.extras.planner.study import Asked, PlanStudy  # noqa: PLC0415
+    from diffdrive_mpc.extras.planner.study import PlanRequest, PlanStudy  # noqa: PLC0415
     from diffdrive_mpc.models.turn_costs import load_turn_costs  # noqa: PLC0415
     from diffdrive_mpc.sim.worlds.world_file import load_world  # noqa: PLC0415
 
@@ -74,7 +74,7 @@ def plan(
         )
     carry_out(
         PlanStudy(
-            Asked(
+            PlanRequest(
                 costs=turn_costs,
                 start=np.array(_pose(begin, "--from")),
                 goal=np.array(_pose(end, "--to")),

@@ -12,14 +12,14 @@ from matplotlib.patches import Polygon
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, draw_world, line_style, new_figure
 from diffdrive_mpc.extras.planner.clearance import outline
-from diffdrive_mpc.extras.planner.study import Asked, Plans
+from diffdrive_mpc.extras.planner.study import PlanRequest, Plans
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDEST = 50.0
 _OUTLINES = 12
 
 
-def draw_paths(asked: Asked, plans: Plans, path: Path) -> None:
+def draw_paths(asked: PlanRequest, plans: Plans, path: Path) -> None:
     """The chosen way by commanded radius, the robot along it, the others dashed."""
     chosen = plans[asked.minimise]
     with new_figure(path, 6.4, 5.2) as figure:
@@ -47,7 +47,7 @@ def draw_paths(asked: Asked, plans: Plans, path: Path) -> None:
         axes.legend(loc="best")
 
 
-def draw_power(asked: Asked, plans: Plans, path: Path) -> None:
+def draw_power(asked: PlanRequest, plans: Plans, path: Path) -> None:
     """Predicted power of every plan over time."""
     with new_figure(path, 6.4, 3.2) as figure:
         axes = figure.subplots()

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.extras.planner.inputs import Objective
 from diffdrive_mpc.extras.planner.schedule import Schedule
-from diffdrive_mpc.extras.planner.search import Found, Piece
+from diffdrive_mpc.extras.planner.search import Piece, PlanSearchResult
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
@@ -68,7 +68,7 @@ class Plan:
     pieces: tuple[Piece, ...]
     sharpest: float
     clearance: float
-    search: Found
+    search: PlanSearchResult
     status: str
     solver: str
 
@@ -81,7 +81,7 @@ class Plan:
         """Energy [J], duration [s] or length [m]."""
         return {"energy": self.energy, "time": self.duration, "distance": self.length}[objective]
 
-    def of(self, minimise: Objective, search: Found) -> Plan:
+    def of(self, minimise: Objective, search: PlanSearchResult) -> Plan:
         """The same, as what was found for `minimise`."""
         return replace(self, minimise=minimise, search=search)
 

@@ -48,7 +48,7 @@ class Piece(NamedTuple):
         return self.v / self.omega if abs(self.omega) > 1e-9 else np.inf
 
 
-class Found(NamedTuple):
+class PlanSearchResult(NamedTuple):
     """What the search has to say."""
 
     pieces: tuple[Piece, ...]
@@ -148,7 +148,7 @@ class _Tree:
         return leg, round(x / asked.cell), round(y / asked.cell), heading
 
 
-class Search:
+class PlanSearch:
     """One task.
 
     Parameters
@@ -207,7 +207,7 @@ class Search:
         """No way from a pose (3,) on the first leg is cheaper."""
         return float(self._left(pose[None], 0)[0])
 
-    def run(self) -> Found | None:
+    def run(self) -> PlanSearchResult | None:
         """Search; None where no way was found."""
         asked, count = self._settings, 0
         tree = _Tree(self._start, self.bound_from(self._start), asked)
@@ -224,7 +224,7 @@ class Search:
         if way is None:
             return None
         complete = tree.open_bound >= tree.enough
-        return Found(self._pieces(way), tree.least, min(tree.least, tree.open_bound), count, complete)
+        return PlanSearchResult(self._pieces(way), tree.least, min(tree.least, tree.open_bound), count, complete)
 
     def _shoot(self, tree: _Tree, nodes: list[int], leg: int, *, whole: bool) -> None:
         """Try the end of the leg from some states; a via point that is reached is a state of the next leg."""

@@ -42,7 +42,7 @@ class PolishSettings(StrictModel):
     smoothness: NotNegative
 
 
-class Motion(StrictModel):
+class ReferenceMotion(StrictModel):
     """What the reference keeps to, beside the given speed and the least radius."""
 
     acceleration: Positive = Field(description="of the command [m/s^2]")
@@ -58,7 +58,7 @@ class PlanSettings(StrictModel):
 
     search: SearchSettings
     polish: PolishSettings
-    motion: Motion
+    motion: ReferenceMotion
 
 
 @cache

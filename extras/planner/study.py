@@ -25,7 +25,7 @@ _LONG = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class PlanRequest:
     """What is asked for.
 
     Attributes
@@ -71,7 +71,7 @@ class Asked:
 Plans = dict[Objective, Plan]
 
 
-class PlanStudy(Study[Asked, Plans]):
+class PlanStudy(Study[PlanRequest, Plans]):
     """Plans for every objective, and the trajectory of the one that is asked for.
 
     Parameters
@@ -83,14 +83,14 @@ class PlanStudy(Study[Asked, Plans]):
     name = "plan"
     title = "A reference that costs little"
 
-    def __init__(self, asked: Asked) -> None:
+    def __init__(self, asked: PlanRequest) -> None:
         self._asked, self._seconds = asked, 0.0
 
-    def plan(self) -> Asked:
+    def plan(self) -> PlanRequest:
         """The same; what cannot be planned is told by `run`, before anything is written."""
         return self._asked
 
-    def run(self, plan: Asked, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
+    def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
         """Plan; raises PlanError where there is no way."""
         bar.begin("planning", 1)
         began = time.process_time()
@@ -161,7 +161,7 @@ def saving(results: Plans) -> float:
     return 1 - results["energy"].energy / results["distance"].energy
 
 
-def _warnings(asked: Asked, results: Plans) -> list[Warned]:
+def _warnings(asked: PlanRequest, results: Plans) -> list[Warned]:
     """Where nothing is drawn at rest a long way costs no more for its time."""
     own, shortest = results["energy"].length, results["distance"].length
     if asked.minimise != "energy" or asked.costs.drive.idle_power > 0 or own < _LONG * shortest:
@@ -207,7 +207,7 @@ def _sharpest(plan: Plan) -> float:
     return float((v[moving] / np.maximum(omega[moving], 1e-6)).min())
 
 
-def _radius(asked: Asked) -> str:
+def _radius(asked: PlanRequest) -> str:
     least = asked.costs.least_radius(asked.speed)
     return "none" if least == 0 else f"{least:.2f} m"
 

@@ -13,7 +13,7 @@ from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective, make_inpu
 from diffdrive_mpc.extras.planner.polish import polish
 from diffdrive_mpc.extras.planner.result import POLISHED, SEARCHED, UNFINISHED, Plan, driven, made_exact, sampled
 from diffdrive_mpc.extras.planner.schedule import Schedule, laid_out
-from diffdrive_mpc.extras.planner.search import Found, Search
+from diffdrive_mpc.extras.planner.search import PlanSearch, PlanSearchResult
 from diffdrive_mpc.extras.planner.settings import PlanSettings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
@@ -65,9 +65,9 @@ class Task:
     sample_time: float
     settings: PlanSettings
 
-    def searches(self) -> dict[Objective, Found]:
+    def searches(self) -> dict[Objective, PlanSearchResult]:
         """The shape that is best for each objective; raises PlanError where there is none."""
-        paths: dict[Objective, Found] = {}
+        paths: dict[Objective, PlanSearchResult] = {}
         for objective in OBJECTIVES:
             search = self._search(objective, self.free)
             if not paths and not search.reachable():
@@ -87,7 +87,7 @@ class Task:
         self._check_detour(paths)
         return paths
 
-    def candidates(self, shapes: dict[Objective, Found]) -> list[Plan]:
+    def candidates(self, shapes: dict[Objective, PlanSearchResult]) -> list[Plan]:
         """Each shape, polished for what it is best for; raises PlanError where none of them can be driven."""
         made, faults = [], []
         for objective, shape in shapes.items():
@@ -99,7 +99,7 @@ class Task:
             raise faults[0]
         return made
 
-    def best(self, minimise: Objective, shapes: dict[Objective, Found], made: list[Plan]) -> Plan:
+    def best(self, minimise: Objective, shapes: dict[Objective, PlanSearchResult], made: list[Plan]) -> Plan:
         """The best of the candidates; where another shape won, that one polished for `minimise`, if it is better."""
         least = min(one.amount(minimise) for one in made)
         # Of equals that which was polished for it.
@@ -110,13 +110,13 @@ class Task:
                 best = min(best, self._polished(minimise, shapes[best.minimise]), key=lambda one: one.amount(minimise))
         return best.of(minimise, shapes.get(minimise, best.search))
 
-    def _search(self, objective: Objective, free: tuple[ClearanceMap, float] | None) -> Search:
+    def _search(self, objective: Objective, free: tuple[ClearanceMap, float] | None) -> PlanSearch:
         inputs = make_inputs(
             self.costs, objective, self.speed, self.settings, reverse=self.reverse, spot=self.on_the_spot
         )
-        return Search(inputs, self.start, self.goal, self.via, self.settings.search, free)
+        return PlanSearch(inputs, self.start, self.goal, self.via, self.settings.search, free)
 
-    def _check_detour(self, paths: dict[Objective, Found]) -> None:
+    def _check_detour(self, paths: dict[Objective, PlanSearchResult]) -> None:
         """Refuse a goal that only sharper turns reach in a sensible way."""
         least = self.costs.least_radius(self.speed)
         if self.reverse or self.on_the_spot or least == 0.0:
@@ -131,7 +131,7 @@ class Task:
                 f"distance; {self._remedies()}"
             )
 
-    def _polished(self, minimise: Objective, path: Found) -> Plan:
+    def _polished(self, minimise: Objective, path: PlanSearchResult) -> Plan:
         """Polish, sample, prove; where that fails, the search's way with a stop between any two pieces."""
         spot = spot_rate(self.costs, self.settings.motion.yaw_rate) if self.on_the_spot else 0.0
         last = np.array([*self.goal[:2], self._unwrapped(path)])
@@ -186,7 +186,9 @@ class Task:
                 return f"it comes as near as {room:.3f} m to an obstacle"
         return None
 
-    def _plan(self, minimise: Objective, commands: FloatArray, paths: Found, status: str, solver: str) -> Plan:
+    def _plan(
+        self, minimise: Objective, commands: FloatArray, paths: PlanSearchResult, status: str, solver: str
+    ) -> Plan:
         dt = self.sample_time
         poses, power = driven(self.costs, commands, self.start, dt), self.costs.power(commands)
         twists = self.costs.twist(commands)
@@ -218,7 +220,7 @@ class Task:
             solver=solver,
         )
 
-    def _unwrapped(self, path: Found) -> float:
+    def _unwrapped(self, path: PlanSearchResult) -> float:
         """Heading of the goal with the whole turns that the search makes [rad]."""
         turned = sum(piece.duration * float(self.costs.twist([piece.v, piece.omega])[2]) for piece in path.pieces)
         whole = round((float(self.start[2]) + turned - float(self.goal[2])) / (2 * math.pi))

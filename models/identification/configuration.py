@@ -191,7 +191,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Configuration:
+class IdentifiedConfiguration:
     """What an identification says about the controller.
 
     Attributes
@@ -272,7 +272,7 @@ def configure(
     *,
     stated: float | None = None,
     every_sample: bool = False,
-) -> Configuration:
+) -> IdentifiedConfiguration:
     """The controller of an identified robot: limits that the log covers, and the tracks of the wheels.
 
     Parameters
@@ -334,7 +334,7 @@ def configure(
             _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, stated)}"),
         ]
     lengths = _lengths(limit[0] * gain[0], geometry)
-    return Configuration(
+    return IdentifiedConfiguration(
         name,
         _general(identified, train[0].dt, every_sample=every_sample),
         (*limits, *lengths.get("limits", ())),

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experi
 from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderChoice
-from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def fit(
     base: IdentifiedBase | None = None
     started = perf_counter()
     radius = geometry.radius if geometry else None
-    identification = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
+    identification = structure.identify(data.train, IdentificationConditions(data.validation, data.yaw, order, radius))
     if effects:
         identification, base = _with_effects(data, identification, geometry, on_trial)
     seconds = perf_counter() - started
@@ -126,8 +126,8 @@ def fit(
 
 
 def _with_effects(
-    data: LogData, plain: Found, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
-) -> tuple[Found, IdentifiedBase | None]:
+    data: LogData, plain: StructureFit, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
+) -> tuple[StructureFit, IdentifiedBase | None]:
     """The model with effects, or the plain one with a warning where it predicts blocks held out at least as well."""
     track = geometry.track if geometry else None
     limits = plain.identified.limits
@@ -139,9 +139,9 @@ def _with_effects(
         words = f"effects were not looked for: {error}"
     else:
         if words is None:
-            return Found(base.identified), base
+            return StructureFit(base.identified), base
     warned = replace(plain.identified, warnings=(*plain.identified.warnings, Doubt("effects left out", words)))
-    return Found(warned, plain.orders), None
+    return StructureFit(warned, plain.orders), None
 
 
 def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.identification.configuration import (
     CONFIG_FILE,
     MODEL_FILE,
     NODE_FILE,
-    Configuration,
+    IdentifiedConfiguration,
     configure,
     node_text,
     round_period,
@@ -70,7 +70,7 @@ class Identification:
     surface: Mapping[str, Mapping[str, float]]
     report: IdentificationReport
     content: Any
-    configuration: Configuration
+    configuration: IdentifiedConfiguration
 
     def __repr__(self) -> str:
         """A word: the arrays behind it fill pages."""

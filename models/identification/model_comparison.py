@@ -18,9 +18,9 @@ from diffdrive_mpc.models.identification.predictor import finders, with_predicto
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from diffdrive_mpc.models.table import Table, number
+from diffdrive_mpc.models.table import TextTable, number
 
 _DRAWS, _SEED = 2000, 0
 # Open-loop poses are compared after this time, or the longest shorter one that is measured [s].
@@ -90,7 +90,7 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ModelComparison:
     """Kinds of model side by side on one log.
 
     Attributes
@@ -138,7 +138,7 @@ class Comparison:
         difference = (self.fits(scored, draws) - self.fits(other, draws)).mean(axis=1)
         return np.asarray(np.quantile(difference, _INTERVAL))
 
-    def table(self) -> Table:
+    def table(self) -> TextTable:
         """One row for each kind."""
         chosen = self.recommended
         rows = []
@@ -168,7 +168,7 @@ class Comparison:
             f"* recommended. Each kind identified {self.parts} times, each time without one part of the rows, and "
             "simulated over that part from the commands alone. Interval: 95 %, blocks of time drawn anew."
         )
-        return Table("Which model for this robot", columns, tuple(rows), note=note)
+        return TextTable("Which model for this robot", columns, tuple(rows), note=note)
 
     def sentence(self) -> str:
         """The recommendation with its margin."""
@@ -191,7 +191,7 @@ class Comparison:
 
 def compare_models(
     data: LogData, kinds: Sequence[str] = (), parts: int = 3, on_progress: Callable[[str], None] | None = None
-) -> Comparison:
+) -> ModelComparison:
     """Identify every kind without each part of the records in turn, and score it on that part.
 
     Parameters
@@ -228,7 +228,7 @@ def compare_models(
         if ALL not in kinds and (kind.name not in kinds if kinds else kind.slow):
             continue
         scores.append(_score(kind, data, folds, linear, measured, horizon, on_progress or (lambda _: None)))
-    return Comparison(tuple(scores), weights, readings.var(axis=0), parts, horizon)
+    return ModelComparison(tuple(scores), weights, readings.var(axis=0), parts, horizon)
 
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
@@ -249,7 +249,7 @@ def _score(
     data: LogData,
     folds: Sequence[tuple[list[Record], list[Record]]],
     linear: dict[tuple[str, bool, int], Fitted],
-    measured: Sequence[Sequence[Experiment]],
+    measured: Sequence[Sequence[SampledExperiment]],
     horizon: float,
     announce: Callable[[str], None],
 ) -> Scored:
@@ -275,7 +275,7 @@ def _score(
 
 
 def _powers(
-    measured: Sequence[Sequence[Experiment]], simulated: Sequence[Sequence[FloatArray]]
+    measured: Sequence[Sequence[SampledExperiment]], simulated: Sequence[Sequence[FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """(B, 2) mean square errors in blocks of time, and the readings behind each."""
     length = identification_settings().block_time

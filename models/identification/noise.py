@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.settings import estimator_settings
@@ -70,9 +70,11 @@ class DriveInformation:
 
     def _channel(self, row: int, commands: FloatArray, dt: float) -> ParameterEstimate:
         layout, point = self._layouts[row], self._points[row]
-        unknown = Experiment("drive", dt, commands, np.zeros(commands.shape), np.ones(commands.shape, dtype=bool))
+        unknown = SampledExperiment(
+            "drive", dt, commands, np.zeros(commands.shape), np.ones(commands.shape, dtype=bool)
+        )
         outputs = simulate_experiment(layout.system(point), unknown)
-        drive = Experiment("drive", dt, commands, outputs, unknown.counts)
+        drive = SampledExperiment("drive", dt, commands, outputs, unknown.counts)
         slopes = OutputErrorProblem(layout, [drive], [np.full(outputs.shape, 1 / self._noise[row])]).jacobian(point)
         information = slopes.T @ slopes
         information[2, 2] += _SHORT_DEVIATION**-2

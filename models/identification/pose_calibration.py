@@ -81,7 +81,7 @@ class ConstantTrack:
 
 
 @dataclass(frozen=True)
-class VirtualTrack:
+class GrowingTrack:
     """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
 
     Source: `models/slip_laws.py`. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].

@@ -15,10 +15,10 @@ from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.pose_calibration import (
     ConstantTrack,
+    GrowingTrack,
     PoseCalibration,
     SlipLaw,
     SlipPolynomial,
-    VirtualTrack,
     calibrate_gyro,
     calibrate_wheels,
 )
@@ -218,7 +218,7 @@ def _slip_laws(
     records = train if geometry else [_unit_wheels(record) for record in train]
     place = geometry or _UNIT_WHEELS
     candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*place)} | (
-        {"virtual track": VirtualTrack(*place), "slip polynomial": SlipPolynomial(*place)} if geometry else {}
+        {"virtual track": GrowingTrack(*place), "slip polynomial": SlipPolynomial(*place)} if geometry else {}
     )
     try:
         return tuple((name, calibrate_wheels(records, law)) for name, law in candidates.items())

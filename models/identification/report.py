@@ -34,7 +34,7 @@ from diffdrive_mpc.models.identification.tables import (
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.table import Table, plain_line
+from diffdrive_mpc.models.table import TextTable, plain_line
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
@@ -97,7 +97,7 @@ class IdentificationReport:
         return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
 
     @property
-    def _parameter_tables(self) -> list[Table]:
+    def _parameter_tables(self) -> list[TextTable]:
         identified, predictor = self.fitted.identified, self.fitted.predictor
         own = [parameter_table("Parameters", predictor.estimate)] if predictor and predictor.estimate else []
         delays = [] if identified.delays is None else [delay_table(identified.delays)]
@@ -159,12 +159,12 @@ class IdentificationReport:
         return f"Yes, at the speeds and on the floor of the log: {explained}" + (f"; {count}" if count else ""), ""
 
     @property
-    def scores(self) -> tuple[Table, ...]:
+    def scores(self) -> tuple[TextTable, ...]:
         """How good the model is: FIT and RMSE, and the open-loop pose error where there are poses."""
         return (score_table(self.fitted), *([drift_table(self.poses)] if self.poses.drift else []))
 
     @property
-    def tables(self) -> list[Table]:
+    def tables(self) -> list[TextTable]:
         """Every other table, in order."""
         fitted, poses = self.fitted, self.poses
         tables = [residual_table(fitted), *self.scores[1:]]

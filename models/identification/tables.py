@@ -12,11 +12,11 @@ from diffdrive_mpc.models.identification.poses import PoseResults
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.orders import OrderChoice
-from diffdrive_mpc.models.table import Table, number
+from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
-def score_table(fitted: Fitted) -> Table:
+def score_table(fitted: Fitted) -> TextTable:
     """FIT and RMSE of the free simulation."""
     train, validation = fitted.train, fitted.validation
     rows = [
@@ -31,10 +31,10 @@ def score_table(fitted: Fitted) -> Table:
     ]
     columns = ("channel", "FIT training [%]", "FIT validation [%]", "RMSE training", "RMSE validation")
     note = "Simulated from the commands alone, started once in each stretch; RMSE in m/s and rad/s."
-    return Table("How much the model explains", columns, tuple(rows), note=note)
+    return TextTable("How much the model explains", columns, tuple(rows), note=note)
 
 
-def residual_table(fitted: Fitted) -> Table:
+def residual_table(fitted: Fitted) -> TextTable:
     """Whiteness of the validation residuals, and what the commands could still explain."""
     check = fitted.validation.residuals
     rows = [
@@ -43,10 +43,10 @@ def residual_table(fitted: Fitted) -> Table:
     ]
     columns = ("residual of", "p if white [-]", "with past v_ref [bounds]", "with past omega_ref [bounds]")
     note = "Largest correlation with a past command over its 95 % bound; well above 1, dynamics are missing."
-    return Table("Residuals on data held out", columns, tuple(rows), note=note)
+    return TextTable("Residuals on data held out", columns, tuple(rows), note=note)
 
 
-def drift_table(poses: PoseResults) -> Table:
+def drift_table(poses: PoseResults) -> TextTable:
     """Open-loop pose error."""
     rows = [
         (f"{d.horizon:g}", number(d.position_rmse), number(d.position_mean), number(d.heading_rmse), str(d.starts))
@@ -54,10 +54,10 @@ def drift_table(poses: PoseResults) -> Table:
     ]
     columns = ("after [s]", "position RMSE [m]", "position mean [m]", "heading RMSE [rad]", "starts")
     note = "Poses predicted from commands alone, held against the measured ones, on data held out."
-    return Table("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
+    return TextTable("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
 
 
-def delay_table(delays: ParameterEstimate) -> Table:
+def delay_table(delays: ParameterEstimate) -> TextTable:
     """How late the robot answers: dead time and lag together, which a log tells, then how they are divided."""
     cells = [
         f"{value:.3g} +- {deviation:.2g}"
@@ -67,10 +67,10 @@ def delay_table(delays: ParameterEstimate) -> Table:
     rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
     note = "With standard deviations. The sum is what tracking depends on; many divisions of it predict the same."
     columns = ("answer of", "dead time and lag together [s]", "of it dead time [s]", "lag [s]")
-    return Table("How late the robot answers", columns, tuple(rows), note=note)
+    return TextTable("How late the robot answers", columns, tuple(rows), note=note)
 
 
-def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool = True) -> Table:
+def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool = True) -> TextTable:
     """Values with their standard deviations, without the dead times where `delay_table` has them."""
     rows = [
         (name, f"{value:.5g}", f"{deviation:.2g}")
@@ -78,10 +78,10 @@ def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool
         if dead_times or "dead_time" not in name
     ]
     note = "SI units: gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m]."
-    return Table(title, ("parameter", "value", "standard deviation"), tuple(rows), note=note)
+    return TextTable(title, ("parameter", "value", "standard deviation"), tuple(rows), note=note)
 
 
-def order_table(choice: OrderChoice) -> Table:
+def order_table(choice: OrderChoice) -> TextTable:
     """Orders compared, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
     rows = []
     for order, row in enumerate(choice.rows, start=1):
@@ -94,10 +94,10 @@ def order_table(choice: OrderChoice) -> Table:
         *("FIT validation v [%]", "omega [%]", "AIC", "BIC"),
     )
     note = f"Order {choice.order}: {choice.reason}. Criteria over the lowest of all orders."
-    return Table("Orders compared", columns, tuple(rows), text_columns=2, note=note)
+    return TextTable("Orders compared", columns, tuple(rows), text_columns=2, note=note)
 
 
-def effect_table(base: IdentifiedBase) -> Table:
+def effect_table(base: IdentifiedBase) -> TextTable:
     """What was tried around the linear model, and what was kept."""
     rows = [
         (
@@ -109,12 +109,12 @@ def effect_table(base: IdentifiedBase) -> Table:
         for trial in base.trials
     ]
     note = "Gain: fall of the logarithm of the error power on parts of the training data that were held out in turn."
-    return Table(
+    return TextTable(
         "What the base does", ("effect", "gain [-]", "better in blocks", "in the model"), tuple(rows), note=note
     )
 
 
-def slip_table(poses: PoseResults) -> Table:
+def slip_table(poses: PoseResults) -> TextTable:
     """Slip laws with their errors over a short window."""
     rows = [
         (name, ", ".join(_valued(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
@@ -124,16 +124,16 @@ def slip_table(poses: PoseResults) -> Table:
     note = (
         "RMSE of the body's displacement over windows of one second, from the wheels through the law, on training data."
     )
-    return Table("Slip laws", columns, tuple(rows), text_columns=2, note=note)
+    return TextTable("Slip laws", columns, tuple(rows), text_columns=2, note=note)
 
 
-def finding_table(findings: Sequence[Finding]) -> Table:
+def finding_table(findings: Sequence[Finding]) -> TextTable:
     """What was found in the logs."""
     rows = tuple(
         (finding.severity, finding.kind, finding.place, finding.words, str(finding.verdict or ""))
         for finding in findings
     )
-    return Table("Findings in the logs", ("severity", "kind", "where", "what", "for driving"), rows, text_columns=5)
+    return TextTable("Findings in the logs", ("severity", "kind", "where", "what", "for driving"), rows, text_columns=5)
 
 
 def _valued(estimate: ParameterEstimate) -> list[str]:

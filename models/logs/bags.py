@@ -25,7 +25,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
-from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MotorTopic, Topic, Topics, Wheels
+from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MappedWheels, MotorTopic, Topic, Topics
 from diffdrive_mpc.models.logs.record import Finding, ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
@@ -121,7 +121,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     return RawLog(path.name, stretches, tuple(findings), float(sample_time), kinds)
 
 
-def _power(signals: dict[str, Signal], wheels: Wheels | None) -> dict[str, Signal]:
+def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str, Signal]:
     """Battery and motors, and the wheels' speeds that the odometry's twist comes from; nothing where none is asked."""
     power_signals: dict[str, Signal] = {}
     if "battery" in signals:

@@ -22,10 +22,10 @@ from diffdrive_mpc.models.logs.mapping import (
     CommandColumns,
     EncoderColumns,
     LogMapping,
+    MappedWheels,
     SensorColumns,
     SignalColumn,
     WheelColumn,
-    Wheels,
     load_mapping,
 )
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
@@ -81,7 +81,7 @@ class RowReader:
         Lengths of the mapping; None where it gives none.
     """
 
-    def __init__(self, table: CsvTable, wheels: Wheels | None) -> None:
+    def __init__(self, table: CsvTable, wheels: MappedWheels | None) -> None:
         self.table = table
         self.wheels = wheels
         self.findings: list[Finding] = []
@@ -202,7 +202,7 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     return log_of_table(_where(table, columns), columns, wheels)
 
 
-def log_of_table(whole: CsvTable, columns: Columns, wheels: Wheels | None = None) -> RawLog:
+def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None = None) -> RawLog:
     """The rows of a table as a log; raises as `read_csv`.
 
     Parameters

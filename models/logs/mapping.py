@@ -345,7 +345,7 @@ class Topics(StrictModel):
         return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in there})
 
 
-class Wheels(StrictModel):
+class MappedWheels(StrictModel):
     """The lengths by which the mapping turns wheel speeds into (v, omega)."""
 
     radius: Positive | None = Field(None, description="wheel radius [m]; for columns of wheels")
@@ -359,7 +359,7 @@ class LogMapping(StrictModel):
     source: str = Field("", description="where the log comes from, and on what the signs and delays are based")
     columns: Columns | None = None
     topics: Topics | None = None
-    wheels: Wheels | None = None
+    wheels: MappedWheels | None = None
     times: tuple[tuple[float, float], ...] = Field(
         (), description="from and to of the parts to be used, on the log's clock [s]; without any, all of it"
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.doubt import VERDICTS, Verdict
+from diffdrive_mpc.models.doubt import VERDICTS, DoubtRelevance
 from diffdrive_mpc.models.interface import FloatArray
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ class Finding:
     span: tuple[float, float] | None = None
 
     @property
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> DoubtRelevance | None:
         """Whether it matters for driving; None for a note."""
         return None if self.severity == "note" else VERDICTS[self.kind]
 

@@ -21,7 +21,7 @@ _JUMP = 2.0
 
 
 @dataclass(frozen=True)
-class Experiment:
+class SampledExperiment:
     """K evenly spaced samples of m inputs and p outputs.
 
     Attributes
@@ -73,15 +73,17 @@ class Experiment:
         """(p,) the first reading of each output."""
         return np.array([self.outputs[np.argmax(counts), row] for row, counts in enumerate(self.counts.T)])
 
-    def channel(self, inputs: int, outputs: int) -> Experiment:
+    def channel(self, inputs: int, outputs: int) -> SampledExperiment:
         """One input and one output of this experiment."""
         i, o = slice(inputs, inputs + 1), slice(outputs, outputs + 1)
-        return Experiment(self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o], self.follows)
+        return SampledExperiment(
+            self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o], self.follows
+        )
 
 
-def joined(experiments: Sequence[Experiment]) -> list[Experiment]:
+def joined(experiments: Sequence[SampledExperiment]) -> list[SampledExperiment]:
     """The same samples, those that follow each other as one: what happens in one begins in the one before."""
-    runs: list[list[Experiment]] = []
+    runs: list[list[SampledExperiment]] = []
     for experiment in experiments:
         if runs and experiment.follows:
             runs[-1].append(experiment)
@@ -90,12 +92,12 @@ def joined(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [run[0] if len(run) == 1 else _one(run) for run in runs]
 
 
-def _one(run: Sequence[Experiment]) -> Experiment:
+def _one(run: Sequence[SampledExperiment]) -> SampledExperiment:
     inputs, outputs = (np.concatenate([getattr(part, name) for part in run]) for name in ("inputs", "outputs"))
-    return Experiment(run[0].name, run[0].dt, inputs, outputs, np.concatenate([part.counts for part in run]))
+    return SampledExperiment(run[0].name, run[0].dt, inputs, outputs, np.concatenate([part.counts for part in run]))
 
 
-def parted(rows: Sequence[FloatArray], experiments: Sequence[Experiment]) -> list[FloatArray]:
+def parted(rows: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> list[FloatArray]:
     """Rows (K, ...) of `joined(experiments)`, in pieces as long as the experiments."""
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return list(np.split(np.concatenate(rows), cuts))
@@ -105,7 +107,7 @@ YawSource = Literal["gyro", "encoders"]
 """What omega means: the true yaw rate, or the wheels' over the geometric track."""
 
 
-def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[Experiment]:
+def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
     """Commands (v_ref, omega_ref) against v of the encoders and omega of the gyro or of the encoders.
 
     Raises
@@ -121,11 +123,11 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
         else:
             omega, fresh_omega = twist[:, 1], fresh_twist
         outputs, counts = np.column_stack([twist[:, 0], omega]), np.column_stack([fresh_twist, fresh_omega])
-        experiments.append(Experiment(record.name, record.dt, record.command, outputs, counts))
+        experiments.append(SampledExperiment(record.name, record.dt, record.command, outputs, counts))
     return _chained(experiments, records)
 
 
-def wheel_experiments(records: Sequence[Record]) -> list[Experiment]:
+def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
     """Commands (v_ref, omega_ref) against wheel speeds [rad/s]: four where every record has them, else two.
 
     Raises
@@ -138,11 +140,11 @@ def wheel_experiments(records: Sequence[Record]) -> list[Experiment]:
     for record in records:
         speeds, fresh = _signal(record, name, "fresh_twist")
         counts = np.tile(fresh[:, None], (1, speeds.shape[1]))
-        experiments.append(Experiment(record.name, record.dt, record.command, speeds, counts))
+        experiments.append(SampledExperiment(record.name, record.dt, record.command, speeds, counts))
     return _chained(experiments, records)
 
 
-def _chained(experiments: Sequence[Experiment], records: Sequence[Record]) -> list[Experiment]:
+def _chained(experiments: Sequence[SampledExperiment], records: Sequence[Record]) -> list[SampledExperiment]:
     """The experiments, with a mark on those that follow the one before: in time, and without a jump of any reading.
 
     A log may be cut anywhere, and what has no times of its own may have lost rows between two segments.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
@@ -19,7 +19,7 @@ Pieces = list[tuple[int, int, int]]
 """Number of an experiment, its samples from and up to."""
 
 
-def blocks(experiments: Sequence[Experiment]) -> list[tuple[Pieces, Pieces]]:
+def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Pieces]]:
     """For each part of equal length, in the order of time: the data without it, and it; short rests are left out.
 
     Raises
@@ -48,12 +48,14 @@ def blocks(experiments: Sequence[Experiment]) -> list[tuple[Pieces, Pieces]]:
     return folds
 
 
-def cut(experiments: Sequence[Experiment], pieces: Pieces) -> list[Experiment]:
+def cut(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[SampledExperiment]:
     """Some of the data."""
     parts = []
     for i, first, stop in pieces:
         whole, rows = experiments[i], slice(first, stop)
-        parts.append(Experiment(whole.name, whole.dt, whole.inputs[rows], whole.outputs[rows], whole.counts[rows]))
+        parts.append(
+            SampledExperiment(whole.name, whole.dt, whole.inputs[rows], whole.outputs[rows], whole.counts[rows])
+        )
     return parts
 
 
@@ -78,7 +80,7 @@ class HeldOut(NamedTuple):
         return np.asarray(scatter * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
 
 
-def hold_out(fit: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True) -> HeldOut:
+def hold_out(fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True) -> HeldOut:
     """Search anew, from `fit`, without each block in turn.
 
     Raises
@@ -99,7 +101,7 @@ def hold_out(fit: OutputErrorFit, experiments: Sequence[Experiment], robust: boo
 
 
 def with_limit_if_better(
-    limited: OutputErrorFit, plain: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True
+    limited: OutputErrorFit, plain: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True
 ) -> OutputErrorFit:
     """`limited`, which has the last parameter more than `plain`, if models like it predict held-out blocks better.
 

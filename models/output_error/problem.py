@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.state_space import (
     AnyArray,
@@ -88,7 +88,7 @@ class OutputErrorProblem:
     def __init__(
         self,
         layout: Layout,
-        experiments: Sequence[Experiment],
+        experiments: Sequence[SampledExperiment],
         weights: Sequence[FloatArray],
         prior: Sequence[FloatArray] | None = None,
     ) -> None:
@@ -179,7 +179,7 @@ def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
 
 
 def _simulate(
-    model: _Model, experiment: Experiment, weight: FloatArray, prior: FloatArray | None
+    model: _Model, experiment: SampledExperiment, weight: FloatArray, prior: FloatArray | None
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
     """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
     system, past = model.system, _past(model, weight, prior)
@@ -197,7 +197,7 @@ def _experiment_jacobian(
     model: _Model,
     slope: LinearSystem,
     sampled_slope: SampledSystem,
-    experiment: Experiment,
+    experiment: SampledExperiment,
     weight: FloatArray,
     prior: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
@@ -215,7 +215,7 @@ def _experiment_jacobian(
     return rows, _project(rows, past)
 
 
-def past_prior(system: LinearSystem, experiments: Sequence[Experiment], deviation: float) -> FloatArray:
+def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], deviation: float) -> FloatArray:
     """One over the standard deviations of a past, (m + n, m + n), as `OutputErrorProblem` takes it.
 
     Commands before an experiment are as large as those in it. A state deviates from the settled one `deviation` times
@@ -236,7 +236,7 @@ def past_prior(system: LinearSystem, experiments: Sequence[Experiment], deviatio
     return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
-def _drive(model: _Model, experiment: Experiment, before: FloatArray) -> _Drive:
+def _drive(model: _Model, experiment: SampledExperiment, before: FloatArray) -> _Drive:
     limit, delay = model.system.limit, model.sampled.delay
     clipped = np.clip(experiment.inputs, -limit, limit)
     beyond = np.where(np.abs(experiment.inputs) > limit, np.sign(experiment.inputs), 0.0)

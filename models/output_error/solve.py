@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment, joined, parted
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
@@ -82,7 +82,7 @@ class OutputErrorFit:
 
 def fit_output_error(
     candidates: Sequence[tuple[Layout, FloatArray]],
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     robust: bool = True,
     trial: int = 25,
     scale: FloatArray | None = None,
@@ -151,7 +151,7 @@ def fit_output_error(
 def _solve(
     layout: Layout,
     start: FloatArray,
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     weights: list[FloatArray],
     ties: FloatArray,
     evaluations: int,
@@ -180,7 +180,7 @@ def _solve(
 def _problem(
     layout: Layout,
     near: FloatArray,
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     weights: list[FloatArray],
     ties: FloatArray,
 ) -> OutputErrorProblem:
@@ -192,7 +192,7 @@ def _problem(
 def _ties(
     layout: Layout,
     parameters: FloatArray,
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     weights: list[FloatArray],
     ties: FloatArray,
 ) -> FloatArray:
@@ -205,7 +205,7 @@ def _ties(
 def _cost(
     layout: Layout,
     parameters: FloatArray,
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     weights: list[FloatArray],
     ties: FloatArray,
 ) -> float:
@@ -215,7 +215,7 @@ def _cost(
 def _residuals(
     layout: Layout,
     parameters: FloatArray,
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     weights: list[FloatArray],
     ties: FloatArray,
 ) -> list[FloatArray]:
@@ -227,7 +227,10 @@ def _residuals(
 
 
 def _weights(
-    experiments: Sequence[Experiment], scale: FloatArray, noise: FloatArray, trust: list[FloatArray] | None = None
+    experiments: Sequence[SampledExperiment],
+    scale: FloatArray,
+    noise: FloatArray,
+    trust: list[FloatArray] | None = None,
 ) -> list[FloatArray]:
     """Square roots of the weights, over the scale.
 
@@ -246,7 +249,7 @@ def _weights(
 def _covariance(
     layout: Layout,
     parameters: FloatArray,
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     weights: list[FloatArray],
     ties: FloatArray,
 ) -> Sandwich:
@@ -258,7 +261,7 @@ def _covariance(
 
 
 def find_limits(
-    fit: OutputErrorFit, experiments: Sequence[Experiment], channel: int, robust: bool = True
+    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], channel: int, robust: bool = True
 ) -> OutputErrorFit:
     """Let input `channel` have a limit, and keep it if the data clearly show one.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 
 # A continuous linear system with dead time: how it is sampled, and its states under any drive.
 
@@ -199,7 +199,7 @@ class LocalStateSpace:
         return LocalStateSpace(A, B, C), np.zeros_like(parameters)
 
 
-def impulse_response(experiments: Sequence[Experiment], dead_time: FloatArray, length: int) -> FloatArray:
+def impulse_response(experiments: Sequence[SampledExperiment], dead_time: FloatArray, length: int) -> FloatArray:
     """(p, m, length) sampled impulse response behind dead times (m,) [s], by ridge regression on all experiments.
 
     Samples that do not count are interpolated: a start needs no more.
@@ -275,7 +275,7 @@ def spare_state(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
     )
 
 
-def _filled(experiment: Experiment, row: int) -> FloatArray:
+def _filled(experiment: SampledExperiment, row: int) -> FloatArray:
     known = np.flatnonzero(experiment.counts[:, row])
     return np.asarray(np.interp(np.arange(experiment.samples), known, experiment.outputs[known, row]))
 

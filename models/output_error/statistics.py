@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 
 _SPIKE = 5.0
@@ -76,7 +76,7 @@ def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray
     return np.asarray(np.maximum(np.sqrt(np.nanmean(weighted**2, axis=0)), 1e-9 * spread))
 
 
-def output_spread(experiments: Sequence[Experiment]) -> FloatArray:
+def output_spread(experiments: Sequence[SampledExperiment]) -> FloatArray:
     """(p,) standard deviation of each output; raises ValueError where one never changes."""
     spread = []
     for row in range(experiments[0].outputs.shape[1]):

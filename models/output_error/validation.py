@@ -17,7 +17,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, delayed, sample, settled_start
 
@@ -83,7 +83,7 @@ class ResidualCheck:
         return np.asarray(np.abs(past).max(axis=2) / self.cross_bound)
 
 
-def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[Experiment]) -> ResidualCheck:
+def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> ResidualCheck:
     """Correlate residuals (K, 2), NaN where there is no reading, with themselves and with the commands.
 
     Nothing is correlated across experiments. Where the sensors are slower than the log, lags between two readings have
@@ -182,7 +182,7 @@ def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "
     return score(simulate_records(system, records, yaw), twist_experiments(records, yaw))
 
 
-def score(simulated: Sequence[FloatArray], experiments: Sequence[Experiment]) -> Validation:
+def score(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> Validation:
     """Hold simulated outputs (K, 2), one array for each experiment, against its readings; raises as `validate`."""
     errors = [
         np.where(experiment.counts, experiment.outputs - outputs, np.nan)
@@ -204,7 +204,7 @@ def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSo
     return parted([simulate_experiment(system, run) for run in joined(experiments)], experiments)
 
 
-def simulate_experiment(system: LinearSystem, experiment: Experiment) -> FloatArray:
+def simulate_experiment(system: LinearSystem, experiment: SampledExperiment) -> FloatArray:
     """(K, p) outputs from the inputs alone, after rest in the settled state that gives each output's first reading."""
     sampled = sample(system, experiment.dt)
     start, before = settled_start(system, experiment.first_readings)

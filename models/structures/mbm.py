@@ -11,14 +11,14 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments, wheel_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments, wheel_experiments
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import AnyArray
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
-from diffdrive_mpc.models.structures.structure import Conditions, Found
+from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.structures.two_poles import (
     IdentifiedChannel,
     TwoPolesParametrisation,
@@ -153,7 +153,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
     )
 
 
-def _start(experiments: Sequence[Experiment], sides: tuple[int, ...], radius: float, robust: bool) -> FloatArray:
+def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], radius: float, robust: bool) -> FloatArray:
     """Forward motion gives a motor for all, turning the track."""
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
@@ -164,9 +164,9 @@ def _start(experiments: Sequence[Experiment], sides: tuple[int, ...], radius: fl
     return np.concatenate([np.tile(motor, len(sides)), [track, v.value("dead_time")]])
 
 
-def _combined(experiment: Experiment, weights: FloatArray, column: int) -> Experiment:
+def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
     """One command against a weighted sum of the wheels."""
-    return Experiment(
+    return SampledExperiment(
         experiment.name,
         experiment.dt,
         experiment.inputs[:, column : column + 1],
@@ -211,8 +211,8 @@ def _doubtful(parameters: ParameterEstimate) -> list[str]:
     return [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
 
 
-def identify(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """See `Structure.identify`."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
         raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
-    return Found(identify_mbm(records, conditions.wheel_radius))
+    return StructureFit(identify_mbm(records, conditions.wheel_radius))

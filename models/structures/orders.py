@@ -12,7 +12,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, twist_experiments
 from diffdrive_mpc.models.output_error.held_out import hold_out
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.output_error.validation import validate
@@ -127,7 +127,7 @@ def compare_orders(
 
 
 def _block_fits(
-    models: Sequence[IdentifiedModel], experiments: Sequence[Experiment], robust: bool
+    models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment], robust: bool
 ) -> list[FloatArray | None]:
     """For each model (2,) FIT [%] on blocks held out in turn; None where the records are too short."""
     spread = output_spread(experiments)

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.structures.model_file import MbmFile, SmFile, SsmFile
-from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.record import Record
@@ -17,9 +17,9 @@ LARGEST_ORDER = 5
 """Of SSM."""
 
 
-def _identify_by(module: str, records: Sequence[Record], conditions: Conditions) -> Found:
+def _identify_by(module: str, records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify by a module beside this one. It is imported now: who loads a model needs no estimator."""
-    identified: Found = import_module(f"{__package__}.{module}").identify(records, conditions)
+    identified: StructureFit = import_module(f"{__package__}.{module}").identify(records, conditions)
     return identified
 
 

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experi
 from diffdrive_mpc.models.output_error.parameters import joined
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import SmFile, TwoPoles
-from diffdrive_mpc.models.structures.structure import Conditions, Found
+from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -89,6 +89,6 @@ def channel_limits(channels: Sequence[IdentifiedChannel]) -> dict[str, float]:
     }
 
 
-def identify(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """See `Structure.identify`."""
-    return Found(identify_sm(records, yaw=conditions.yaw))
+    return StructureFit(identify_sm(records, yaw=conditions.yaw))

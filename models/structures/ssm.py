@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
@@ -32,7 +32,7 @@ from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
 from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
-from diffdrive_mpc.models.structures.structure import Conditions, Found
+from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
 from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -128,7 +128,7 @@ def identify_ssm_orders(
 
 
 def _fit(
-    experiments: list[Experiment],
+    experiments: list[SampledExperiment],
     channels: tuple[IdentifiedChannel, IdentifiedChannel],
     order: int,
     below: OutputErrorFit | None,
@@ -235,10 +235,10 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     )
 
 
-def identify(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """See `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
     largest = max(order or LARGEST_ORDER, 2)
     choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, asked=order)
-    return Found(choice.identified, choice)
+    return StructureFit(choice.identified, choice)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class IdentificationConditions:
     """What an identification is told beside the records to identify from.
 
     Attributes
@@ -37,7 +37,7 @@ class Conditions:
     wheel_radius: float | None = None
 
 
-class Found(NamedTuple):
+class StructureFit(NamedTuple):
     """What a structure made of records."""
 
     identified: IdentifiedModel
@@ -68,7 +68,7 @@ class Structure:
 
     name: str
     file: type[ModelFile]
-    identify: Callable[[Sequence[Record], Conditions], Found]
+    identify: Callable[[Sequence[Record], IdentificationConditions], StructureFit]
     needs_wheels: bool = False
     largest_order: int | None = None
     takes_effects: bool = False

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import Experiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
 from diffdrive_mpc.models.output_error.held_out import with_limit_if_better
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
@@ -92,7 +92,7 @@ class IdentifiedChannel:
 
 
 def identify_channel(
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     label: str,
     *,
     offset: bool = False,
@@ -158,7 +158,7 @@ def identify_channel(
     return IdentifiedChannel(parameters, poles, fit, tuple(warnings))
 
 
-def first_guesses(layout: Layout, experiments: Sequence[Experiment], label: str) -> list[FloatArray]:
+def first_guesses(layout: Layout, experiments: Sequence[SampledExperiment], label: str) -> list[FloatArray]:
     """The best few points (q,) of a grid over dead time and natural frequency, the gain from the ratio of spreads."""
     settings = estimator_settings()
     commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))

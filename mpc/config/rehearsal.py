@@ -38,7 +38,7 @@ class Rehearsal(Group):
     )
 
 
-class Drivable(Group):
+class DrivableWeights(Group):
     """What counts in the path that the middle of the robot can drive nearest to the reference; for rehearsal.by: floor.
 
     The square of a distance from the reference counts over time; the others are how much distance they are worth.

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.mpc.config.energy import Energy
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
-from diffdrive_mpc.mpc.config.rehearsal import Drivable, Rehearsal
+from diffdrive_mpc.mpc.config.rehearsal import DrivableWeights, Rehearsal
 from diffdrive_mpc.mpc.config.solver import Solver
 
 # Limits and sample time default to those of the shipped robot file.
@@ -391,6 +391,6 @@ class ControllerConfig(Group):
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
     rehearsal: Rehearsal = Rehearsal()
-    drivable: Drivable = Drivable()
+    drivable: DrivableWeights = DrivableWeights()
     online_dead_time: OnlineDeadTime = OnlineDeadTime()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

@@ -86,7 +86,7 @@ def _load(config: ControllerConfig) -> TurnCosts:
     return load_turn_costs(config.energy.turn_costs)
 
 
-class Energy(Feature):
+class EnergyFeature(Feature):
     """See `Feature`."""
 
     @classmethod
@@ -100,4 +100,4 @@ class Energy(Feature):
         return energy_terms(config)
 
 
-FEATURE = Energy
+FEATURE = EnergyFeature

@@ -11,7 +11,7 @@ from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.problem.terms import Term
 
 
-class Listed(NamedTuple):
+class RegisteredFeature(NamedTuple):
     """A feature.
 
     Attributes
@@ -27,10 +27,10 @@ class Listed(NamedTuple):
 
 
 FEATURES = (
-    Listed("energy", lambda config: bool(config.energy.weight) or config.energy.use_min_radius),
-    Listed("free_space", lambda config: config.free_space.enabled),
-    Listed("online_dead_time", lambda config: config.online_dead_time.enabled),
-    Listed("rehearsal", lambda config: config.rehearsal.enabled),
+    RegisteredFeature("energy", lambda config: bool(config.energy.weight) or config.energy.use_min_radius),
+    RegisteredFeature("free_space", lambda config: config.free_space.enabled),
+    RegisteredFeature("online_dead_time", lambda config: config.online_dead_time.enabled),
+    RegisteredFeature("rehearsal", lambda config: config.rehearsal.enabled),
 )
 """In the order in which they are asked."""
 

@@ -69,7 +69,7 @@ def _packaged() -> Packaged:
 _SIZES = ("DDMON_RULES", "DDMON_COMMANDS", "DDMON_TRACK", "DDMON_POSES")
 
 
-class Verdict(NamedTuple):
+class MonitorVerdict(NamedTuple):
     """Which rule was broken first, when, and what was found.
 
     Attributes
@@ -117,7 +117,7 @@ class Judge:
         self._lib.ddmon_init(self._judge, self._rules, now)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> MonitorVerdict:
         """The rule that stopped the robot."""
         return self._said(self._judge.verdict)
 
@@ -160,20 +160,20 @@ class Judge:
             return None
         return self._out[0], self._out[1]
 
-    def reset(self, now: float) -> Verdict:
+    def reset(self, now: float) -> MonitorVerdict:
         """Go on, if nothing is wrong any more, the robot stands and nobody moves it; else what is still wrong.
 
         A robot that is off its path goes on without a reference: the controller has to begin anew.
         """
         return self._said(self._lib.ddmon_reset(self._judge, now))
 
-    def _said(self, verdict: object) -> Verdict:
+    def _said(self, verdict: object) -> MonitorVerdict:
         number, at, value, limit = (getattr(verdict, name) for name in ("rule", "at", "value", "limit"))
         if not number:
-            return Verdict("", at, "")
+            return MonitorVerdict("", at, "")
         words, unit = (self._text(function, number) for function in ("ddmon_words", "ddmon_unit"))
         figures = f": {value:.3g} {unit}, the limit is {limit:.3g} {unit}" if unit else ""
-        return Verdict(rule_names()[number], at, f"{words}{figures}")
+        return MonitorVerdict(rule_names()[number], at, f"{words}{figures}")
 
     def _text(self, function: str, number: int) -> str:
         return bytes(self._ffi.string(getattr(self._lib, function)(number))).decode("ascii")

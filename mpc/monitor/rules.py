@@ -18,7 +18,7 @@ NotNegative = Annotated[float, Field(ge=0, le=1000)]
 Age = Annotated[float, Field(ge=0, le=60)]
 
 
-class Commands(StrictModel):
+class CommandRules(StrictModel):
     """What commands may be, whatever the robot does."""
 
     v: Positive = Field(description="largest |v| [m/s]")
@@ -62,7 +62,7 @@ class OnPath(StrictModel):
     )
 
 
-class Sensors(StrictModel):
+class SensorAges(StrictModel):
     """How old sensors may be while the robot is moved."""
 
     odometry_age: Annotated[float, Field(gt=0, le=60)] = Field(description="oldest odometry [s]")
@@ -85,7 +85,7 @@ class Agreement(StrictModel):
     lasting: NotNegative = Field(description="they may contradict each other for so long [s]")
 
 
-class Answer(StrictModel):
+class ResponseBounds(StrictModel):
     """How the robot answers to commands: first order with dead time, between bounds."""
 
     dead_time: Annotated[float, Field(gt=0, le=2)] = Field(description="longest until a command acts [s]")
@@ -102,11 +102,11 @@ class Rules(StrictModel):
     """What has to hold while a controller drives a robot."""
 
     name: str = Field("", max_length=80, description="for whom they are")
-    commands: Commands = Field(description="what commands may be")
+    commands: CommandRules = Field(description="what commands may be")
     path: OnPath = Field(description="where the robot may be")
-    sensors: Sensors = Field(description="how old sensors may be")
+    sensors: SensorAges = Field(description="how old sensors may be")
     agreement: Agreement = Field(description="how far sensors may contradict each other")
-    answer: Answer = Field(description="how the robot answers to commands")
+    answer: ResponseBounds = Field(description="how the robot answers to commands")
 
     def with_sensors(self, *, pose: bool, gyro: bool) -> Self:
         """The same for a robot that may have no pose sensor or no gyro."""

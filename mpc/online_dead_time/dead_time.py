@@ -52,7 +52,7 @@ class _Clock:
     ticks: int = 0
 
 
-class DeadTime:
+class DeadTimeEstimator:
     """Learns the dead time of v and omega, and says when to predict with another.
 
     Parameters
@@ -244,7 +244,7 @@ class DeadTime:
         return "; ".join(sentences)
 
 
-def online_dead_time(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> DeadTime:
+def online_dead_time(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> DeadTimeEstimator:
     """What learns the dead time of `model`.
 
     Raises
@@ -258,4 +258,4 @@ def online_dead_time(config: ControllerConfig, model: VelocityModel | NonlinearM
         )
     if not config.compensation.dead_time:
         raise ConfigError("online_dead_time.enabled = true needs compensation.dead_time = true")
-    return DeadTime(config, model)
+    return DeadTimeEstimator(config, model)

@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.online_dead_time.dead_time import online_dead_time
 from diffdrive_mpc.mpc.step_result import StepResult
 
 
-class OnlineDeadTime(Feature):
+class OnlineDeadTimeFeature(Feature):
     """See `Feature`; raises ConfigError if there is no dead time that could change."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> None:
@@ -50,4 +50,4 @@ class OnlineDeadTime(Feature):
         return replace(result, message=words, dead_time=dead_time.found)
 
 
-FEATURE = OnlineDeadTime
+FEATURE = OnlineDeadTimeFeature

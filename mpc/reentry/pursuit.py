@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.reentry.options import Course
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock
-from diffdrive_mpc.mpc.reentry.target import BlockedWatch, Standing, Target, TooFar
+from diffdrive_mpc.mpc.reentry.target import BlockedWatch, StandingReference, Target, TooFar
 from diffdrive_mpc.mpc.reentry.way_back import Rejoin, Room, rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
@@ -189,9 +189,9 @@ class Pursuit:
         off, v = self._stray(sample)
         if off.outside:
             way_back = self._return(reference, time, since_start, estimate)
-            if isinstance(way_back, TooFar | Standing):
+            if isinstance(way_back, TooFar | StandingReference):
                 no_way = "no way: nothing free leads back to the path; waits"
-                return Target(way_back, since_start, no_way) if isinstance(way_back, Standing) else way_back
+                return Target(way_back, since_start, no_way) if isinstance(way_back, StandingReference) else way_back
             if way_back is not None:
                 self._way_back = followed = way_back
                 time = way_back.begins
@@ -250,8 +250,8 @@ class Pursuit:
 
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate
-    ) -> Rejoin | TooFar | Standing | None:
-        """Plan a way back; return `Standing` if there is no room for one.
+    ) -> Rejoin | TooFar | StandingReference | None:
+        """Plan a way back; return `StandingReference` if there is no room for one.
 
         Returns None if the robot is on its path after all, only earlier or later than the reference.
         """
@@ -281,7 +281,7 @@ class Pursuit:
             self.room,
         )
         if path is None:
-            return Standing(estimate.pose)
+            return StandingReference(estimate.pose)
         if beside or not (aside or displaced):
             reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:

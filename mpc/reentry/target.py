@@ -36,7 +36,7 @@ class Target(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class StandingReference:
     """Satisfies `models.interface.Reference`: standing at `pose` (3,), for a robot that has no way back to its path."""
 
     pose: FloatArray

@@ -11,7 +11,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
-from diffdrive_mpc.mpc.rehearsal.rehearsal import Rehearsal
+from diffdrive_mpc.mpc.rehearsal.rehearsal import LapLearner
 from diffdrive_mpc.mpc.step_result import StepResult
 
 
@@ -28,11 +28,11 @@ class Rehearse(Feature):
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> None:
         super().__init__(config, model)
-        self.learned: Rehearsal | FloorRehearsal
+        self.learned: LapLearner | FloorRehearsal
         if config.rehearsal.by == "floor":
             self.learned = FloorRehearsal(config, FeedForward.of(model, config.sample_time).inverse_gain)
         else:
-            self.learned = Rehearsal(config)
+            self.learned = LapLearner(config)
 
     def configure(self) -> None:
         """See `Feature`."""

@@ -49,7 +49,7 @@ class _Lap:
     """why nothing can be learned from it"""
 
 
-class Rehearsal:
+class LapLearner:
     """Records laps, and gives each start of a reference the reference to track.
 
     Parameters

@@ -70,7 +70,7 @@ class Begun:
 
 
 @dataclass(frozen=True)
-class Tick:
+class LoopTick:
     """What one tick did.
 
     Attributes
@@ -165,7 +165,7 @@ class ControlLoop:
         self._requests = 0
         # A newly activated node counts as reset.
         self._was_reset = True
-        self.last: Tick | None = None
+        self.last: LoopTick | None = None
 
     @property
     def speed_limit(self) -> float | None:
@@ -294,7 +294,7 @@ class ControlLoop:
         self._next, self.blocked = None, False
         return "is as new; call start to begin"
 
-    def tick(self) -> Tick:
+    def tick(self) -> LoopTick:
         """Decide the next command. Never raises: an exception ends in zero and FAULT."""
         started = time.perf_counter()
         self.times.begin(self._steady())
@@ -308,7 +308,7 @@ class ControlLoop:
         self.times.end(time.perf_counter() - started, age if np.isfinite(age) else None)
         return tick
 
-    def _decide(self, t: float) -> Tick:
+    def _decide(self, t: float) -> LoopTick:
         self.inbox.look_up_pose()
         if self._begin_when_ready and self._reference is not None and not self._missing():
             self._begin_when_ready = False
@@ -327,7 +327,7 @@ class ControlLoop:
         if self.state is LoopState.DRIVING and result.blocked_for >= self._settings.blocked_timeout:
             self.pause(f"blocked for {result.blocked_for:.1f} s; clear the way and call start")
             self.blocked = True
-        return Tick(result.command, self.state, result.message, result, request)
+        return LoopTick(result.command, self.state, result.message, result, request)
 
     def _begin_next(self, t: float) -> None:
         assert self._next is not None
@@ -368,9 +368,9 @@ class ControlLoop:
     def _once_let_go(self) -> str:
         return ", once it is let go (hold)" if self.held else ""
 
-    def _standing(self) -> Tick:
+    def _standing(self) -> LoopTick:
         waiting = self._missing() if self._begin_when_ready else ""
-        return Tick(np.zeros(2), self.state, "; ".join(filter(None, [self._reason or waiting, HELD * self.held])))
+        return LoopTick(np.zeros(2), self.state, "; ".join(filter(None, [self._reason or waiting, HELD * self.held])))
 
     def _missing(self) -> str:
         """What is missing to begin, in words; empty if nothing is."""

@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
 from diffdrive_mpc.mpc.ros.latency import Durations
-from diffdrive_mpc.mpc.ros.recording import Recording
+from diffdrive_mpc.mpc.ros.recording import ActivationRecording
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
@@ -24,7 +24,7 @@ def diagnostics(
     time: int,
     lifecycle: str,
     loop: ControlLoop | None,
-    recording: Recording | None = None,
+    recording: ActivationRecording | None = None,
     bond: Bond | None = None,
     surroundings: Sequence[TopicWatch] = (),
     energy: DriveEnergy | None = None,

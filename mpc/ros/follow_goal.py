@@ -16,7 +16,7 @@ import numpy as np
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState, Tick
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState, LoopTick
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
@@ -47,7 +47,7 @@ class Code(IntEnum):
     CONTROLLER_TIMED_OUT = 107
 
 
-class Outcome(StrEnum):
+class GoalOutcome(StrEnum):
     """How a goal ends."""
 
     SUCCEEDED = "succeeded"
@@ -59,13 +59,13 @@ class Outcome(StrEnum):
 class End:
     """How a goal ended, its code, and why in words."""
 
-    outcome: Outcome
+    outcome: GoalOutcome
     code: Code
     words: str
 
 
 @dataclass(eq=False)
-class Goal:
+class FollowGoal:
     """One goal. The loop's thread writes `progress` and `end`, that of the action server `cancelled`.
 
     Attributes
@@ -178,13 +178,13 @@ class Following:
     ) -> None:
         self._loop, self._settings, self._config, self._gain = loop, settings, config, gain
         self._lay, self._transform = lay, transform
-        self._coming: Goal | None = None
-        self._driven: Goal | None = None
+        self._coming: FollowGoal | None = None
+        self._driven: FollowGoal | None = None
 
-    def take(self, goal: Goal) -> None:
+    def take(self, goal: FollowGoal) -> None:
         """Have a path laid, to be driven then. What cannot be used ends the drive that is under way, too."""
         if self._coming is not None:
-            self._close(self._coming, Outcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
+            self._close(self._coming, GoalOutcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
         self._coming, goal.handed_on = goal, time.monotonic()
         if goal.fault is not None:
             self._refuse(goal, *goal.fault)
@@ -199,12 +199,12 @@ class Following:
             return
         self._ask(goal)
 
-    def after(self, tick: Tick) -> None:
+    def after(self, tick: LoopTick) -> None:
         """Judge the goal that is driven by what the last tick did."""
         coming, goal = self._coming, self._driven
         if coming is not None and coming.cancelled:
             self._coming = None
-            self._close(coming, Outcome.CANCELED, Code.NONE, "cancelled before it began")
+            self._close(coming, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
             # Whoever sent it did not mean the one that it was to replace either.
             self._give_up("a newer goal was cancelled")
         elif coming is not None and time.monotonic() - coming.handed_on > _LONGEST_LAYING:
@@ -213,7 +213,7 @@ class Following:
             return
         if goal.ending is None:
             goal.ending = self._verdict(goal, tick)
-            if goal.ending is not None and goal.ending.outcome is not Outcome.SUCCEEDED:
+            if goal.ending is not None and goal.ending.outcome is not GoalOutcome.SUCCEEDED:
                 self._loop.brake(goal.ending.words)
         if goal.ending is not None and self._stands(goal, tick):
             self._driven = None
@@ -226,10 +226,10 @@ class Following:
         """End all goals: the loop is no more."""
         for goal in (self._coming, self._driven):
             if goal is not None:
-                self._close(goal, Outcome.ABORTED, Code.UNKNOWN, why)
+                self._close(goal, GoalOutcome.ABORTED, Code.UNKNOWN, why)
         self._coming = self._driven = None
 
-    def _ask(self, goal: Goal) -> None:
+    def _ask(self, goal: FollowGoal) -> None:
         loop, config = self._loop, self._config()
         whereabouts = loop.whereabouts()
         if whereabouts is None:
@@ -244,7 +244,7 @@ class Following:
             lambda why: self._refuse(goal, _not_laid(why), why),
         )
 
-    def _begin(self, goal: Goal, laid: Laid, speed: float) -> None:
+    def _begin(self, goal: FollowGoal, laid: Laid, speed: float) -> None:
         if goal is not self._coming:
             return
         loop, farthest = self._loop, self._config().failure.max_position_error
@@ -264,43 +264,43 @@ class Following:
             self._refuse(goal, code, str(error))
             return
         if self._driven is not None:
-            self._driven.end = self._driven.ending or End(Outcome.ABORTED, Code.NONE, "a newer goal took over")
+            self._driven.end = self._driven.ending or End(GoalOutcome.ABORTED, Code.NONE, "a newer goal took over")
         goal.laid, goal.since = laid, loop.inbox.now
         self._driven, self._coming = goal, None
 
-    def _refuse(self, goal: Goal, code: Code, why: str) -> None:
+    def _refuse(self, goal: FollowGoal, code: Code, why: str) -> None:
         if goal is not self._coming:
             return
         self._coming = None
-        self._close(goal, Outcome.ABORTED, code, why)
+        self._close(goal, GoalOutcome.ABORTED, code, why)
         self._give_up(f"a newer goal could not be driven: {why}")
 
     def _give_up(self, why: str) -> None:
         """End what is driven."""
         if self._driven is not None and self._driven.ending is None:
-            self._driven.ending = End(Outcome.ABORTED, Code.NONE, why)
+            self._driven.ending = End(GoalOutcome.ABORTED, Code.NONE, why)
             self._loop.brake(why)
 
-    def _close(self, goal: Goal, outcome: Outcome, code: Code, words: str) -> None:
+    def _close(self, goal: FollowGoal, outcome: GoalOutcome, code: Code, words: str) -> None:
         goal.end = End(outcome, code, words)
 
-    def _verdict(self, goal: Goal, tick: Tick) -> End | None:
+    def _verdict(self, goal: FollowGoal, tick: LoopTick) -> End | None:
         """How the goal ends by what a tick did; None while it goes on."""
         loop, settings, now = self._loop, self._settings, self._loop.inbox.now
         assert goal.laid is not None
         ours = loop.begun is not None and loop.begun.reference is goal.laid.reference
         goal.began = goal.began or ours
         if goal.cancelled:
-            return End(Outcome.CANCELED, Code.NONE, "cancelled")
+            return End(GoalOutcome.CANCELED, Code.NONE, "cancelled")
         if tick.state is LoopState.FAULT:
-            return End(Outcome.ABORTED, Code.UNKNOWN, tick.message)
+            return End(GoalOutcome.ABORTED, Code.UNKNOWN, tick.message)
         if goal.began and (not ours or tick.state is LoopState.IDLE):
-            return End(Outcome.ABORTED, Code.UNKNOWN, "another reference was begun, or the node was reset")
+            return End(GoalOutcome.ABORTED, Code.UNKNOWN, "another reference was begun, or the node was reset")
         if not goal.began:
             late = now - goal.since > settings.follow_patience and not loop.held
-            return End(Outcome.ABORTED, Code.TF_ERROR, loop.missing() or "no pose arrives") if late else None
+            return End(GoalOutcome.ABORTED, Code.TF_ERROR, loop.missing() or "no pose arrives") if late else None
         if loop.blocked:
-            return End(Outcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, tick.message or "blocked")
+            return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, tick.message or "blocked")
         result = tick.result
         if result is None or tick.state is LoopState.PAUSED or loop.held:
             goal.since = now
@@ -311,21 +311,21 @@ class Following:
             goal.since = now
         if now - goal.since <= settings.follow_patience:
             return None
-        return End(Outcome.ABORTED, self._code(tick), tick.message or "no command could be found")
+        return End(GoalOutcome.ABORTED, self._code(tick), tick.message or "no command could be found")
 
-    def _arrived(self, goal: Goal, tick: Tick) -> End:
+    def _arrived(self, goal: FollowGoal, tick: LoopTick) -> End:
         assert tick.result is not None
         settings, estimate = self._settings, tick.result.estimate
         if estimate is None:
-            return End(Outcome.ABORTED, Code.TF_ERROR, "at the end of the path the robot's pose is not known")
+            return End(GoalOutcome.ABORTED, Code.TF_ERROR, "at the end of the path the robot's pose is not known")
         gap = estimate.pose - goal.poses[-1]
         distance, turned = float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
         words = f"{distance:.3f} m and {turned:.3f} rad from the goal"
         if distance <= settings.follow_goal_position and turned <= settings.follow_goal_heading:
-            return End(Outcome.SUCCEEDED, Code.NONE, f"arrived, {words}")
-        return End(Outcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
+            return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}")
+        return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
-    def _code(self, tick: Tick) -> Code:
+    def _code(self, tick: LoopTick) -> Code:
         """What to call it that the robot does not drive."""
         assert tick.result is not None
         inbox = self._loop.inbox
@@ -337,7 +337,7 @@ class Following:
             return Code.NO_VALID_CONTROL
         return Code.PATIENCE_EXCEEDED
 
-    def _stands(self, goal: Goal, tick: Tick) -> bool:
+    def _stands(self, goal: FollowGoal, tick: LoopTick) -> bool:
         """Whether the robot has come to rest, as far as is known."""
         now = self._loop.inbox.now
         if tick.command.any():
@@ -347,7 +347,7 @@ class Following:
         still = estimate is not None and float(np.abs(estimate.twist).max()) <= _STANDING
         return still or tick.state in (LoopState.FAULT, LoopState.IDLE) or now - goal.since > _SETTLES
 
-    def _progress(self, goal: Goal, tick: Tick) -> tuple[float, float] | None:
+    def _progress(self, goal: FollowGoal, tick: LoopTick) -> tuple[float, float] | None:
         result, begun = tick.result, self._loop.begun
         assert result is not None
         assert goal.laid is not None

@@ -21,7 +21,7 @@ from rclpy.task import Future
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds, planar_pose
-from diffdrive_mpc.mpc.ros.follow_goal import Code, End, Following, Goal, Outcome
+from diffdrive_mpc.mpc.ros.follow_goal import Code, End, FollowGoal, Following, GoalOutcome
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
@@ -47,8 +47,8 @@ class FollowPathServer:
     def __init__(self, node: Node, settings: NodeSettings) -> None:
         self._node, self._settings = node, settings
         self._following: Following | None = None
-        self._incoming: deque[tuple[Following, Goal]] = deque()
-        self._open: list[tuple[Goal, ServerGoalHandle, Future]] = []
+        self._incoming: deque[tuple[Following, FollowGoal]] = deque()
+        self._open: list[tuple[FollowGoal, ServerGoalHandle, Future]] = []
         self._arrived = node.create_guard_condition(self._pass_on)
         self._side = rclpy.create_node(
             f"{node.get_name()}_{ACTION}",
@@ -85,7 +85,7 @@ class FollowPathServer:
         following, self._following = self._following, None
         while self._incoming:
             _, goal = self._incoming.popleft()
-            goal.end = End(Outcome.ABORTED, Code.UNKNOWN, why)
+            goal.end = End(GoalOutcome.ABORTED, Code.UNKNOWN, why)
         if following is not None:
             following.stop(why)
 
@@ -116,7 +116,7 @@ class FollowPathServer:
             if following is self._following:
                 following.take(goal)
             else:
-                goal.end = End(Outcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
+                goal.end = End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
 
     def _judge(self, _: FollowPath.Goal) -> GoalResponse:
         if self._following is None:
@@ -136,13 +136,15 @@ class FollowPathServer:
         if isinstance(end, Future):
             end = await end
         self._log(end)
-        {Outcome.SUCCEEDED: handle.succeed, Outcome.CANCELED: handle.canceled, Outcome.ABORTED: handle.abort}[
-            end.outcome
-        ]()
+        {
+            GoalOutcome.SUCCEEDED: handle.succeed,
+            GoalOutcome.CANCELED: handle.canceled,
+            GoalOutcome.ABORTED: handle.abort,
+        }[end.outcome]()
         result = FollowPath.Result(error_code=int(end.code))
         # Nav2 has had it since its first release for Jazzy; older definitions have not.
         if hasattr(result, "error_msg"):
-            result.error_msg = "" if end.outcome is Outcome.SUCCEEDED else end.words
+            result.error_msg = "" if end.outcome is GoalOutcome.SUCCEEDED else end.words
         return result
 
     def _begin(self, handle: ServerGoalHandle) -> Future | End:
@@ -158,9 +160,9 @@ class FollowPathServer:
             why = f"controller_id is '{request.controller_id}', here it is '{settings.follow_controller_id}'"
             fault = (Code.INVALID_CONTROLLER, f"{why} (parameter follow_controller_id)")
         if following is None:
-            return End(Outcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
+            return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
-        goal = Goal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault)
+        goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault)
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))
         self._incoming.append((following, goal))
@@ -184,7 +186,7 @@ class FollowPathServer:
         log = self._node.get_logger()
         words = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.words}"
         # One line for each severity: a logger refuses a line that changes it from call to call.
-        if end.outcome is Outcome.ABORTED and end.code:
+        if end.outcome is GoalOutcome.ABORTED and end.code:
             log.error(words)
         else:
             log.info(words)

@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.bond import Bond
-from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, RefusedError, Tick
+from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, LoopTick, RefusedError
 from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, check_frame, message_type, subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
@@ -39,7 +39,7 @@ from diffdrive_mpc.mpc.ros.parameters import (
     refuse_what_is_not_allowed,
 )
 from diffdrive_mpc.mpc.ros.publishers import COMMANDS, Publishers, deaf_to_commands, publishers_of
-from diffdrive_mpc.mpc.ros.recording import Recording, TickRecords
+from diffdrive_mpc.mpc.ros.recording import ActivationRecording, TickRecords
 from diffdrive_mpc.mpc.ros.reference_input import (
     MOST_BYTES,
     SpeedLimit,
@@ -115,7 +115,7 @@ class TrackingNode(LifecycleNode):
         self._label = "unconfigured"
         self._controller: Controller | None = None
         self._loop: ControlLoop | None = None
-        self._recording: Recording | None = None
+        self._recording: ActivationRecording | None = None
         self._bond: Bond | None = None
         self._timer: Any = None
         self._door: FollowPathServer | None = None
@@ -449,10 +449,10 @@ class TrackingNode(LifecycleNode):
             self._controller.limit_speed(wanted)
             self.get_logger().info("speed limit off" if wanted is None else f"speed limit {wanted:.3g} m/s")
 
-    def _recorded(self, config: ControllerConfig) -> Recording | None:
+    def _recorded(self, config: ControllerConfig) -> ActivationRecording | None:
         """The recording of this activation; None, with a warning, where none can begin."""
         try:
-            return Recording(self._settings, config, self._inbox.frame, self.get_logger())
+            return ActivationRecording(self._settings, config, self._inbox.frame, self.get_logger())
         except Exception as error:  # a recording is not worth the robot
             self.get_logger().warning(f"nothing is recorded: {error}")
             return None
@@ -500,7 +500,7 @@ class TrackingNode(LifecycleNode):
         if self._recording is not None:
             self._recording.tick(tick, time, loop.inbox, heard)
 
-    def _say(self, begun: Begun, tick: Tick, time: int) -> None:
+    def _say(self, begun: Begun, tick: LoopTick, time: int) -> None:
         """Say what makes a tick replayable; a fault in that is not worth the robot, and ends it for this activation."""
         if self._records is None:
             return

@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE
 from diffdrive_mpc.models.path_times import path_times
-from diffdrive_mpc.mpc.ros.control_loop import Tick
+from diffdrive_mpc.mpc.ros.control_loop import LoopTick
 from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -79,7 +79,7 @@ class Publishers:
         self.command(np.zeros(2), time)
         self._command.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
 
-    def mode(self, tick: Tick) -> None:
+    def mode(self, tick: LoopTick) -> None:
         """Say mode and message when the mode changes, in the log too."""
         if tick.mode != self._said:
             self._said = tick.mode

@@ -23,7 +23,7 @@ from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.control_loop import Begun, Tick
+from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.trajectories.tabled import table_of
@@ -40,7 +40,7 @@ def _harmless(method: Method) -> Method:
     """Let a fault in recording end the recording, not the node."""
 
     @wraps(method)
-    def run(self: Recording, *arguments: Any) -> None:  # noqa: ANN401 - those of the method
+    def run(self: ActivationRecording, *arguments: Any) -> None:  # noqa: ANN401 - those of the method
         try:
             method(self, *arguments)
         except Exception as error:
@@ -49,7 +49,7 @@ def _harmless(method: Method) -> Method:
     return run
 
 
-class Recording:
+class ActivationRecording:
     """The recording of one activation. It can fail, which it says once, but neither raises nor waits in between.
 
     Parameters
@@ -93,7 +93,7 @@ class Recording:
         self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
 
     @_harmless
-    def tick(self, tick: Tick, time: int, inbox: Inbox, heard: Mapping[str, Cell]) -> None:
+    def tick(self, tick: LoopTick, time: int, inbox: Inbox, heard: Mapping[str, Cell]) -> None:
         """Record one tick, which began at `time` [ns], with what else of its row was `heard`."""
         request, result = tick.request, tick.result
         row: dict[str, Cell] = {
@@ -144,7 +144,7 @@ class Recording:
             self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not concerned")
 
 
-def _standing(tick: Tick) -> dict[str, Cell]:
+def _standing(tick: LoopTick) -> dict[str, Cell]:
     """What of a row a tick fills at which the controller was not asked."""
     v, omega = tick.command.tolist()
     words: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
@@ -189,7 +189,7 @@ class TickRecords:
         self._number = 0
         self._told: tuple[Begun, ControllerConfig] | None = None
 
-    def lines(self, begun: Begun, tick: Tick) -> list[tuple[str, str]]:
+    def lines(self, begun: Begun, tick: LoopTick) -> list[tuple[str, str]]:
         """What is to be said of a tick of the drive `begun`: a line and its topic, that of a new drive first."""
         records = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
         return [(topic, record.line()) for topic, record in records if record is not None]
@@ -206,7 +206,7 @@ class TickRecords:
         model = _model_text(config.model)
         return DriveRecord(self._number, starts, begun.reset, begun.t0, reference, values, model, begun.goes_on)
 
-    def tick(self, tick: Tick) -> TickRecord | None:
+    def tick(self, tick: LoopTick) -> TickRecord | None:
         """The record of a tick at which the controller was asked; it belongs to the drive of the last `drive`."""
         request, result = tick.request, tick.result
         if request is None or result is None:

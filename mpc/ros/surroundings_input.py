@@ -41,7 +41,7 @@ _NUMBERS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
 _NEEDED, _MOTION = ("x", "y", "radius"), ("vx", "vy")
 
 
-class SeenGrid(NamedTuple):
+class CostmapMessage(NamedTuple):
     """A costmap, its frame and its stamp [ns]."""
 
     grid: PreparedGrid
@@ -57,7 +57,7 @@ class SeenDiscs(NamedTuple):
     stamp: int
 
 
-def read_costmap(raw: bytes, settings: FreeSpace) -> SeenGrid:
+def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
     """A serialised OccupancyGrid as rectangles.
 
     Raises
@@ -71,7 +71,7 @@ def read_costmap(raw: bytes, settings: FreeSpace) -> SeenGrid:
     if cells.size != info.width * info.height or not cells.size:
         raise MessageError(f"it has {cells.size} cells and says {info.width} x {info.height}")
     grid = OccupancyGrid(cells.reshape(info.height, info.width), round(info.resolution, 6), planar_pose(info.origin))
-    return SeenGrid(prepared_grid(grid, settings), message.header.frame_id, nanoseconds(message.header.stamp))
+    return CostmapMessage(prepared_grid(grid, settings), message.header.frame_id, nanoseconds(message.header.stamp))
 
 
 def read_obstacles(raw: bytes) -> SeenDiscs:
@@ -182,7 +182,7 @@ class SurroundingsInput:
             "obstacles", read_obstacles, (raw,), self._see_discs, lambda why: self._refuse(self.obstacles, why)
         )
 
-    def _see_grid(self, grid: SeenGrid) -> None:
+    def _see_grid(self, grid: CostmapMessage) -> None:
         if self._accept(self.costmap, grid.frame, grid.stamp):
             self._grid = grid.grid
             self._tell(self.costmap)

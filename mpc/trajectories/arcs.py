@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc.trajectories.timing import Phase
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 
-class Stretch(NamedTuple):
+class PathStretch(NamedTuple):
     """A stretch of path on which forward and yaw motion stay in one proportion, with its timing."""
 
     forward: float
@@ -47,7 +47,7 @@ class ArcTrajectory(Trajectory):
     table: FloatArray
 
     @classmethod
-    def lay(cls, name: str, start: ArrayLike, stretches: Sequence[Stretch]) -> ArcTrajectory:
+    def lay(cls, name: str, start: ArrayLike, stretches: Sequence[PathStretch]) -> ArcTrajectory:
         """Lay `stretches` one after the other from the pose `start` (3,) [m, m, rad]."""
         forward, turn, length = np.array([stretch[:3] for stretch in stretches], dtype=float).reshape(-1, 3).T
         poses = chained(start, forward, turn, length).tolist()

@@ -21,7 +21,7 @@ from itertools import pairwise
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, Stretch
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, PathStretch
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
@@ -103,7 +103,7 @@ def lay_commanded(
         if cruise:
             entry, leave = (0.0 if i == end else cruise for end in (moving[0], moving[-1]))
             phases = between(length, cruise, entry, leave, _acceleration([segment], limits))
-        stretches.append(Stretch(*segment.direction, length, phases))
+        stretches.append(PathStretch(*segment.direction, length, phases))
     return ArcTrajectory.lay(name, start, stretches)
 
 
@@ -142,14 +142,14 @@ def _joins(first: Segment, second: Segment) -> bool:
     )
 
 
-def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[Stretch]:
+def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStretch]:
     """Time one run from rest to rest."""
     if not run[0].cruise:
-        return [Stretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
+        return [PathStretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
     lengths = [segment.cruise * segment.duration for segment in run]
     phases = rest_to_rest(lengths, [segment.cruise for segment in run], _acceleration(run, limits))
     return [
-        Stretch(*segment.direction, length, timing)
+        PathStretch(*segment.direction, length, timing)
         for segment, length, timing in zip(run, lengths, phases, strict=True)
     ]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.table import Table, number
+from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, papers_drive
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
@@ -101,7 +101,7 @@ class Metrics:
         )
         if math.isfinite(self.energy_j):
             note += f"; energy {self.energy_j:.1f} J, work of the motors {self.motor_work_j:.1f} J"
-        return str(Table("", ("", *names), tuple(rows), note=note))
+        return str(TextTable("", ("", *names), tuple(rows), note=note))
 
 
 class ScoredRun(Protocol):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.table import Table
+from diffdrive_mpc.models.table import TextTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Recovery:
             ("rate of omega_ref, RMS [rad/s^2]", self.command_rate_omega),
         )
         cells = tuple((name, "-" if math.isnan(value) else f"{value:.4g}") for name, value in rows)
-        return str(Table("", ("recovery", "value"), cells))
+        return str(TextTable("", ("recovery", "value"), cells))
 
 
 def compute_recovery(

@@ -18,7 +18,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 
-class Motion(NamedTuple):
+class StepMotion(NamedTuple):
     """What a step brought about."""
 
     wheels: FloatArray
@@ -130,7 +130,7 @@ class BaseMotion:
         self._reached = np.zeros(2)
         self._strain = 0.0
 
-    def advance(self, command: FloatArray) -> Motion:
+    def advance(self, command: FloatArray) -> StepMotion:
         """One step under `command` (2,)."""
         effects, requested = self._effects, command
         if effects.twist_slew is not None:
@@ -145,7 +145,7 @@ class BaseMotion:
             self._strain, mean[1] = effects.yaw_relaxation.advance(self._strain, float(mean[1]), self.step_time)
         if effects.veer is not None:
             mean = effects.veer.body(mean)
-        return Motion(wheels, self._body(wheels), mean)
+        return StepMotion(wheels, self._body(wheels), mean)
 
     def _body(self, wheels: FloatArray) -> FloatArray:
         """(2,) twist of the body for that of the wheels."""

@@ -16,7 +16,7 @@ from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.worlds.scene import Scene
+    from diffdrive_mpc.sim.worlds.scene import WorldScene
     from diffdrive_mpc.sim.worlds.world import World
 
 _TIPPED = math.pi / 4
@@ -229,13 +229,13 @@ def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
     )
 
 
-def _placed(world: World, robot: Robot, twin: TwinParameters) -> Scene:
-    from diffdrive_mpc.sim.worlds.scene import Scene  # noqa: PLC0415 - as above
+def _placed(world: World, robot: Robot, twin: TwinParameters) -> WorldScene:
+    from diffdrive_mpc.sim.worlds.scene import WorldScene  # noqa: PLC0415 - as above
 
-    return Scene(world, *outline(robot, twin))
+    return WorldScene(world, *outline(robot, twin))
 
 
-def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
+def _step_in_c(model: Any, data: Any, scene: WorldScene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
     """`mj_step` for C: MuJoCo's own, or where its library cannot be found or a scene watches the way through Python."""
     import mujoco  # noqa: PLC0415 - see above
 
@@ -278,7 +278,7 @@ def _of_two(tyre: Tyre) -> Tyre:
 
 
 def _mjcf(
-    robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: Scene | None
+    robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: WorldScene | None
 ) -> str:
     """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius

@@ -37,7 +37,7 @@ Span = tuple[Positive, Positive]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class Driven(StrictModel):
+class WheelShares(StrictModel):
     """How often robots have which wheels."""
 
     wheels_4: NotNegative = Field(description="four driven wheels [-]")
@@ -60,7 +60,7 @@ class Slopes(StrictModel):
     angle: Range = Field(description="[rad]")
 
 
-class WeakMotor(StrictModel):
+class DrawnWeakMotor(StrictModel):
     """One motor that is weak from the start."""
 
     often: Share = Field(description="share of the robots that have one [-]")
@@ -92,7 +92,7 @@ class StatedTrack(StrictModel):
     factor: Range = Field(description="stated over true [-]")
 
 
-class Stated(StrictModel):
+class StatedRobot(StrictModel):
     """What a user states of the robot."""
 
     track: StatedTrack = Field(description="the only thing that is stated wrong")
@@ -122,11 +122,11 @@ class Market(StrictModel):
     wheel_radius: Range = Field(description="over the track [-]")
     torque: Range = Field(description="stall torque over that of the scaled robot [-]")
     top_speed: Range = Field(description="over the speed of the faster wheels on the paths [-]")
-    driven: Driven = Field(description="how often")
+    driven: WheelShares = Field(description="how often")
     centre_of_mass: Range = Field(description="of wheel base and track, from the middle [-]")
     rolling_radii: Range = Field(description="difference of left and right over the radius [-]")
     motor_spread: Range = Field(description="torque of each motor over nominal [-]")
-    weak_motor: WeakMotor = Field(description="one weak motor")
+    weak_motor: DrawnWeakMotor = Field(description="one weak motor")
     dead_motor: DeadMotor = Field(description="one motor that dies")
     dead_time: Range = Field(description="of the link [s]")
     lag: Range = Field(description="of each channel of the firmware [s]")
@@ -135,7 +135,7 @@ class Market(StrictModel):
     patches: Patches = Field(description="stretches of another floor")
     slope: Slopes = Field(description="slopes")
     pose: PoseSources = Field(description="pose sources")
-    stated: Stated = Field(description="what the user states")
+    stated: StatedRobot = Field(description="what the user states")
     needs: Needs = Field(description="of the paths")
     turning_point: Positive = Field(description="how far ahead four driven wheels turn, over the centre of mass [-]")
     margin: Positive = Field(description="over grip, torque and commands that the paths need [-]")

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.plants.base_motion import BaseMotion
 from diffdrive_mpc.sim.plants.drivetrain import clip_command
-from diffdrive_mpc.sim.plants.surface import Slip
+from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors
 
@@ -50,7 +50,7 @@ class ModelPlant:
     def __init__(
         self,
         model: VelocityModel | NonlinearModel,
-        slip: Slip,
+        slip: BodySlip,
         sensors: SensorSet,
         seed: int = 0,
         *,

@@ -15,7 +15,7 @@ from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.surface import Slip
+from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
 
@@ -106,7 +106,7 @@ def random_commands(
 
 
 @dataclass(frozen=True)
-class Drive(ReadOnlyArrays):
+class OpenLoopDrive(ReadOnlyArrays):
     """An open-loop drive, K samples. Row k was measured at `time[k]`, just before `command[k]` was sent.
 
     Attributes
@@ -147,7 +147,7 @@ class Drive(ReadOnlyArrays):
         return np.column_stack([self.wheel_twist[:, 0], self.yaw_rate])
 
 
-def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Drive:
+def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0.0, 0.0)) -> OpenLoopDrive:
     """Reset `plant` to `pose` (3,) and drive it with `commands` (K, 2), one per sample.
 
     Raises
@@ -173,10 +173,10 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
         yaw_rate[k] = measurement.yaw_rate.value
         plant.advance(command)
         work.append(motor_work(plant))
-    return Drive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist, *stacked(work))
+    return OpenLoopDrive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist, *stacked(work))
 
 
-def measure_slip(drive: Drive, on_default: Drive) -> Slip:
+def measure_slip(drive: OpenLoopDrive, on_default: OpenLoopDrive) -> BodySlip:
     """Slip of a drive, each coefficient by least squares through the origin.
 
     Parameters
@@ -187,7 +187,7 @@ def measure_slip(drive: Drive, on_default: Drive) -> Slip:
         The same commands on the default surface, on which velocity models are identified.
     """
     v, lateral, yaw_rate = drive.true_twist.T
-    return Slip(
+    return BodySlip(
         yaw_gain=_slope(on_default.true_twist[:, 2], yaw_rate),
         wheel_yaw_gain=_slope(drive.wheel_twist[:, 1], yaw_rate),
         longitudinal_gain=_slope(drive.wheel_twist[:, 0], v),

@@ -42,7 +42,7 @@ class VirtualTrack(StrictModel):
     p1: float = Field(description="its growth with the yaw rate [m s]")
 
 
-class Slip(StrictModel):
+class BodySlip(StrictModel):
     """How the body moves when a velocity model says (v, omega).
 
     The gains act first, then one of the papers' laws where there is one: on what the gains leave as (v_c, w_c).
@@ -79,7 +79,7 @@ class Surface(StrictModel):
     sideways_friction: Positive | None = Field(
         default=None, description="that coefficient across the rolling direction, where it is another one"
     )
-    slip: Slip = Field(description="slip of a plant that is a velocity model")
+    slip: BodySlip = Field(description="slip of a plant that is a velocity model")
 
     @model_validator(mode="after")
     def _both_ways(self) -> Surface:

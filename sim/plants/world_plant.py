@@ -11,7 +11,7 @@ from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround, RobotLostError
 from diffdrive_mpc.sim.worlds.passage import Contact
-from diffdrive_mpc.sim.worlds.scene import Scene
+from diffdrive_mpc.sim.worlds.scene import WorldScene
 from diffdrive_mpc.sim.worlds.settings import world_settings
 from diffdrive_mpc.sim.worlds.sight import Eyes, Seen
 from diffdrive_mpc.sim.worlds.world import World
@@ -34,7 +34,7 @@ class WorldPlant(PlantAround):
         Of the noise of what is seen.
     """
 
-    def __init__(self, plant: Plant, scene: Scene, seed: int) -> None:
+    def __init__(self, plant: Plant, scene: WorldScene, seed: int) -> None:
         super().__init__(plant)
         self._scene = scene
         self._rules = world_settings()

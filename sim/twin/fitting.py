@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
-from diffdrive_mpc.sim.twin.free_run import Motion
-from diffdrive_mpc.sim.twin.problem import Problem
+from diffdrive_mpc.sim.twin.free_run import FreeMotion
+from diffdrive_mpc.sim.twin.problem import TwinProblem
 from diffdrive_mpc.sim.twin.settings import twin_settings
 from diffdrive_mpc.sim.twin.space import Space, Values
 
@@ -27,7 +27,7 @@ _ENOUGH = 1e-4
 
 
 @dataclass(frozen=True)
-class Told:
+class FittedParameter:
     """What is known of one parameter after the fit.
 
     Attributes
@@ -74,7 +74,7 @@ class TwinFit:
 
     space: Space
     values: Values
-    told: tuple[Told, ...]
+    told: tuple[FittedParameter, ...]
     drives: int
     seconds: float
 
@@ -84,7 +84,7 @@ class TwinFit:
         return self.space.robot(self.values)
 
 
-def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], None] | None = None) -> TwinFit:
+def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int], None] | None = None) -> TwinFit:
     """Fit a plant.
 
     Parameters
@@ -135,7 +135,7 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
         reach = settings.interval * known_to
         begin, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
         share = float(deviation[i])
-        known.append(Told(name, prior.unit, prior.words, values[name], begin, end, share, bool(distinct[i])))
+        known.append(FittedParameter(name, prior.unit, prior.words, values[name], begin, end, share, bool(distinct[i])))
     seconds = sum(stretch.experiment.samples * stretch.experiment.dt for stretch in problem.stretches)
     return TwinFit(space, values, tuple(known), search.drives, seconds)
 
@@ -158,20 +158,20 @@ def told_apart(information: FloatArray, threshold: float) -> list[bool]:
 class _Search:
     """Least squares of a problem, with the drives at the last point kept."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: TwinProblem) -> None:
         self.problem = problem
         self.drives = 0
         self._at: FloatArray | None = None
-        self._motions: list[Motion] | None = None
+        self._motions: list[FreeMotion] | None = None
 
-    def motions(self, z: FloatArray) -> list[Motion] | None:
+    def motions(self, z: FloatArray) -> list[FreeMotion] | None:
         if self._at is None or not np.array_equal(z, self._at):
             self._at, self._motions = z.copy(), self.problem.motions(z)
             self.drives += 1
         return self._motions
 
-    def differences(self, z: FloatArray, free: list[int], here: list[Motion]) -> FloatArray:
-        """`Problem.slopes`, counted."""
+    def differences(self, z: FloatArray, free: list[int], here: list[FreeMotion]) -> FloatArray:
+        """`TwinProblem.slopes`, counted."""
         self.drives += sum(self.problem.drives(free))
         return self.problem.slopes(z, free, here)
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import signal
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
 from diffdrive_mpc.sim.sensing.sensor_set import Encoders, load_sensor_set
@@ -25,7 +25,7 @@ _FEWEST = 5
 
 
 @dataclass(frozen=True)
-class Stretch:
+class LogStretch:
     """Some rows of a log that the plant is driven along.
 
     Attributes
@@ -38,25 +38,25 @@ class Stretch:
         (2,) command under which the robot is settled before all of these.
     """
 
-    experiment: Experiment
+    experiment: SampledExperiment
     lead: FloatArray
     before: FloatArray
 
 
-def stretch(run: Experiment, first: int, stop: int, dc_gain: FloatArray) -> Stretch:
+def stretch(run: SampledExperiment, first: int, stop: int, dc_gain: FloatArray) -> LogStretch:
     """Rows `first` up to `stop` of a run without gaps; `dc_gain` (2, 2) of the identified model tells its start."""
     settings = twin_settings()
     rows = slice(first, stop)
-    part = Experiment(run.name, run.dt, run.inputs[rows], run.outputs[rows], run.counts[rows])
+    part = SampledExperiment(run.name, run.dt, run.inputs[rows], run.outputs[rows], run.counts[rows])
     if first > 0:
         lead = run.inputs[max(0, first - round(settings.lead / run.dt)) : first]
-        return Stretch(part, lead, lead[0])
+        return LogStretch(part, lead, lead[0])
     reading = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
     moving = np.abs(reading) > _AT_REST
-    return Stretch(part, np.empty((0, 2)), np.asarray(np.linalg.solve(dc_gain, np.where(moving, reading, 0.0))))
+    return LogStretch(part, np.empty((0, 2)), np.asarray(np.linalg.solve(dc_gain, np.where(moving, reading, 0.0))))
 
 
-def most_telling(runs: Sequence[Experiment], dc_gain: FloatArray, seconds: float) -> list[Stretch]:
+def most_telling(runs: Sequence[SampledExperiment], dc_gain: FloatArray, seconds: float) -> list[LogStretch]:
     """At most `seconds` of windows in which the commands change most, in the order of the log."""
     commands = np.concatenate([run.inputs for run in runs])
     scale = np.maximum(commands.std(axis=0), 1e-12)
@@ -78,7 +78,7 @@ def most_telling(runs: Sequence[Experiment], dc_gain: FloatArray, seconds: float
 
 
 @dataclass(frozen=True)
-class Motion:
+class FreeMotion:
     """What the plant did along one stretch, at `parts` instants a sample.
 
     Attributes
@@ -103,7 +103,7 @@ class Motion:
         return self.body[self.lead :: self.parts]
 
 
-def drive(robot: SimulatedRobot, stretches: Sequence[Stretch]) -> list[Motion]:
+def drive(robot: SimulatedRobot, stretches: Sequence[LogStretch]) -> list[FreeMotion]:
     """Drive the plant along stretches of one sample time, each from settled motion.
 
     Raises
@@ -129,7 +129,7 @@ def drive(robot: SimulatedRobot, stretches: Sequence[Stretch]) -> list[Motion]:
     return [_drive(plant, one, parts) for one in stretches]
 
 
-def _drive(plant: MujocoPlant, along: Stretch, parts: int) -> Motion:
+def _drive(plant: MujocoPlant, along: LogStretch, parts: int) -> FreeMotion:
     plant.reset(np.zeros(3))
     settled = round(twin_settings().settle / plant.sample_time) if along.before.any() else 0
     rows = np.concatenate([np.tile(along.before, (settled, 1)), np.repeat(along.lead, parts, axis=0)])
@@ -140,10 +140,10 @@ def _drive(plant: MujocoPlant, along: Stretch, parts: int) -> Motion:
         assert twist is not None
         wheels[k], body[k] = twist.value, plant.true_twist
         plant.advance(command)
-    return Motion(parts, wheels, body, len(rows))
+    return FreeMotion(parts, wheels, body, len(rows))
 
 
-def readings(motion: Motion, experiment: Experiment, sensors: Values) -> FloatArray:
+def readings(motion: FreeMotion, experiment: SampledExperiment, sensors: Values) -> FloatArray:
     """(K, p) v and omega of the log's encoders and, where p is 3, omega of its gyro."""
     step = experiment.dt / motion.parts
     measured = motion.wheels

@@ -16,16 +16,16 @@ from diffdrive_mpc.models.identification.log_data import LogData, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.load import load_linear_model, model_path, read_model_file
 from diffdrive_mpc.models.logs import Finding
-from diffdrive_mpc.models.output_error.experiment import Experiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
 from diffdrive_mpc.models.structures.model_file import ModelFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.twin.fitting import TwinFit, fit_twin
 from diffdrive_mpc.sim.twin.free_run import most_telling
 from diffdrive_mpc.sim.twin.held_out import (
-    Held,
+    HeldOutPrediction,
+    HeldOutScore,
     Identified,
-    Prediction,
     drift_of,
     fit_percent,
     hold_model,
@@ -33,7 +33,7 @@ from diffdrive_mpc.sim.twin.held_out import (
     identified,
 )
 from diffdrive_mpc.sim.twin.nominal import nominal_robot
-from diffdrive_mpc.sim.twin.problem import Problem, Together, one_by_one
+from diffdrive_mpc.sim.twin.problem import Together, TwinProblem, one_by_one
 from diffdrive_mpc.sim.twin.settings import twin_settings
 from diffdrive_mpc.sim.twin.space import space_of
 
@@ -70,9 +70,9 @@ class FittedTwin:
     fit: TwinFit
     model: Identified
     model_name: str
-    twin_held: Held
-    model_held: Held
-    experiments: tuple[Experiment, ...]
+    twin_held: HeldOutScore
+    model_held: HeldOutScore
+    experiments: tuple[SampledExperiment, ...]
     notes: tuple[str, ...]
 
 
@@ -154,15 +154,15 @@ def twin_of(
     nominal = nominal.clipping(beside.limits)
     space = space_of(nominal, beside.effects, gyro=gyro, lagging="encoders.lag" in beside.sensors, travel=travel)
     stretches = most_telling(joined(experiments), beside.model.dc_gain, seconds or settings.seconds)
-    problem = Problem(space, stretches, together, on_drive or (lambda: None))
+    problem = TwinProblem(space, stretches, together, on_drive or (lambda: None))
     fit = fit_twin(problem, beside.start(nominal), on_stage)
     announce("driving the rows held out", 1)
     held_out = sensed(data.validation, data.yaw)
     notes = list(_notes(beside))
 
-    def held(predictions: Sequence[Prediction], metres: float) -> Held:
+    def held(predictions: Sequence[HeldOutPrediction], metres: float) -> HeldOutScore:
         drift = drift_of(data.validation, predictions, mount, travel=metres, on_missing=notes.append)
-        return Held(fit_percent(predictions, held_out), drift, tuple(predictions))
+        return HeldOutScore(fit_percent(predictions, held_out), drift, tuple(predictions))
 
     try:
         by_twin = held(hold_twin(fit, beside, held_out), 1.0)

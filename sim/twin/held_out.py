@@ -15,7 +15,7 @@ from diffdrive_mpc.models.identification.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, joined, parted
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
@@ -55,13 +55,13 @@ class Identified:
     sensors: Mapping[str, float]
     limits: FloatArray
 
-    def readings(self, run: Experiment) -> FloatArray:
+    def readings(self, run: SampledExperiment) -> FloatArray:
         """(K, 2) v of the encoders and omega as the model means it, from the commands and the first readings."""
         if self.point:
             return np.asarray(free_run(self.point, run)[:, [0, -1]])
         return np.asarray(self.body(run) + np.array([0.0, self.sensors["gyro.offset"]]))
 
-    def body(self, run: Experiment) -> FloatArray:
+    def body(self, run: SampledExperiment) -> FloatArray:
         """(K, 2) v [m/s] in metres of the encoders, and true yaw rate [rad/s]."""
         first = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
         start = np.linalg.solve(self.model.dc_gain, first - np.array([0.0, self.sensors["gyro.offset"]]))
@@ -92,7 +92,7 @@ class Identified:
         return values | {names[name]: value for name, value in self.sensors.items() if name in names}
 
 
-def identified(content: ModelFile, runs: Sequence[Experiment]) -> Identified:
+def identified(content: ModelFile, runs: Sequence[SampledExperiment]) -> Identified:
     """A model file and the sensors of a log, which are found from the `runs` to fit where the file does not say them.
 
     Raises
@@ -149,7 +149,7 @@ def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[st
     return point
 
 
-def _yaw_ratio(runs: Sequence[Experiment]) -> float:
+def _yaw_ratio(runs: Sequence[SampledExperiment]) -> float:
     """Yaw rate by the encoders over that of the gyro; 1 without a gyro."""
     if runs[0].outputs.shape[1] < _WITH_GYRO:
         return 1.0
@@ -163,7 +163,7 @@ _WITH_GYRO = 3
 """Readings of a log with a gyro: v and omega of the encoders, omega of the gyro."""
 
 
-def _offset(model: Identified, runs: Sequence[Experiment]) -> float:
+def _offset(model: Identified, runs: Sequence[SampledExperiment]) -> float:
     """Mean of what the model leaves of omega."""
     low, high = (twin_settings().parameters["gyro_offset"].low, twin_settings().parameters["gyro_offset"].high)
     left = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
@@ -171,7 +171,7 @@ def _offset(model: Identified, runs: Sequence[Experiment]) -> float:
 
 
 @dataclass(frozen=True)
-class Prediction(ReadOnlyArrays):
+class HeldOutPrediction(ReadOnlyArrays):
     """What one of them says of one record.
 
     Attributes
@@ -187,7 +187,7 @@ class Prediction(ReadOnlyArrays):
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldOutScore:
     """How well one of them predicts.
 
     Attributes
@@ -202,18 +202,18 @@ class Held:
 
     fit_percent: Mapping[str, float]
     drift: tuple[PoseDrift, ...]
-    predictions: tuple[Prediction, ...]
+    predictions: tuple[HeldOutPrediction, ...]
 
 
-def hold_model(model: Identified, experiments: Sequence[Experiment]) -> list[Prediction]:
+def hold_model(model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
     """What the identified model predicts; one free run over each run without gaps."""
     runs = joined(experiments)
     predicted = parted([model.readings(run) for run in runs], experiments)
     body = parted([model.body(run) for run in runs], experiments)
-    return [Prediction(*both) for both in zip(predicted, body, strict=True)]
+    return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
 
 
-def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[Experiment]) -> list[Prediction]:
+def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
     """What the twin predicts, as `hold_model`."""
     runs = joined(experiments)
     stretches = [stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
@@ -223,10 +223,10 @@ def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[Experiment]
     )
     twists = [motion.twist() for motion in motions]
     body = parted([twist[:, [0, 2]] for twist in twists], experiments)
-    return [Prediction(*both) for both in zip(predicted, body, strict=True)]
+    return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
 
 
-def fit_percent(predictions: Sequence[Prediction], experiments: Sequence[Experiment]) -> dict[str, float]:
+def fit_percent(predictions: Sequence[HeldOutPrediction], experiments: Sequence[SampledExperiment]) -> dict[str, float]:
     """FIT [%] of v and omega, and of omega of the encoders where it is predicted beside the gyro's."""
     width = experiments[0].outputs.shape[1]
     columns = {"v": (0, 0), "omega": (-1, -1)}
@@ -246,7 +246,7 @@ def fit_percent(predictions: Sequence[Prediction], experiments: Sequence[Experim
 
 def drift_of(
     records: Sequence[Record],
-    predictions: Sequence[Prediction],
+    predictions: Sequence[HeldOutPrediction],
     mount: Mapping[str, float] | None,
     *,
     travel: float,

@@ -13,23 +13,23 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.statistics import effective_samples
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
-from diffdrive_mpc.sim.twin.free_run import Motion, Stretch, drive, readings
+from diffdrive_mpc.sim.twin.free_run import FreeMotion, LogStretch, drive, readings
 from diffdrive_mpc.sim.twin.settings import twin_settings
 from diffdrive_mpc.sim.twin.space import Space
 
-Task = Callable[[], list[Motion] | None]
-Together = Callable[[Sequence[Task]], list[list[Motion] | None]]
+Task = Callable[[], list[FreeMotion] | None]
+Together = Callable[[Sequence[Task]], list[list[FreeMotion] | None]]
 """Calls all tasks, in one process or several, and gives their results in order."""
 _LOST = 10.0
 """Error of a robot that tips over, in deviations."""
 
 
-def one_by_one(tasks: Sequence[Task]) -> list[list[Motion] | None]:
+def one_by_one(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
     """In this process."""
     return [task() for task in tasks]
 
 
-def _driven(robot: SimulatedRobot, stretches: Sequence[Stretch]) -> list[Motion] | None:
+def _driven(robot: SimulatedRobot, stretches: Sequence[LogStretch]) -> list[FreeMotion] | None:
     try:
         return drive(robot, stretches)
     except RobotLostError:
@@ -37,7 +37,7 @@ def _driven(robot: SimulatedRobot, stretches: Sequence[Stretch]) -> list[Motion]
 
 
 @dataclass
-class Problem:
+class TwinProblem:
     """Least squares: readings over their noise, parameters over their priors.
 
     Attributes
@@ -55,18 +55,18 @@ class Problem:
     """
 
     space: Space
-    stretches: Sequence[Stretch]
+    stretches: Sequence[LogStretch]
     together: Together = one_by_one
     on_drive: Callable[[], None] = lambda: None
     weight: FloatArray | None = None
 
-    def motions(self, z: FloatArray) -> list[Motion] | None:
+    def motions(self, z: FloatArray) -> list[FreeMotion] | None:
         """Of the plant at deviations `z` (q,); None where it does not come through."""
         motions = _driven(self.space.robot(self.space.values(z)), self.stretches)
         self.on_drive()
         return motions
 
-    def errors(self, z: FloatArray, motions: Sequence[Motion] | None) -> list[FloatArray]:
+    def errors(self, z: FloatArray, motions: Sequence[FreeMotion] | None) -> list[FloatArray]:
         """For each stretch (K, p) simulated less measured, NaN without reading."""
         values = self.space.values(z)
         if motions is None:
@@ -99,7 +99,7 @@ class Problem:
         """For each parameter of `free`, whether another value needs another drive: the log's sensors need none."""
         return [self.space.names[i] not in twin_settings().sensors for i in free]
 
-    def slopes(self, z: FloatArray, free: Sequence[int], here: Sequence[Motion]) -> FloatArray:
+    def slopes(self, z: FloatArray, free: Sequence[int], here: Sequence[FreeMotion]) -> FloatArray:
         """(n, len(free)) derivatives of `rows`, by one-sided differences; the sensors' need no drive."""
         _, high = self.space.bounds
         steps = self.space.steps

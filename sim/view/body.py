@@ -17,7 +17,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import ChassisParameters, load_twi
 
 
 @dataclass(frozen=True)
-class Body:
+class BodyShape:
     """Lengths of a robot on four wheels [m].
 
     Attributes
@@ -53,7 +53,7 @@ class Body:
         return min(2 / 3 * self.wheel_radius, max(self.track - self.size[1], 0.4 * self.wheel_radius))
 
 
-def robot_body(plant: str = PHYSICS) -> Body | None:
+def robot_body(plant: str = PHYSICS) -> BodyShape | None:
     """The body of a plant by the name that `make_plant` takes; None for one that has none ("model:...").
 
     Raises
@@ -69,8 +69,8 @@ def robot_body(plant: str = PHYSICS) -> Body | None:
     return _body(robot.robot, robot.twin.chassis)
 
 
-def _body(robot: Robot, chassis: ChassisParameters) -> Body:
-    return Body(robot.track, chassis.wheel_base, robot.wheel_radius, chassis.body_size, chassis.body_height)
+def _body(robot: Robot, chassis: ChassisParameters) -> BodyShape:
+    return BodyShape(robot.track, chassis.wheel_base, robot.wheel_radius, chassis.body_size, chassis.body_height)
 
 
 # Typed looks of robot, floors and marks.
@@ -96,7 +96,7 @@ class Marks(StrictModel):
     plan: Line
 
 
-class Floor(StrictModel):
+class ChequeredFloor(StrictModel):
     """A chequered floor."""
 
     shades: tuple[Colour, Colour] = Field(description="of its squares")
@@ -121,9 +121,9 @@ class Looks(StrictModel):
     sensor: Colour = Field(description="the turret on the deck")
     sky: Sky
     marks: Marks
-    floors: dict[str, Floor] = Field(description="by name of the surface; others look like `default`")
+    floors: dict[str, ChequeredFloor] = Field(description="by name of the surface; others look like `default`")
 
-    def floor(self, surface: str) -> Floor:
+    def floor(self, surface: str) -> ChequeredFloor:
         """That of a surface by shipped name; for others the default one."""
         return self.floors.get(surface, self.floors["default"])
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.view.body import Body, Colour, load_looks
+from diffdrive_mpc.sim.view.body import BodyShape, Colour, load_looks
 from diffdrive_mpc.sim.view.marks import ribbon
 from diffdrive_mpc.sim.view.shots import FIELD_OF_VIEW
 
@@ -46,7 +46,7 @@ class Scene:
 
     def __init__(
         self,
-        body: Body,
+        body: BodyShape,
         surface: str = "default",
         size: tuple[int, int] = (1280, 720),
         reference: FloatArray = NO_PATH,
@@ -76,7 +76,9 @@ def _flat(values: ArrayLike) -> FloatArray:
     return np.asarray(values, dtype=float).reshape(-1)
 
 
-def scene_xml(body: Body, surface: str, size: tuple[int, int], paths: Mapping[str, tuple[FloatArray, float]]) -> str:
+def scene_xml(
+    body: BodyShape, surface: str, size: tuple[int, int], paths: Mapping[str, tuple[FloatArray, float]]
+) -> str:
     """The model in MuJoCo's XML format; `paths` lie on the floor: by material points (k, 2) and half a width [m]."""
     looks = load_looks()
     floor = looks.floor(surface)
@@ -139,7 +141,7 @@ def _box(material: str, size: tuple[float, float, float], at: tuple[float, float
     return f'<geom type="box" material="{material}" size="{half}" pos="{place}"/>'
 
 
-def _shade(body: Body) -> str:
+def _shade(body: BodyShape) -> str:
     """A soft shadow on the floor: cast by a light, it would be jagged, and as slow as all the rest."""
     length, width = body.footprint
     height = _SHADE_HEIGHT - body.wheel_radius
@@ -150,7 +152,7 @@ def _shade(body: Body) -> str:
     )
 
 
-def _hull(body: Body) -> str:
+def _hull(body: BodyShape) -> str:
     """Box, deck, a bright front, and a sensor on the deck."""
     length, width, height = body.size
     top = body.height + height / 2
@@ -170,7 +172,7 @@ def _hull(body: Body) -> str:
     )
 
 
-def _wheels(body: Body) -> str:
+def _wheels(body: BodyShape) -> str:
     """Tyres with rims whose spokes show that they turn; front left, front right, rear left, rear right."""
     x, y, radius, width = body.wheel_base / 2, body.track / 2, body.wheel_radius, body.wheel_width
     spokes = "".join(_spoke(radius, width, 2 * math.pi * k / _SPOKES) for k in range(_SPOKES))

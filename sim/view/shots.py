@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.view.body import Body
+from diffdrive_mpc.sim.view.body import BodyShape
 
 _ARRAYS = ("time", "poses", "wheel_angles", "passed", "plans", "way", "reference")
 
@@ -54,7 +54,7 @@ class Shots:
     way: FloatArray
     reference: FloatArray
     band: float
-    body: Body
+    body: BodyShape
     surface: str
     camera: Camera
     size: tuple[int, int]
@@ -71,7 +71,7 @@ class Shots:
         with np.load(path) as stored:
             words = json.loads(str(stored["words"]))
             arrays = {name: stored[name] for name in _ARRAYS}
-        words["body"] = Body(**{**words["body"], "size": tuple(words["body"]["size"])})
+        words["body"] = BodyShape(**{**words["body"], "size": tuple(words["body"]["size"])})
         words["camera"], words["size"] = Camera(words["camera"]), tuple(words["size"])
         return cls(**arrays, **words)
 

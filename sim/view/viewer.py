@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.view.body import Body
+from diffdrive_mpc.sim.view.body import BodyShape
 from diffdrive_mpc.sim.view.marks import draw_marks
 from diffdrive_mpc.sim.view.scene import Scene
 from diffdrive_mpc.sim.view.shots import overview
@@ -52,7 +52,7 @@ class Viewer:
         When it is entered, if no window can be opened.
     """
 
-    def __init__(self, body: Body, surface: str, reference: FloatArray, band: float, start: ArrayLike) -> None:
+    def __init__(self, body: BodyShape, surface: str, reference: FloatArray, band: float, start: ArrayLike) -> None:
         require_display()
         self._scene = Scene(body, surface, reference=reference, band=band)
         self._scene.place(start, np.zeros(4))

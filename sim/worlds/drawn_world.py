@@ -20,7 +20,7 @@ from scipy.ndimage import convolve
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.worlds.planner import ClearanceMap, near
+from diffdrive_mpc.sim.worlds.planner import ObstacleDistanceGrid, near
 from diffdrive_mpc.sim.worlds.shapes import Post, Shapes
 from diffdrive_mpc.sim.worlds.world import Way, World
 
@@ -128,17 +128,19 @@ def _shapes(posts: FloatArray) -> Shapes:
     return Shapes((), posts)
 
 
-def _map(of: Drawing, posts: FloatArray) -> ClearanceMap:
+def _map(of: Drawing, posts: FloatArray) -> ObstacleDistanceGrid:
     # Half a metre beside the field is free, so that the way round it is one, too.
     low = np.array([-0.3, -of.width / 2 - 0.0])
-    return ClearanceMap.of(_shapes(posts), low, np.array([of.length + 2 * of.apron + 0.3, of.width / 2]), of.resolution)
+    return ObstacleDistanceGrid.of(
+        _shapes(posts), low, np.array([of.length + 2 * of.apron + 0.3, of.width / 2]), of.resolution
+    )
 
 
 def _ends(of: Drawing) -> tuple[FloatArray, FloatArray]:
     return np.zeros(2), np.array([of.length + 2 * of.apron, 0.0])
 
 
-def _plan(of: Drawing, posts: FloatArray) -> tuple[ClearanceMap, FloatArray] | None:
+def _plan(of: Drawing, posts: FloatArray) -> tuple[ObstacleDistanceGrid, FloatArray] | None:
     """The map and waypoints (k, 2) of a smooth path that the disc around the robot can follow; None without one."""
     grid = _map(of, posts)
     way = grid.way(*_ends(of), of.disc_radius + of.spare, comfort=of.comfort)
@@ -174,7 +176,7 @@ def _smooth(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _surprises(
-    of: Drawing, posts: FloatArray, points: FloatArray, planned: ClearanceMap, random: np.random.Generator
+    of: Drawing, posts: FloatArray, points: FloatArray, planned: ObstacleDistanceGrid, random: np.random.Generator
 ) -> FloatArray | None:
     """(n, 3) posts on the way, around which there is another one; None where none was found."""
     dense, _ = _smooth(points)

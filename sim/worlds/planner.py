@@ -17,7 +17,7 @@ _STEPS = tuple((i, j, math.hypot(i, j)) for i in (-1, 0, 1) for j in (-1, 0, 1) 
 
 
 @dataclass(frozen=True, eq=False)
-class ClearanceMap:
+class ObstacleDistanceGrid:
     """Distance from the nearest obstacle on a grid.
 
     Attributes
@@ -35,7 +35,7 @@ class ClearanceMap:
     clearance: FloatArray
 
     @classmethod
-    def of(cls, shapes: Shapes, low: FloatArray, high: FloatArray, resolution: float) -> ClearanceMap:
+    def of(cls, shapes: Shapes, low: FloatArray, high: FloatArray, resolution: float) -> ObstacleDistanceGrid:
         """Of a rectangle from `low` to `high` (2,) [m]; exact at the middles of the cells."""
         columns, rows = (np.ceil((high - low) / resolution).astype(int) + 1).tolist()
         x, y = low[0] + resolution * np.arange(columns), low[1] + resolution * np.arange(rows)
@@ -82,7 +82,7 @@ class ClearanceMap:
         return self.origin + self.resolution * np.array(cells, dtype=float)[:, ::-1]
 
 
-def near(of: ClearanceMap, way: FloatArray, distance: float) -> NDArray[np.bool_]:
+def near(of: ObstacleDistanceGrid, way: FloatArray, distance: float) -> NDArray[np.bool_]:
     """(rows, columns) cells within `distance` [m] of the points of a way."""
     away = np.ones(of.clearance.shape, dtype=bool)
     for point in way:

@@ -20,7 +20,7 @@ _CLEARANCE = 0.02
 """Of the hull above the floor [m]."""
 
 
-class Scene:
+class WorldScene:
     """What a world adds to the model of the robot, and the contacts with it.
 
     Parameters

@@ -15,7 +15,7 @@ AboveZero = Annotated[float, Field(gt=0, le=1e3)]
 NotNegative = Annotated[float, Field(ge=0, le=1e3)]
 
 
-class Body(StrictModel):
+class BodyOutline(StrictModel):
     """What the robot's file does not say of its outline."""
 
     tyre_width: NotNegative = Field(description="width of a tyre, whose middle is at half the track [m]")
@@ -64,7 +64,7 @@ class Sight(StrictModel):
 class WorldSettings(StrictModel):
     """Everything in `settings.yaml`."""
 
-    body: Body
+    body: BodyOutline
     goal: Goal
     contact: ContactRules
     sight: Sight

@@ -20,7 +20,7 @@ Angle = Annotated[float, Field(ge=-7, le=7)]
 _LEAST_AREA = 1e-6
 
 
-class Standing(StrictModel):
+class StandingObstacle(StrictModel):
     """What every obstacle that stands has."""
 
     until: Annotated[float, Field(gt=0, le=1e5)] | None = Field(
@@ -28,7 +28,7 @@ class Standing(StrictModel):
     )
 
 
-class Wall(Standing):
+class Wall(StandingObstacle):
     """A straight wall."""
 
     start: Point = Field(description="one end of its middle line, x, y [m]")
@@ -50,7 +50,7 @@ class Wall(Standing):
         return np.array([a - side, b - side, b + side, a + side])
 
 
-class Box(Standing):
+class Box(StandingObstacle):
     """A rectangle."""
 
     centre: Point = Field(description="x, y [m]")
@@ -66,7 +66,7 @@ class Box(Standing):
         return np.asarray(self.centre + corners @ np.array([[c, s], [-s, c]]))
 
 
-class Polygon(Standing):
+class Polygon(StandingObstacle):
     """A convex polygon."""
 
     points: tuple[Point, ...] = Field(min_length=3, max_length=100, description="corners x, y [m] in turn")
@@ -85,7 +85,7 @@ class Polygon(Standing):
         return points if _area(points) > 0 else points[::-1]
 
 
-class Post(Standing):
+class Post(StandingObstacle):
     """A round post."""
 
     at: Point = Field(description="x, y of its middle [m]")

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over
 from diffdrive_mpc.sim.worlds.settings import Sight, world_settings
-from diffdrive_mpc.sim.worlds.shapes import Box, Mover, Point, Polygon, Post, Shapes, Standing, Wall
+from diffdrive_mpc.sim.worlds.shapes import Box, Mover, Point, Polygon, Post, Shapes, StandingObstacle, Wall
 
 
 class Way(StrictModel):
@@ -66,6 +66,6 @@ class World(StrictModel):
         return Shapes(tuple(there), np.array(discs, dtype=float).reshape(-1, 3))
 
 
-def stands(one: Standing, time: float) -> bool:
+def stands(one: StandingObstacle, time: float) -> bool:
     """Whether an obstacle is still there at `time` [s]."""
     return one.until is None or time < one.until

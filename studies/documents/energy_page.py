@@ -34,7 +34,7 @@ _HOLD, _REST = 173, 150
 _RADII = np.geomspace(0.6, 200.0, 40)
 
 
-class Told(NamedTuple):
+class EnergyConstants(NamedTuple):
     """What the logs of one robot on one floor tell of its constants, k of them."""
 
     off: FloatArray
@@ -44,7 +44,9 @@ class Told(NamedTuple):
     refused: int
 
 
-def told(robot: str, floor: str, seeds: Sequence[int] = SEEDS, sets: int = SETS, *, all_motors: bool = True) -> Told:
+def told(
+    robot: str, floor: str, seeds: Sequence[int] = SEEDS, sets: int = SETS, *, all_motors: bool = True
+) -> EnergyConstants:
     """Drive the diagnostic turns once a seed, read its battery with drawn constants, and identify them again."""
     asked, off, normalised, refused = load_study().diagnostic, [], [], 0
     for seed in seeds:
@@ -65,7 +67,7 @@ def told(robot: str, floor: str, seeds: Sequence[int] = SEEDS, sets: int = SETS,
             normalised.append(
                 [error / constants.deviation[name] for error, name in zip(errors, _CONSTANTS, strict=True)]
             )
-    return Told(np.array(off).reshape(-1, 3), np.array(normalised).reshape(-1, 3), refused)
+    return EnergyConstants(np.array(off).reshape(-1, 3), np.array(normalised).reshape(-1, 3), refused)
 
 
 def constants_table(seeds: Sequence[int] = SEEDS, sets: int = SETS) -> str:
@@ -78,7 +80,7 @@ def constants_table(seeds: Sequence[int] = SEEDS, sets: int = SETS) -> str:
     for all_motors, currents in ((True, "four"), (False, "the sides'")):
         estimates = [told(*place, seeds, sets, all_motors=all_motors) for place in PLACES]
         rows = [(f"`{robot}`", floor, each) for (robot, floor), each in zip(PLACES, estimates, strict=True)]
-        every = Told(
+        every = EnergyConstants(
             np.concatenate([each.off for each in estimates]),
             np.concatenate([each.normalised for each in estimates]),
             sum(each.refused for each in estimates),

@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.controllers import check_cases, run_case
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
-from diffdrive_mpc.bench.statistics import Estimate, mean
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
@@ -29,7 +29,7 @@ from diffdrive_mpc.models.robot import NotNegative, Positive
 HERE = Path(__file__).parent
 
 
-class Floor(StrictModel):
+class FrontFloor(StrictModel):
     """A floor, what turns cost on it, and the paths that are driven there."""
 
     surface: str
@@ -45,7 +45,7 @@ class FrontSettings(StrictModel):
     top_speed: Positive
     weights: Annotated[tuple[NotNegative, ...], Field(min_length=2)]
     seeds: Annotated[tuple[int, ...], Field(min_length=1)]
-    floors: Annotated[tuple[Floor, ...], Field(min_length=1)]
+    floors: Annotated[tuple[FrontFloor, ...], Field(min_length=1)]
 
     def cases(self, folder: Path) -> list[Case]:
         """Every run; files are named as seen from `folder`."""
@@ -57,7 +57,7 @@ class FrontSettings(StrictModel):
             for seed in self.seeds
         ]
 
-    def _case(self, floor: Floor, name: str, weight: float, seed: int, folder: Path) -> Case:
+    def _case(self, floor: FrontFloor, name: str, weight: float, seed: int, folder: Path) -> Case:
         own = folder / name
         drawn = own.is_file()
         overrides = (("energy.turn_costs", floor.turn_costs), ("energy.weight", weight))
@@ -85,7 +85,7 @@ def small(study: FrontSettings) -> FrontSettings:
 
 
 @dataclass(frozen=True)
-class Driven:
+class FrontRun:
     """One run: energy from the battery [J], errors [m], and whether it came to its end."""
 
     surface: str
@@ -99,14 +99,14 @@ class Driven:
 
 
 @dataclass(frozen=True)
-class Point:
+class FrontPoint:
     """One weight on one path and floor, over seeds; `saved` is over the same seeds without [-]."""
 
     weight: float
-    energy: Estimate
-    error: Estimate
-    lateral: Estimate
-    saved: Estimate
+    energy: BootstrapEstimate
+    error: BootstrapEstimate
+    lateral: BootstrapEstimate
+    saved: BootstrapEstimate
     completed: int
     of: int
 
@@ -114,19 +114,19 @@ class Point:
 # Of the error without a weight [-].
 _FACTORS = (1.0, 1.5, 2.0, 5.0)
 
-Fronts = dict[tuple[str, str], list[Point]]
+Fronts = dict[tuple[str, str], list[FrontPoint]]
 
 
-def drive(case: Case) -> Driven:
+def drive(case: Case) -> FrontRun:
     """Drive one case."""
     run = run_case(case)
     metrics, weight = run.metrics, dict(case.overrides)["energy.weight"]
     assert isinstance(weight, float)
     values = (metrics.energy_j, metrics.position_rmse_m, metrics.lateral_rmse_m)
-    return Driven(case.surface, label(case.trajectory), weight, case.seed, *values, metrics.completed)
+    return FrontRun(case.surface, label(case.trajectory), weight, case.seed, *values, metrics.completed)
 
 
-def fronts(driven: Sequence[Driven]) -> Fronts:
+def fronts(driven: Sequence[FrontRun]) -> Fronts:
     """The front of each floor and path, weights ascending; the first is none."""
     by_place: Fronts = {}
     for floor, path in dict.fromkeys((one.surface, one.trajectory) for one in driven):
@@ -136,11 +136,11 @@ def fronts(driven: Sequence[Driven]) -> Fronts:
         for weight in sorted({one.weight for one in there}):
             here = [one for one in there if one.weight == weight]
 
-            def over(values: Sequence[float] | FloatArray) -> Estimate:
-                return Estimate.of_runs(np.asarray(values, dtype=float), mean)
+            def over(values: Sequence[float] | FloatArray) -> BootstrapEstimate:
+                return BootstrapEstimate.of_runs(np.asarray(values, dtype=float), mean)
 
             by_place[floor, path].append(
-                Point(
+                FrontPoint(
                     weight,
                     over([one.energy for one in here]),
                     over([one.error for one in here]),
@@ -153,7 +153,7 @@ def fronts(driven: Sequence[Driven]) -> Fronts:
     return by_place
 
 
-class EnergyFrontStudy(Study[list[Case], list[Driven]]):
+class EnergyFrontStudy(Study[list[Case], list[FrontRun]]):
     """Paths with corners, driven with one weight of energy after the other.
 
     Parameters
@@ -176,12 +176,12 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
         check_cases(cases)
         return cases
 
-    def run(self, plan: list[Case], jobs: int, bar: ProgressBar) -> list[Driven]:
+    def run(self, plan: list[Case], jobs: int, bar: ProgressBar) -> list[FrontRun]:
         """Drive all of them."""
         bar.begin("driving", len(plan))
         return run_tasks([partial(drive, case) for case in plan], jobs, bar.advance)
 
-    def report(self, results: list[Driven], seconds: float) -> Report:
+    def report(self, results: list[FrontRun], seconds: float) -> Report:
         """A table and a figure."""
         from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
 
@@ -236,18 +236,18 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
         )
 
 
-def _best(points: Sequence[Point], factor: float) -> Point:
+def _best(points: Sequence[FrontPoint], factor: float) -> FrontPoint:
     """The one that saves most of those that arrived always with no more than `factor` times the error of no weight."""
     most = factor * points[0].error.value
     good = [point for point in points if point.completed == point.of and point.error.value <= most]
     return max(good or points[:1], key=lambda one: one.saved.value)
 
 
-def _saved_at(points: Sequence[Point], factor: float) -> str:
+def _saved_at(points: Sequence[FrontPoint], factor: float) -> str:
     best = _best(points, factor)
     return f"{_interval(best.saved, 100.0, 1)} ({best.weight:g})"
 
 
-def _interval(of: Estimate, scale: float, places: int) -> str:
+def _interval(of: BootstrapEstimate, scale: float, places: int) -> str:
     value, low, high = (number(scale * part, places) for part in (of.value, of.low, of.high))
     return f"{value} ({low} to {high})"

@@ -16,8 +16,8 @@ from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.mpc.monitor.rules import Rules, load_rules
-from studies.monitor.faults import FAULTS, Held
-from studies.monitor.trial import AFTER, HARM, Trial, faulty_trial, nominal_case, nominal_trial
+from studies.monitor.faults import FAULTS, FaultBounds
+from studies.monitor.trial import AFTER, HARM, MonitorTrial, faulty_trial, nominal_case, nominal_trial
 
 FIRST_SEED = {True: (0, 0), False: (10_000, 20_000)}
 """Of faulty and of nominal drives: those that rules were tuned on, and those that are reported."""
@@ -25,11 +25,11 @@ _TOGETHER = 8
 
 
 @dataclass(frozen=True)
-class Watched:
+class MonitorStudyResult:
     """What came of all drives."""
 
-    faulty: dict[str, list[Trial]]
-    nominal: list[Trial]
+    faulty: dict[str, list[MonitorTrial]]
+    nominal: list[MonitorTrial]
 
     @property
     def hours(self) -> float:
@@ -37,12 +37,12 @@ class Watched:
         return sum(one.driven for one in self.nominal) / 3600.0
 
     @property
-    def alarms(self) -> list[Trial]:
+    def alarms(self) -> list[MonitorTrial]:
         """Nominal drives that were stopped."""
         return [one for one in self.nominal if one.rule]
 
 
-class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
+class MonitorStudy(Study[list[partial[list[MonitorTrial]]], MonitorStudyResult]):
     """Faults and nominal drives.
 
     Parameters
@@ -62,7 +62,7 @@ class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
     def __init__(self, rules: str, seeds: int, hours: float, *, tuning: bool = False) -> None:
         self._rules, self._seeds, self._hours, self._first = rules, seeds, hours, FIRST_SEED[tuning]
 
-    def plan(self) -> list[partial[list[Trial]]]:
+    def plan(self) -> list[partial[list[MonitorTrial]]]:
         """Every drive, some to a task; raises ConfigError if there are no such rules."""
         rules = load_rules(self._rules)
         seeds = range(self._first[0], self._first[0] + self._seeds)
@@ -82,14 +82,14 @@ class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
             nominal.append(seed)
         return nominal
 
-    def run(self, plan: list[partial[list[Trial]]], jobs: int, bar: ProgressBar) -> Watched:
+    def run(self, plan: list[partial[list[MonitorTrial]]], jobs: int, bar: ProgressBar) -> MonitorStudyResult:
         """Drive them all."""
         bar.begin("driving", len(plan))
         done = [one for some in run_tasks(plan, jobs, bar.advance) for one in some]
         faulty = {name: [one for one in done if one.fault == name] for name in FAULTS}
-        return Watched(faulty, [one for one in done if not one.fault])
+        return MonitorStudyResult(faulty, [one for one in done if not one.fault])
 
-    def report(self, results: Watched, seconds: float) -> Report:
+    def report(self, results: MonitorStudyResult, seconds: float) -> Report:
         """A row for each fault, and what the nominal drives were."""
         rows = [_row(name, held, results.faulty[name]) for name, held in FAULTS.items()]
         columns = ("fault", "of", "stopped by", "stated [s]", "median [s]", "latest [s]", "farthest [m]", "caught")
@@ -115,7 +115,7 @@ class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
         return Report(f"{len(trials)} drives", meta, content, facts, tables)
 
 
-def complaint(results: Watched) -> str:
+def complaint(results: MonitorStudyResult) -> str:
     """What is not as it should be; empty where everything is."""
     late = Counter(
         one.fault for some in results.faulty.values() for one in some if not _is_caught(FAULTS[one.fault], one)
@@ -125,17 +125,17 @@ def complaint(results: Watched) -> str:
     return "; ".join(filter(None, [f"missed or late: {missed}" if missed else "", alarms]))
 
 
-def _each(drive: Callable[[int, Rules], Trial], seeds: Sequence[int], rules: Rules) -> list[Trial]:
+def _each(drive: Callable[[int, Rules], MonitorTrial], seeds: Sequence[int], rules: Rules) -> list[MonitorTrial]:
     return [drive(seed, rules) for seed in seeds]
 
 
-def _is_caught(held: Held, one: Trial) -> bool:
+def _is_caught(held: FaultBounds, one: MonitorTrial) -> bool:
     """In time, and before harm."""
     in_time = bool(one.rule) and one.after <= held.stated
     return in_time and (not held.stoppable or (one.farthest <= HARM and one.at_rest))
 
 
-def _row(name: str, held: Held, trials: Sequence[Trial]) -> tuple[str, ...]:
+def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[str, ...]:
     after = sorted(trial.after if trial.rule else math.inf for trial in trials)
     rules = Counter(one.rule for one in trials if one.rule)
     farthest = max(one.farthest for one in trials)
@@ -151,7 +151,7 @@ def _row(name: str, held: Held, trials: Sequence[Trial]) -> tuple[str, ...]:
     )
 
 
-def _nominal_table(results: Watched) -> Table:
+def _nominal_table(results: MonitorStudyResult) -> Table:
     """Hours and alarms by controller, place and sensors."""
     rows = []
     for name in ("controller", "model", "surface", "scenario", "sensors"):
@@ -164,7 +164,7 @@ def _nominal_table(results: Watched) -> Table:
     return Table("Nominal driving", columns, tuple(rows), text_columns=2)
 
 
-def _alarm_table(alarms: Sequence[Trial]) -> Table:
+def _alarm_table(alarms: Sequence[MonitorTrial]) -> Table:
     rows = []
     for alarm in alarms:
         case = alarm.case
@@ -173,6 +173,6 @@ def _alarm_table(alarms: Sequence[Trial]) -> Table:
     return Table("Alarms", ("drive", "words", "seed", "at [s]", "farthest [m]"), tuple(rows), text_columns=2)
 
 
-def _plain_trial(one: Trial) -> dict[str, object]:
+def _plain_trial(one: MonitorTrial) -> dict[str, object]:
     kept = {name: value for name, value in vars(one).items() if name != "case"}
     return plain(one.case.as_row() | kept)  # type: ignore[no-any-return]

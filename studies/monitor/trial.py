@@ -15,7 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.sim import Run, simulate
 from studies.monitor.faults import AT_START, FAULTS, Fault
-from studies.monitor.watched import WatchedController
+from studies.monitor.watched import MonitoredController
 
 # Drives in which nothing is wrong: drawn from controllers, paths, floors, what happens there, and sensors.
 
@@ -82,7 +82,7 @@ _NEAR = (6.0, 1.0)
 
 
 @dataclass(frozen=True)
-class Trial:
+class MonitorTrial:
     """What came of one drive.
 
     Attributes
@@ -116,12 +116,12 @@ class Trial:
     at_rest: bool
 
 
-def nominal_trial(seed: int, rules: Rules) -> Trial:
+def nominal_trial(seed: int, rules: Rules) -> MonitorTrial:
     """A drive in which nothing is wrong."""
     return _drive(nominal_case(seed), "", 0.0, rules)
 
 
-def faulty_trial(fault: str, seed: int, rules: Rules) -> Trial:
+def faulty_trial(fault: str, seed: int, rules: Rules) -> MonitorTrial:
     """A drive of the MPC that breaks on its way; path and instant are drawn."""
     draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1972,)))
     path = FAULTY_PATHS[int(draw.integers(len(FAULTY_PATHS)))]
@@ -131,15 +131,15 @@ def faulty_trial(fault: str, seed: int, rules: Rules) -> Trial:
     return _drive(Case(controller=controller, model=model, trajectory=path, seed=seed), fault, begins, rules)
 
 
-def _drive(case: Case, fault: str, begins: float, rules: Rules) -> Trial:
+def _drive(case: Case, fault: str, begins: float, rules: Rules) -> MonitorTrial:
     controller, plant, reference = build(case)
     broken = FAULTS[fault].make(begins) if fault else Fault()
-    watched = WatchedController(controller, rules, broken)
+    watched = MonitoredController(controller, rules, broken)
     run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT if fault else AFTER)
     verdict = watched.verdict
     since = next((float(t) for t in run.time if broken.active(float(t))), 0.0) if fault else 0.0
     after = (run.time >= since) & ~_rests_for_good(run)
-    return Trial(
+    return MonitorTrial(
         case=case,
         fault=fault,
         driven=float(run.time[-1]),

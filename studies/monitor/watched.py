@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.path_times import path_times
-from diffdrive_mpc.mpc.monitor.judge import Judge, Verdict
+from diffdrive_mpc.mpc.monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc.mpc.monitor.rules import Rules
 from studies.monitor.faults import Fault, Sent
 
@@ -33,7 +33,7 @@ class WatchedStep(NamedTuple):
     plan: FloatArray | None = None
 
 
-class WatchedController:
+class MonitoredController:
     """Drives with `inner`, whose commands go through the monitor; satisfies `models.interface.TrackingController`.
 
     Parameters
@@ -50,7 +50,7 @@ class WatchedController:
         self._inner, self._rules, self._fault = inner, rules, fault or Fault()
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> MonitorVerdict:
         """What stopped the robot, on the clock of the plant; nothing while all is well."""
         verdict = self._judge.verdict
         return verdict._replace(at=verdict.at - _BEFORE) if verdict else verdict

@@ -34,7 +34,7 @@ _DIGITS = 4
 
 
 @dataclass
-class Search:
+class GainSearch:
     """Minimises a function of positive values within ranges, on a logarithmic scale.
 
     Attributes
@@ -140,7 +140,7 @@ class Neighbour:
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TunedPeer:
     """A peer's best gains, what was tried, and what its neighbours do."""
 
     peer: str
@@ -162,10 +162,10 @@ def position_errors(settings: PeersSettings, peer: str, values: Values) -> Float
     return np.array(errors)
 
 
-def tune(settings: PeersSettings, peer: str) -> Tuned:
+def tune(settings: PeersSettings, peer: str) -> TunedPeer:
     """Search a peer's gains within the budget, then look at their neighbours."""
     errors = partial(position_errors, settings, peer)
-    search = Search(
+    search = GainSearch(
         lambda values: float(errors(values).mean()), settings.ranges[peer.partition("+")[0]], settings.evaluations
     )
     search.scan(settings.scan, settings.search_seed)
@@ -177,10 +177,10 @@ def tune(settings: PeersSettings, peer: str) -> Tuned:
         for name, value in gains.items()
         for factor in settings.proof
     ]
-    return Tuned(peer, gains, rmse, search.tried, neighbours)
+    return TunedPeer(peer, gains, rmse, search.tried, neighbours)
 
 
-class PeersStudy(Study[list[str], list[Tuned]]):
+class PeersStudy(Study[list[str], list[TunedPeer]]):
     """Tunes peers.
 
     Parameters
@@ -205,12 +205,12 @@ class PeersStudy(Study[list[str], list[Tuned]]):
                 raise ConfigError(f"--peers: unknown peer '{name}'; known: {', '.join(known)}")
         return sorted(asked, key=lambda name: not name.startswith("mppi"))
 
-    def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[Tuned]:
+    def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:
         """Tune each peer; a peer is one task."""
         bar.begin("tuning", len(plan))
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
-    def report(self, results: list[Tuned], seconds: float) -> Report:
+    def report(self, results: list[TunedPeer], seconds: float) -> Report:
         """Gains, and the proof."""
         settings = self._settings
         runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
@@ -238,7 +238,7 @@ class PeersStudy(Study[list[str], list[Tuned]]):
         return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables)
 
 
-def _summary(results: Sequence[Tuned], scan: int) -> Table:
+def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
     columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "beyond spread")
     rows = []
     for result in results:
@@ -260,7 +260,7 @@ def _summary(results: Sequence[Tuned], scan: int) -> Table:
     return Table("Tuning", columns, tuple(rows), 1, note)
 
 
-def _proof(one: Tuned) -> Table:
+def _proof(one: TunedPeer) -> Table:
     factors = sorted({it.factor for it in one.neighbours})
     fields = law_kind(one.peer).gains.model_fields
     columns = ("gain", "what it acts on", "value", *(f"x {factor:g} [mm]" for factor in factors))
@@ -273,7 +273,7 @@ def _proof(one: Tuned) -> Table:
     return Table(f"Neighbours of {one.peer}", columns, tuple(rows), 2, note)
 
 
-def gains_text(results: Sequence[Tuned], settings: PeersSettings) -> str:
+def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
     """The file of gains for `bench/peers`."""
     head = (
         "# Gains of the peers; units stand at the fields of each law. Written by `python -m studies peers`: a\n"

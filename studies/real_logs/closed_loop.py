@@ -18,18 +18,18 @@ from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import make_plant, simulate
-from studies.real_logs.protocol import Proof
+from studies.real_logs.protocol import LogProof
 
 TRAJECTORIES = ("circle", "square", "s", "cane")
 
 
-def write_robot_files(proof: Proof, folder: Path) -> None:
+def write_robot_files(proof: LogProof, folder: Path) -> None:
     """Write `FILES` into `folder`; raises OSError if that cannot be done."""
     proof.found.write(folder)
     (folder / SURFACE).write_text(surface(proof), encoding="utf-8")
 
 
-def surface(proof: Proof) -> str:
+def surface(proof: LogProof) -> str:
     """Text of a surface file: what encoders count against what the body does, for a stand-in of this robot."""
     base = proof.base
     travel = base.pose.value("pose.travel") if base.pose else 1.0

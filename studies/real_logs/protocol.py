@@ -32,7 +32,7 @@ from diffdrive_mpc.models.structures.sm import identify_sm
 _FEWEST_READINGS = 20
 
 
-class Stated(StrictModel):
+class StatedFigures(StrictModel):
     """Figures that stand beside a log."""
 
     fit_percent: tuple[float | None, float | None, float | None] = Field(
@@ -48,7 +48,7 @@ class RealLog(StrictModel):
     robot: str
     file: str = Field(description="inside the folder of the data")
     mapping: str
-    stated: Stated
+    stated: StatedFigures
 
 
 class Protocol(StrictModel):
@@ -72,7 +72,7 @@ def load_protocol() -> Protocol:
 
 
 @dataclass(frozen=True)
-class Score:
+class ModelScore:
     """How well one model explains the rows that it was not made from.
 
     Attributes
@@ -91,7 +91,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Proof:
+class LogProof:
     """What came of one log.
 
     Attributes
@@ -105,7 +105,7 @@ class Proof:
     """
 
     log: RealLog
-    scores: tuple[Score, ...]
+    scores: tuple[ModelScore, ...]
     found: Identification
 
     @property
@@ -116,7 +116,7 @@ class Proof:
         return base
 
 
-def prove(log: RealLog, data: Path, on_progress: Callable[[str], None] | None = None) -> Proof:
+def prove(log: RealLog, data: Path, on_progress: Callable[[str], None] | None = None) -> LogProof:
     """Identify and score, as `protocol.yaml` says.
 
     Parameters
@@ -148,7 +148,7 @@ def prove(log: RealLog, data: Path, on_progress: Callable[[str], None] | None = 
     )
     name = log.robot.partition(",")[0]
     identification = identify_data(records, STRUCTURES["sm"], name, effects=True, on_progress=on_progress)
-    proof = Proof(log, (), identification)
+    proof = LogProof(log, (), identification)
     linear = identify_sm(train)
     return replace(
         proof, scores=(_linear_score(linear, train, held_out, proof.base), _base_score(proof.base, held_out))
@@ -183,7 +183,7 @@ def _readings(record: Record) -> int:
 
 def _linear_score(
     linear: IdentifiedModel, train: Sequence[Record], held_out: Sequence[Record], base: IdentifiedBase
-) -> Score:
+) -> ModelScore:
     """SM without effects, one of each yaw rate; poses about the same centre, with the lever arm alone."""
     wheels = identify_sm(train, yaw="encoders")
     fit = validate(linear.system, held_out).fit_percent
@@ -191,15 +191,15 @@ def _linear_score(
     travel = base.pose.value("pose.travel") if base.pose else 1.0
     twists = [(twist - linear.offset) * np.array([travel, 1.0]) for twist in simulate_records(linear.system, held_out)]
     ahead = PoseMount(ahead=base.pose.value("mount.ahead")) if base.pose else None
-    return Score("linear", np.array([fit[0], by_wheels[1], fit[1]]), _drift(held_out, twists, ahead, base))
+    return ModelScore("linear", np.array([fit[0], by_wheels[1], fit[1]]), _drift(held_out, twists, ahead, base))
 
 
-def _base_score(base: IdentifiedBase, held_out: Sequence[Record]) -> Score:
+def _base_score(base: IdentifiedBase, held_out: Sequence[Record]) -> ModelScore:
     mount = None
     if base.pose:
         mount = PoseMount(**{name: base.pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")})
     drift = _drift(held_out, base.body_twists(held_out), mount, base)
-    return Score("with effects", base.fit_percent(held_out), drift)
+    return ModelScore("with effects", base.fit_percent(held_out), drift)
 
 
 def _drift(

@@ -16,12 +16,12 @@ from studies.real_logs.closed_loop import (
     tracking_table,
     write_robot_files,
 )
-from studies.real_logs.protocol import Proof, load_protocol, prove
+from studies.real_logs.protocol import LogProof, load_protocol, prove
 
 # Tables of the proof on logs of real robots.
 
 
-def score_table(proof: Proof) -> Table:
+def score_table(proof: LogProof) -> Table:
     """FIT and pose errors on the rows held out: stated, linear, with effects."""
     stated = proof.log.stated
     horizons = load_protocol().horizons if proof.base.pose else ()
@@ -56,7 +56,7 @@ def score_table(proof: Proof) -> Table:
     )
 
 
-def effect_table(proof: Proof) -> Table:
+def effect_table(proof: LogProof) -> Table:
     """What was tried, and what it was worth on held-out blocks of the rows to fit."""
     return Table(
         title="Effects of the base",
@@ -76,7 +76,7 @@ def effect_table(proof: Proof) -> Table:
     )
 
 
-def parameter_table(proof: Proof) -> Table:
+def parameter_table(proof: LogProof) -> Table:
     """What was found, with standard deviations."""
     estimates = [proof.base.identified.parameters, *([proof.base.pose] if proof.base.pose else [])]
     return Table(
@@ -94,7 +94,7 @@ def parameter_table(proof: Proof) -> Table:
 REPORT = "proof.md"
 
 
-def prove_log(name: str, data: Path, out: Path, seeds: int) -> Proof:
+def prove_log(name: str, data: Path, out: Path, seeds: int) -> LogProof:
     """Identify, score, drive; print the tables and write them, with the robot's files, into `out`.
 
     Parameters

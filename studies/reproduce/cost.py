@@ -20,7 +20,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.open_loop import random_commands
 from studies.reproduce.drives import predict_path
-from studies.reproduce.published import CostStudy, Finding, Published, PublishedCost
+from studies.reproduce.published import CostStudy, PaperFinding, Published, PublishedCost
 
 _SEED = 0
 _BYTES_PER_MB = 1e6
@@ -111,35 +111,35 @@ def _mean_and_std(values: list[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values, ddof=1))
 
 
-def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[Finding]:
+def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperFinding]:
     """Means decide; times differ from machine to machine."""
     took = {name: one.time_per_step[0] for name, one in cost.items()}
     held = {name: one.memory[0] for name, one in cost.items()}
     simulated = {name: one.simulation_time[0] for name, one in cost.items()}
     printed, rules = published.cost, published.rules
     return [
-        Finding(
+        PaperFinding(
             f"a whole simulation of SM takes less than {rules.quicker:g} of the time of one of MBM",
             "P0, Table 3",
             f"{printed['sm'].simulation_time[0] / printed['mbm'].simulation_time[0]:.2f}",
             f"{simulated['sm'] / simulated['mbm']:.2f}",
             (simulated["sm"] < rules.quicker * simulated["mbm"],),
         ),
-        Finding(
+        PaperFinding(
             f"a step of SM takes less than {rules.quicker:g} of the time of one of MBM",
             "P0, Table 3",
             f"{printed['sm'].time_per_step[0] / printed['mbm'].time_per_step[0]:.2f}",
             f"{took['sm'] / took['mbm']:.2f}",
             (took["sm"] < rules.quicker * took["mbm"],),
         ),
-        Finding(
+        PaperFinding(
             "simulating SM takes less memory than simulating MBM",
             "P0, Table 3",
             f"{printed['sm'].memory[0] / printed['mbm'].memory[0]:.2f} of it",
             f"{held['sm'] / held['mbm']:.2f} of it",
             (held["sm"] < held["mbm"],),
         ),
-        Finding(
+        PaperFinding(
             f"a step of SSM is more than {rules.much_quicker:g} times as quick as one of SM",
             "P0, Table 3 and P1, Table 5",
             f"{printed['sm'].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
@@ -150,8 +150,8 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[Findin
     ]
 
 
-def _network(took: Mapping[str, float], printed: Mapping[str, PublishedCost], much: float) -> Finding:
-    return Finding(
+def _network(took: Mapping[str, float], printed: Mapping[str, PublishedCost], much: float) -> PaperFinding:
+    return PaperFinding(
         f"a step of SSM is more than {much:g} times as quick as one of LSTM",
         "P1, Table 5",
         f"{printed[NETWORK].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",

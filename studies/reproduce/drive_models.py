@@ -23,7 +23,7 @@ from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
 from studies.real_logs.protocol import divide, load_protocol
 from studies.reproduce.drives import record_of
-from studies.reproduce.published import DriveStudy, Finding, Published, PublishedDriveErrors
+from studies.reproduce.published import DriveStudy, PaperFinding, Published, PublishedDriveErrors
 
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
@@ -191,7 +191,7 @@ def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveMode
     return groups
 
 
-def drive_model_findings(results: Sequence[DriveModelsResult], published: Published) -> list[Finding]:
+def drive_model_findings(results: Sequence[DriveModelsResult], published: Published) -> list[PaperFinding]:
     """Whether what P2 finds holds: on the simulated robot in each repetition, on the logs in each log."""
     second = published.drive_models["second data set"]
     findings = []
@@ -225,7 +225,7 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
                 for name in (*better, worse)
             )
             source = "ours" if SM in better else "P2, Tables 5 to 7"
-            findings.append(Finding(f"{claim} (mean error, {where})", source, paper, ours, holds))
+            findings.append(PaperFinding(f"{claim} (mean error, {where})", source, paper, ours, holds))
     return findings
 
 

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
-from studies.reproduce.published import Finding, Published, TrackStudy
+from studies.reproduce.published import PaperFinding, Published, TrackStudy
 from studies.reproduce.virtual_track import TrackLine, fit_line
 
 _SEED = 400
@@ -146,20 +146,20 @@ def _pm(value: float, deviation: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {deviation:.{digits}f}"
 
 
-def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[Finding]:
+def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
     """Whether P3's line has the same sign here, and what stands behind it; one verdict for each floor."""
     certain, paper = published.rules.certain, published.virtual_track
     floors = ", ".join(result.surface for result in results)
     spot, _, speed = _ALONE
     return [
-        Finding(
+        PaperFinding(
             f"the virtual track grows with the yaw rate, by {certain:g} standard deviations or more ({floors})",
             "P3, section 3",
             f"{paper.p1:.3f} m s",
             "; ".join(f"{_pm(one.line.p1, one.line.p1_deviation, 4)} m s" for one in results),
             tuple(one.line.p1 > certain * one.line.p1_deviation for one in results),
         ),
-        Finding(
+        PaperFinding(
             f"at constant yaw rate the virtual track does not depend on v, within {certain:g} standard deviations "
             f"({floors})",
             "P3's law",
@@ -167,7 +167,7 @@ def driven_track_findings(results: Sequence[DrivenTrack], published: Published) 
             "; ".join(f"{_pm(1e3 * (s := one.slopes[speed]).p1, 1e3 * s.p1_deviation, 1)} mm s/m" for one in results),
             tuple(abs(one.slopes[speed].p1) < certain * one.slopes[speed].p1_deviation for one in results),
         ),
-        Finding(
+        PaperFinding(
             f"turning on the spot, the virtual track does not fall with the yaw rate, by {certain:g} deviations "
             f"({floors})",
             "ours",

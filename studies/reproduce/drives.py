@@ -62,7 +62,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class PoseError:
+class PathError:
     """Errors of a predicted path against the driven one, at the same times.
 
     Attributes
@@ -104,10 +104,10 @@ def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, st
     return dead_reckon(model.simulate(commands), start, model.dt)
 
 
-def pose_error(predicted: FloatArray, driven: FloatArray) -> PoseError:
+def pose_error(predicted: FloatArray, driven: FloatArray) -> PathError:
     """Statistics of predicted poses (K, 3) against driven ones (K, 3), headings unwrapped."""
     error = predicted - driven
-    return PoseError(Spread.of(np.hypot(error[:, 0], error[:, 1])), Spread.of(error[:, 2]))
+    return PathError(Spread.of(np.hypot(error[:, 0], error[:, 1])), Spread.of(error[:, 2]))
 
 
 class RobotLogs:

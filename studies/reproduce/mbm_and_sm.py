@@ -23,13 +23,13 @@ from studies.reproduce.drives import (
     QUANTITIES,
     STATISTICS,
     STEP_KINDS,
-    PoseError,
+    PathError,
     RobotLogs,
     pose_error,
     predict_path,
     sampled,
 )
-from studies.reproduce.published import Finding, MbmSmStudy, Published, each
+from studies.reproduce.published import MbmSmStudy, PaperFinding, Published, each
 
 MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
 COMPARED = (MBM, MBM_TRACKS, SM)
@@ -65,7 +65,7 @@ class MbmSmResult:
     repetition: int
     motor_fit: Mapping[str, tuple[float, ...]]
     sm_fit: Mapping[str, tuple[float, float]]
-    errors: Mapping[str, Mapping[str, PoseError]]
+    errors: Mapping[str, Mapping[str, PathError]]
     paths: Mapping[str, Mapping[str, FloatArray]]
     parameters: Mapping[str, Mapping[str, Any]]
     warnings: Mapping[str, tuple[str, ...]]
@@ -127,21 +127,21 @@ def _paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, F
     return {"driven": pose, **predicted}
 
 
-def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> list[Finding]:
+def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> list[PaperFinding]:
     """FIT of motors and channels, and who predicts paths better."""
     least, fit = published.motor_fit_percent, published.sm_fit_percent
     motors = np.array([result.motor_fit[_HELD_OUT] for result in results])
     channels = np.array([result.sm_fit[_HELD_OUT] for result in results])
     v, omega = channels.mean(axis=0)
     return [
-        Finding(
+        PaperFinding(
             f"two poles without zeros explain every motor with a FIT above {least:g} % (steps held out)",
             "P0, section on MBM",
             f"all four > {least:g} %",
             f"{motors.mean(axis=0).min():.1f} to {motors.mean(axis=0).max():.1f} %",
             each((motors > least).all(axis=1)),
         ),
-        Finding(
+        PaperFinding(
             "SM explains v better than omega (steps held out)",
             "P0, section on SM",
             f"{fit.v:.2f} against {fit.omega:.2f} %",
@@ -154,10 +154,12 @@ def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> lis
     ]
 
 
-def _beats_sm(results: Sequence[MbmSmResult], published: Published, model: str, words: str, quantity: str) -> Finding:
+def _beats_sm(
+    results: Sequence[MbmSmResult], published: Published, model: str, words: str, quantity: str
+) -> PaperFinding:
     ours, theirs = _rmse(results, model, quantity), _rmse(results, SM, quantity)
     printed = [_printed(published, of, list(results[0].errors[SM]), quantity) for of in ("mbm", "sm")]
-    return Finding(
+    return PaperFinding(
         f"{words} predicts the {quantity} better than SM on every trajectory (RMSE)",
         "P0, Table 2" if model == MBM else "P0, Table 2; the tracks are ours",
         _compared(printed[0], printed[1], QUANTITIES[quantity]),
@@ -166,13 +168,13 @@ def _beats_sm(results: Sequence[MbmSmResult], published: Published, model: str, 
     )
 
 
-def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> Finding:
+def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> PaperFinding:
     names = list(results[0].errors[SM])
     circle = names.index(_CIRCLE)
     printed = {of.upper(): _printed(published, of, names, "position") for of in ("mbm", "sm")}
     ours = {of: _rmse(results, of, "position") for of in (MBM, SM)}
     worst = np.array([table.argmax(axis=1) for table in ours.values()])
-    return Finding(
+    return PaperFinding(
         "the circle has the largest position RMSE, for MBM and for SM",
         "P0, Table 2",
         ", ".join(f"{of}: {names[int(values.argmax())]}" for of, values in printed.items()),

@@ -26,7 +26,7 @@ from studies.reproduce.drives import (
     dead_reckon,
     pose_error,
 )
-from studies.reproduce.published import Finding, NetworkStudy, Published, PublishedNetwork, each
+from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, each
 from studies.reproduce.state_space import (
     FIT_COLUMNS,
     PAPERS_ORDER,
@@ -119,7 +119,7 @@ def _velocity(fit: FloatArray, error: FloatArray) -> VelocityFit:
 
 def network_findings(
     results: Sequence[NetworkResult], rows: Sequence[NetworkRow], published: Published
-) -> list[Finding]:
+) -> list[PaperFinding]:
     """What P1 says of LSTM beside SSM, and of the nine networks where all of them were trained."""
     findings = [_better_fit(results, published), _better_odometry(results, published)] if results else []
     if len(rows) == len(published.networks):
@@ -127,7 +127,7 @@ def network_findings(
     return findings
 
 
-def _better_fit(results: Sequence[NetworkResult], published: Published) -> Finding:
+def _better_fit(results: Sequence[NetworkResult], published: Published) -> PaperFinding:
     ssm, lstm = (
         np.array(
             [np.mean([drive.velocity.fit_percent for drive in result.free_drives[name]], axis=0) for result in results]
@@ -136,7 +136,7 @@ def _better_fit(results: Sequence[NetworkResult], published: Published) -> Findi
     )
     pair = "SSM {:.2f} and {:.2f}, LSTM {:.2f} and {:.2f} %"
     paper = [*published.free_drives_average.values[:2], *published.lstm_drives_average.values[:2]]
-    return Finding(
+    return PaperFinding(
         "on free drives SSM explains v and omega better than LSTM (FIT)",
         _TABLE_3,
         pair.format(*paper),
@@ -145,7 +145,7 @@ def _better_fit(results: Sequence[NetworkResult], published: Published) -> Findi
     )
 
 
-def _better_odometry(results: Sequence[NetworkResult], published: Published) -> Finding:
+def _better_odometry(results: Sequence[NetworkResult], published: Published) -> PaperFinding:
     def errors(name: str) -> FloatArray:
         return np.array(
             [
@@ -164,7 +164,7 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
         for drive in (published.free_drives_average, published.lstm_drives_average)
         for value in (drive.odometry.position[0], drive.odometry.heading[0])
     ]
-    return Finding(
+    return PaperFinding(
         "open-loop odometry of SSM has the smaller errors, in position and in heading (RMSE)",
         _TABLE_4,
         pair.format(*paper),
@@ -173,14 +173,14 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
     )
 
 
-def _best_row(rows: Sequence[NetworkRow], published: Published) -> Finding:
+def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
     ours = {one.row: float(np.mean(one.test.fit_percent)) for one in rows}
     printed = {row: float(np.mean(scores.test.values[:2])) for row, scores in published.networks.items()}
     words = []
     for means in (printed, ours):
         best = max(means, key=means.__getitem__)
         words.append(f"row {best} with {means[best]:.2f} %, row {PAPERS_ROW} with {means[PAPERS_ROW]:.2f} %")
-    return Finding(
+    return PaperFinding(
         f"the network of row {PAPERS_ROW} has the best test FIT of the nine (mean of v and omega)",
         f"{_TABLE_2}; its text, its numbers say otherwise",
         words[0],

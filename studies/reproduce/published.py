@@ -115,7 +115,7 @@ class PublishedTurning(StrictModel):
     cost: PublishedLearningCost
 
 
-class Rules(StrictModel):
+class FindingThresholds(StrictModel):
     """Thresholds that decide findings."""
 
     worthwhile_fit_percent: float
@@ -152,7 +152,7 @@ class Published(StrictModel):
     virtual_track: PublishedTrack
     drive_models: dict[str, dict[str, PublishedDriveErrors]]
     turning: PublishedTurning
-    rules: Rules
+    rules: FindingThresholds
 
 
 @cache
@@ -162,7 +162,7 @@ def load_published() -> Published:
 
 
 @dataclass(frozen=True)
-class Finding:
+class PaperFinding:
     """A finding of a paper, put as a rule.
 
     Attributes

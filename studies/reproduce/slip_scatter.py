@@ -26,7 +26,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.surface import load_surface
-from studies.reproduce.published import Finding, Published, ScatterFloor, ScatterStudy
+from studies.reproduce.published import PaperFinding, Published, ScatterFloor, ScatterStudy
 
 _INSIDE = 0.95
 """Share of the errors that an ellipse should hold."""
@@ -280,7 +280,7 @@ def _triple(values: FloatArray) -> str:
     return ", ".join(f"{1e3 * value:.1f}" for value in values)
 
 
-def slip_scatter_findings(results: Sequence[SlipScatter], published: Published) -> list[Finding]:
+def slip_scatter_findings(results: Sequence[SlipScatter], published: Published) -> list[PaperFinding]:
     """Whether learning helps, and whether what is foreseen agrees with what comes; one verdict for each floor."""
     findings = []
     for drifts in dict.fromkeys(result.drifts for result in results):
@@ -296,9 +296,9 @@ def slip_scatter_findings(results: Sequence[SlipScatter], published: Published) 
     return findings
 
 
-def _learning_helps(learned: Sequence[Foresight], nominal: Sequence[Foresight], where: str) -> Finding:
+def _learning_helps(learned: Sequence[Foresight], nominal: Sequence[Foresight], where: str) -> PaperFinding:
     pairs = list(zip(learned, nominal, strict=True))
-    return Finding(
+    return PaperFinding(
         f"with learned slip foreseen poses are nearer than without, along, across and in heading ({where})",
         _SOURCE,
         "seen in the figures",
@@ -307,10 +307,10 @@ def _learning_helps(learned: Sequence[Foresight], nominal: Sequence[Foresight], 
     )
 
 
-def _corresponds(values: Sequence[Foresight], how: str, where: str, published: Published) -> Finding:
+def _corresponds(values: Sequence[Foresight], how: str, where: str, published: Published) -> PaperFinding:
     factor = published.rules.corresponds
     ratios = [(one.foreseen / one.rms)[:2] for one in values]
-    return Finding(
+    return PaperFinding(
         f"foreseen deviations{how} are those of the errors along and across, to a factor of {factor:g} ({where})",
         _SOURCE,
         "good correspondence",
@@ -319,9 +319,9 @@ def _corresponds(values: Sequence[Foresight], how: str, where: str, published: P
     )
 
 
-def _ellipse_holds(scaled: Sequence[Foresight], where: str, published: Published) -> Finding:
+def _ellipse_holds(scaled: Sequence[Foresight], where: str, published: Published) -> PaperFinding:
     least, most = published.rules.inside
-    return Finding(
+    return PaperFinding(
         f"ellipses for {100 * _INSIDE:.0f} % of the places, scaled by the errors before, hold {100 * least:g} to "
         f"{100 * most:g} % ({where})",
         "ours",

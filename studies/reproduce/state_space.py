@@ -21,13 +21,13 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from studies.reproduce.drives import (
     QUANTITIES,
     STATISTICS,
-    PoseError,
+    PathError,
     RobotLogs,
     pose_error,
     predict_path,
     sampled,
 )
-from studies.reproduce.published import Finding, Published, SsmStudy, each
+from studies.reproduce.published import PaperFinding, Published, SsmStudy, each
 
 PAPERS_ORDER = 2
 """The order that the paper settles on."""
@@ -77,7 +77,7 @@ class FreeDrive:
     """One held-out drive."""
 
     velocity: VelocityFit
-    odometry: PoseError
+    odometry: PathError
 
     @property
     def values(self) -> list[float]:
@@ -158,7 +158,7 @@ def _as_printed(model: VelocityModel) -> LinearSystem:
     return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full(2, np.inf))
 
 
-def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[Finding]:
+def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[PaperFinding]:
     """Which order, and how good the paper's is on free drives. Rules on orders that were not run are left out."""
     fits = {
         order: np.array([result.orders[order - 1].test.fit_percent for result in results])
@@ -181,11 +181,11 @@ def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[Fin
     ]
 
 
-def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], least: float) -> Finding:
+def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], least: float) -> PaperFinding:
     gains = np.array([fits[order] - fits[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
     published = np.array([printed[order] - printed[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
     most = gains.mean(axis=1).max(axis=0)
-    return Finding(
+    return PaperFinding(
         f"orders 3 and 4 bring less than {least:g} points of test FIT over order 2, in v and in omega",
         _TABLE,
         "at most {:+.2f} and {:+.2f}".format(*published.max(axis=0)),
@@ -194,13 +194,13 @@ def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], lea
     )
 
 
-def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> Finding:
+def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> PaperFinding:
     orders = list(fits)
     ours = np.array([fits[order].mean(axis=1) for order in orders])
     paper = np.array([printed[order].mean() for order in orders])
     winner = orders[int(paper.argmax())]
     spread = float(np.ptp(ours.mean(axis=1)))
-    return Finding(
+    return PaperFinding(
         f"order {winner} has the best test FIT by {margin:g} points or more (mean of v and omega, orders 2 to 5)",
         _TABLE,
         f"order {winner}; orders differ by {np.ptp(paper):.3f} points",
@@ -210,9 +210,9 @@ def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: f
     )
 
 
-def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> Finding:
+def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> PaperFinding:
     fall = fits[_HIGHEST][:, 1] - fits[PAPERS_ORDER][:, 1]
-    return Finding(
+    return PaperFinding(
         f"order 5 explains omega worse than order 2 by {margin:g} points or more (test FIT)",
         _TABLE,
         f"{printed[_HIGHEST][1] - printed[PAPERS_ORDER][1]:+.2f} points",
@@ -221,8 +221,8 @@ def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margi
     )
 
 
-def _chosen(results: Sequence[SsmResult]) -> Finding:
-    return Finding(
+def _chosen(results: Sequence[SsmResult]) -> PaperFinding:
+    return PaperFinding(
         f"order {PAPERS_ORDER} is the choice (ours: the lowest order within a quarter point of the best mean test FIT)",
         "P1, text on Table 1",
         f"order {PAPERS_ORDER}",
@@ -231,12 +231,12 @@ def _chosen(results: Sequence[SsmResult]) -> Finding:
     )
 
 
-def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> Finding:
+def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> PaperFinding:
     # (repetitions, drives, 2)
     fit = np.array([[drive.velocity.fit_percent for drive in drives] for drives in results])
     least = published.rules.good_fit_percent
     good = (fit > least).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
-    return Finding(
+    return PaperFinding(
         f"{where} order 2 explains v and omega above {least:g} % each, and v better than omega",
         "P1, Table 3",
         "{:.2f} and {:.2f} %".format(*published.free_drives_average.values[:2]),

@@ -42,7 +42,7 @@ from studies.reproduce.networks import (
     row_table,
     train_rows,
 )
-from studies.reproduce.published import PARTS, Finding, ReproduceSettings, load_published
+from studies.reproduce.published import PARTS, PaperFinding, ReproduceSettings, load_published
 from studies.reproduce.slip_scatter import (
     SlipScatter,
     scatter_of,
@@ -264,10 +264,10 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
     return drawn
 
 
-def find(results: ReproduceResults) -> list[Finding]:
+def find(results: ReproduceResults) -> list[PaperFinding]:
     """Every rule that the parts of `results` can decide."""
     published = load_published()
-    findings: list[Finding] = []
+    findings: list[PaperFinding] = []
     if results.mbm_sm:
         findings += mbm_sm_findings(results.mbm_sm, published)
     if results.ssm:
@@ -292,7 +292,7 @@ def find(results: ReproduceResults) -> list[Finding]:
     return findings
 
 
-def findings_table(findings: Sequence[Finding], repetitions: int) -> Table:
+def findings_table(findings: Sequence[PaperFinding], repetitions: int) -> Table:
     """Every rule with its verdict."""
     rows = tuple(
         (finding.claim, finding.source, finding.published, finding.plant, finding.verdict) for finding in findings

@@ -18,8 +18,8 @@ from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.extras.torque import TorqueCurves, load_torque_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import LIMIT_SHARE
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
-from studies.reproduce.published import Finding, Published, TurningStudy
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
+from studies.reproduce.published import PaperFinding, Published, TurningStudy
 from studies.reproduce.turning import planning_times
 from studies.torque.measurements import (
     diagnostic_drive,
@@ -161,7 +161,7 @@ def learn_turns(study: TurningStudy, floor: str) -> LearnedTurns:
     )
 
 
-def _raw(drive: Drive, sample_time: float) -> FloatArray:
+def _raw(drive: OpenLoopDrive, sample_time: float) -> FloatArray:
     """(k, 7) as `LearnedTurns.raw`."""
     settings = load_torque_settings().curves
     left, right = sides(drive.motor_torque)
@@ -259,7 +259,7 @@ def _percent(value: float) -> str:
     return number(100 * value, 1)
 
 
-def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published) -> list[Finding]:
+def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published) -> list[PaperFinding]:
     """What P4 concludes from its curves and energies, one verdict for each floor."""
     printed, rules = published.turning, published.rules
     where, within = ", ".join(one.floor for one in floors), 100 * rules.turn_least_radius_off
@@ -270,21 +270,21 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
     means = [_means(floor) for floor in floors]
     shares = "; ".join(_percent(learned) for learned, _ in means) + " %"
     return [
-        Finding(
+        PaperFinding(
             f"the curves of vinyl know no least radius, the learned ones do ({where})",
             _CURVES,
             "1.8, 2.4, 1.2 m from none",
             "; ".join(f"{_metres(one.learned_least)} m from {_metres(one.prior_least)}" for one in floors),
             tuple(one.prior_least == 0 < one.learned_least for one in floors),
         ),
-        Finding(
+        PaperFinding(
             f"learned torques are within {100 * rules.turn_torque_off:g} % of the measured ones (RMSE; {where})",
             _CURVES,
             "close to the average, by the figures",
             "; ".join(f"{100 * max(one.off):.1f} %" for one in floors),
             tuple(max(one.off) < rules.turn_torque_off for one in floors),
         ),
-        Finding(
+        PaperFinding(
             f"the learned least radius is within {within:g} % of that of steady turns ({where})",
             _CURVES,
             radii,
@@ -293,28 +293,28 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
                 bool(one.own) and abs(one.learned_least / one.own - 1) < rules.turn_least_radius_off for one in floors
             ),
         ),
-        Finding(
+        PaperFinding(
             f"the learned least radius is not below the widest turn whose raw torques were at the limit ({where})",
             _CURVES,
             radii,
             "; ".join(f"{_metres(one.learned_least)} m of {_metres(one.raw_least)}" for one in floors),
             tuple(one.learned_least >= one.raw_least for one in floors),
         ),
-        Finding(
+        PaperFinding(
             f"nor below that of steady turns ({where})",
             "ours",
             "-",
             ours,
             tuple(one.learned_least >= one.own for one in floors),
         ),
-        Finding(
+        PaperFinding(
             f"with learning the energy of each unseen drive is foreseen nearer than by vinyl ({where})",
             _ENERGY,
             f"missed: {energies}; without: {without}",
             "missed: " + "; ".join(f"{_percent(learned)} %, without {_percent(prior)} %" for learned, prior in means),
             tuple(all(abs(run.missed(run.learned)) < abs(run.missed(run.prior)) for run in one.runs) for one in floors),
         ),
-        Finding(
+        PaperFinding(
             f"with learning too much energy is foreseen, which is the safe side (mean; {where})",
             _ENERGY,
             f"missed: {energies}",

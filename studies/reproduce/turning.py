@@ -19,7 +19,7 @@ from diffdrive_mpc.extras.planner import PlanError, plan
 from diffdrive_mpc.extras.terrain import load_terrain, side_torques
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
-from studies.reproduce.published import Finding, Published, TurningStudy
+from studies.reproduce.published import PaperFinding, Published, TurningStudy
 from studies.torque.measurements import plant_of, steady_turns
 from studies.torque.outcome import parts_of
 from studies.torque.settings import load_study
@@ -149,11 +149,11 @@ def _name(one: SteadyTurns) -> str:
     return "shear law, vinyl" if one.source == LAW else f"robot on '{one.source}'"
 
 
-def turning_findings(result: TurningResult, published: Published) -> list[Finding]:
+def turning_findings(result: TurningResult, published: Published) -> list[PaperFinding]:
     """What P4 reads from its Figures 6 and 7, one verdict for each speed."""
     printed, rules = published.turning, published.rules
     findings = [
-        Finding(
+        PaperFinding(
             f"the inner wheels turn forward beyond the printed radius, within {100 * rules.turn_radius_off:g} %",
             _TORQUES,
             f"half the track, {printed.inner_forward_from:g} m; its Table 1 has a track of 0.39 m",
@@ -164,14 +164,14 @@ def turning_findings(result: TurningResult, published: Published) -> list[Findin
     for turns in (result.law, result.driven):
         where = f"{_name(turns[0])}; {', '.join(f'{turn.speed:g}' for turn in turns)} m/s"
         findings += [
-            Finding(
+            PaperFinding(
                 f"torques grow as turns get sharper, to {100 * rules.turn_rise:g} % of the largest ({where})",
                 _TORQUES,
                 "seen in the figure",
                 "; ".join(f"{one.torque[-1, 0]:.2f} to {one.torque[:, 0].max():.2f} N m" for one in turns),
                 tuple(_falls(one, rules.turn_rise) for one in turns),
             ),
-            Finding(
+            PaperFinding(
                 f"the inner side drives beyond the printed radius, to a factor of {rules.turn_crossing:g} ({where})",
                 _TORQUES,
                 f"{printed.inner_drives_beyond:g} m",
@@ -182,7 +182,7 @@ def turning_findings(result: TurningResult, published: Published) -> list[Findin
                 ),
             ),
             _speed_does_not_matter(turns, where, rules.turn_alike, rules.turn_alike_from),
-            Finding(
+            PaperFinding(
                 f"the inner side gives back power at some radii where it skids ({where})",
                 _POWER,
                 "seen in the figure",
@@ -199,11 +199,11 @@ def _falls(one: SteadyTurns, rise: float) -> bool:
     return bool((outer - np.minimum.accumulate(outer)).max() <= rise * outer.max())
 
 
-def _speed_does_not_matter(turns: Sequence[SteadyTurns], where: str, alike: float, wider_than: float) -> Finding:
+def _speed_does_not_matter(turns: Sequence[SteadyTurns], where: str, alike: float, wider_than: float) -> PaperFinding:
     """The largest difference over the wider radii and both sides, over the largest torque there."""
     torques = np.array([turn.torque[turn.radius >= wider_than] for turn in turns])
     apart = float((torques.max(axis=0) - torques.min(axis=0)).max() / np.abs(torques).max())
-    return Finding(
+    return PaperFinding(
         f"torques do not depend on the speed, to {100 * alike:g} % of the largest, from {wider_than:g} m on ({where})",
         _TORQUES,
         "little, but for very sharp turns",

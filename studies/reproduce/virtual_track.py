@@ -12,7 +12,7 @@ from scipy import stats
 
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
-from studies.reproduce.published import Finding, Published, PublishedTrack
+from studies.reproduce.published import PaperFinding, Published, PublishedTrack
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def fit_line(tests: FloatArray) -> TrackLine:
     )
 
 
-def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[Finding]:
+def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[PaperFinding]:
     """Whether the printed tests can be those behind the printed line."""
     certain, printed = published.rules.certain, result.printed
     within = f"within {certain:g} standard deviations"
@@ -123,14 +123,14 @@ def virtual_track_findings(result: VirtualTrackResult, published: Published) -> 
         result.by_radius_exchanged > result.by_radius and result.fitting <= published.rules.chance * result.exchanges
     )
     return [
-        Finding(
+        PaperFinding(
             f"the printed tests give the printed p1 {within}",
             source,
             paper,
             f"{_slope(result.fitted)} (no drive: the paper's rows)",
             (agree(printed, result.fitted, certain),),
         ),
-        Finding(
+        PaperFinding(
             f"tracks exchanged by mistake (tests 1, 2 with 7, 8; ours) explain the printed p1 {within}",
             source,
             paper,

@@ -12,7 +12,7 @@ from pandas import DataFrame
 from diffdrive_mpc.bench.case import Case, check_count
 from diffdrive_mpc.bench.conditions import MARKET, Condition, market_cases
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
-from diffdrive_mpc.bench.experiment import Drive, by, drive_all, json_rows
+from diffdrive_mpc.bench.experiment import ExperimentRun, by, drive_all, json_rows
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
@@ -128,7 +128,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case; each process keeps only what the study needs."""
         bar.begin(f"running, {jobs} at a time", len(plan))
-        drives = [Drive(case, {"condition": name}) for name, case in plan]
+        drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
         return drive_all(drives, jobs, bar.advance, partial(measured, self._settled))
 
     def report(self, results: DataFrame, seconds: float) -> Report:

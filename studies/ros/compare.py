@@ -31,7 +31,7 @@ COMPARED = ("position_rmse_m", "lateral_rmse_m", "heading_rmse_rad", "position_m
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RosComparison:
     """One trajectory both ways.
 
     Attributes
@@ -54,7 +54,9 @@ class Comparison:
         return float(getattr(self.over_dds.metrics, statistic) / getattr(self.in_process.metrics, statistic))
 
 
-def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0, settings: Path | None = None) -> Comparison:
+def compare(
+    case: Case, *, lock_step: bool = True, timeout: float = 300.0, settings: Path | None = None
+) -> RosComparison:
     """Drive `case` over DDS and in one process.
 
     Parameters
@@ -77,12 +79,12 @@ def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0, setti
         drive_over_dds(case, reference.duration, bag, lock_step=lock_step, timeout=timeout, settings=settings)
         over_dds = read_drive(bag, reference, plant.sample_time)
         timing = loop_timing(bag, plant.sample_time)
-    return Comparison(case, over_dds, simulate(controller, plant, reference), timing)
+    return RosComparison(case, over_dds, simulate(controller, plant, reference), timing)
 
 
-def comparison_table(comparisons: Sequence[Comparison]) -> Table:
+def comparison_table(comparisons: Sequence[RosComparison]) -> Table:
     """Statistics over DDS, in one process, and the one over the other."""
-    columns: dict[str, Callable[[tuple[Comparison, str]], str]] = {
+    columns: dict[str, Callable[[tuple[RosComparison, str]], str]] = {
         "over DDS": lambda of: f"{getattr(of[0].over_dds.metrics, of[1]):.4f}",
         "one process": lambda of: f"{getattr(of[0].in_process.metrics, of[1]):.4f}",
         "ratio": lambda of: f"{of[0].ratio(of[1]):.2f}",
@@ -96,7 +98,7 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     return Table.of("Over DDS and in one process", ("trajectory", "error"), columns, entries)
 
 
-def timing_table(comparisons: Sequence[Comparison]) -> Table:
+def timing_table(comparisons: Sequence[RosComparison]) -> Table:
     """Control period and latency of the drives over DDS, in milliseconds."""
     rows = []
     for item in comparisons:

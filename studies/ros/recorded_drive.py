@@ -95,7 +95,7 @@ def _body_twist(message: Any) -> Reading:  # noqa: ANN401 - the types are made b
 
 
 @dataclass(frozen=True)
-class Percentiles:
+class DelayPercentiles:
     """Median, 99th percentile and largest of some times [s]."""
 
     p50: float
@@ -122,9 +122,9 @@ class LoopTiming:
     """
 
     commands: int
-    period: Percentiles
-    jitter: Percentiles
-    latency: Percentiles
+    period: DelayPercentiles
+    jitter: DelayPercentiles
+    latency: DelayPercentiles
     misses: int
 
 
@@ -150,7 +150,7 @@ def loop_timing(bag: Path, sample_time: float) -> LoopTiming:
     )
 
 
-def _percentiles(times: ArrayLike) -> Percentiles:
+def _percentiles(times: ArrayLike) -> DelayPercentiles:
     values = np.asarray(times, dtype=float)
     p50, p99 = np.percentile(values, [50, 99])
-    return Percentiles(float(p50), float(p99), float(values.max()))
+    return DelayPercentiles(float(p50), float(p99), float(values.max()))

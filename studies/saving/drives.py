@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.bench.statistics import Estimate, mean
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean
 from diffdrive_mpc.extras.planner import Objective, PlanError, plan, plan_each
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.metrics.tracking_errors import tracking_errors
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
-from studies.saving.settings import Pair, SavingStudySettings, Standing
+from studies.saving.settings import Pair, SavingStudySettings, Standstill
 from studies.torque.measurements import plant_of
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _KEPT = 400
 _ARRIVED = 0.1
 
 
-class Driven(NamedTuple):
+class PlanDrive(NamedTuple):
     """One plan and what became of it."""
 
     length: float
@@ -64,7 +64,7 @@ class Driven(NamedTuple):
 
 def drive_closed(
     asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0, *, beside: float = 0.0
-) -> Driven:
+) -> PlanDrive:
     """Drive a plan with the controller, always the same one, from the same start and with the same noise.
 
     `beside` is drawn by others than the motors until the robot stands [W].
@@ -76,7 +76,7 @@ def drive_closed(
     return _judged(asked, plan, rows, run.sample_time, run.ended, beside)
 
 
-def drive_open(asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0) -> Driven:
+def drive_open(asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0) -> PlanDrive:
     """Send the commands of a plan and nothing else, as P4 does; then stand still for a while."""
     plant = plant_of(asked.robot, surface, payload, seed=asked.seed)
     ticks = np.arange(0.0, plan.duration + asked.standing.wait, plant.sample_time)
@@ -87,7 +87,7 @@ def drive_open(asked: SavingStudySettings, plan: Plan, surface: str, payload: fl
     return _judged(asked, plan, rows, plant.sample_time, "")
 
 
-def standing_from(twist: FloatArray, asked: Standing) -> int:
+def standing_from(twist: FloatArray, asked: Standstill) -> int:
     """First row of (n, 3) forward, lateral speed and yaw rate from which on the robot stands for good; n for never."""
     moving = (np.abs(twist[:, :2]).max(axis=1) > asked.speed) | (np.abs(twist[:, 2]) > asked.yaw_rate)
     last = np.flatnonzero(moving)
@@ -101,7 +101,7 @@ def _judged(
     sample_time: float,
     ended: str,
     beside: float = 0.0,
-) -> Driven:
+) -> PlanDrive:
     constants, limit = load_drive_constants(asked.robot), 0.5 * load_vehicle(asked.robot).torque_limit
     pose, twist, torque, power, square = rows
     count = standing_from(twist, asked.standing)
@@ -116,7 +116,7 @@ def _judged(
     away = float(np.hypot(*(end - goal)[:2]))
     kept = np.unique(np.linspace(0, max(count - 1, 0), _KEPT).astype(int))
     along = plan.trajectory.sample(np.linspace(0.0, plan.trajectory.duration, _KEPT)).pose
-    return Driven(
+    return PlanDrive(
         plan.length,
         plan.duration,
         plan.energy,
@@ -145,9 +145,9 @@ class PairOutcome(NamedTuple):
     surface: str
     number: int
     pair: Pair
-    drives: Mapping[Objective, Driven]
+    drives: Mapping[Objective, PlanDrive]
     """By aim; none where there is no plan"""
-    fed: Driven | None
+    fed: PlanDrive | None
     """energy-optimal where a computer on board is fed as long as it lasts; its energy has both"""
     told: str
     """Why there is no plan; empty where there is one for each aim"""
@@ -196,7 +196,7 @@ class Saved(NamedTuple):
 
     pairs: int
     """for which both drives arrived"""
-    mean: Estimate
+    mean: BootstrapEstimate
     """over the savings of the pairs [-]"""
     total: float
     """of the sum of all drives [-]"""
@@ -213,11 +213,11 @@ class Saved(NamedTuple):
         both = [outcome for outcome in outcomes if math.isfinite(outcome.saving(over))]
         savings = np.array([one.saving(over) for one in both])
         if not both:
-            return cls(0, Estimate.of_runs([], mean), math.nan, math.nan, math.nan, 0, math.nan)
+            return cls(0, BootstrapEstimate.of_runs([], mean), math.nan, math.nan, math.nan, 0, math.nan)
         own, other = (sum(one.drives[aim].measured for one in both) for aim in ("energy", over))
         return cls(
             len(both),
-            Estimate.of_runs(savings, mean),
+            BootstrapEstimate.of_runs(savings, mean),
             1 - own / other,
             float(savings.min()),
             float(savings.max()),
@@ -226,11 +226,13 @@ class Saved(NamedTuple):
         )
 
 
-def worse_arrival(outcomes: Sequence[PairOutcome]) -> tuple[Estimate, Estimate]:
+def worse_arrival(outcomes: Sequence[PairOutcome]) -> tuple[BootstrapEstimate, BootstrapEstimate]:
     """By how much the energy-optimal drive ends further off than the distance-optimal: position [m], heading [rad]."""
     both = [outcome for outcome in outcomes if {"energy", "distance"} <= {*outcome.drives}]
 
     def differences(what: str) -> FloatArray:
         return np.array([getattr(one.drives["energy"], what) - getattr(one.drives["distance"], what) for one in both])
 
-    return Estimate.of_runs(differences("position"), mean), Estimate.of_runs(differences("heading"), mean)
+    return BootstrapEstimate.of_runs(differences("position"), mean), BootstrapEstimate.of_runs(
+        differences("heading"), mean
+    )

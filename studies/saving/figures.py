@@ -11,7 +11,7 @@ from matplotlib.patches import Circle, Polygon
 
 from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.models.interface import FloatArray
-from studies.saving.drives import AIMS, Driven, PairOutcome, Saved
+from studies.saving.drives import AIMS, PairOutcome, PlanDrive, Saved
 from studies.saving.scenarios import Planned, ScenarioOutcome
 
 _COLUMNS = 6
@@ -131,7 +131,7 @@ def _paths_of(plan: Planned) -> list[tuple[str, FloatArray]]:
 
 
 def _words(plan: Planned) -> str:
-    def energy(name: str, one: Driven) -> str:
+    def energy(name: str, one: PlanDrive) -> str:
         return f"{name} {one.measured:.0f} J ({100 * one.error:+.1f} %)"
 
     touched = [name for name, gap in zip(("open loop", "controller"), plan.gaps, strict=True) if gap < 0]

@@ -15,8 +15,8 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import SlipCoefficients, TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
 from diffdrive_mpc.sim.plants.make import plant_outline
-from studies.saving.drives import Driven, drive_closed, drive_open
-from studies.saving.settings import Place, Pose, Post, SavingStudySettings, Scenario
+from studies.saving.drives import PlanDrive, drive_closed, drive_open
+from studies.saving.settings import PaperScenario, Place, Pose, Post, SavingStudySettings
 from studies.torque.measurements import diagnostic_drive, plant_of, sides
 from studies.torque.outcome import map_back
 from studies.torque.settings import load_study as load_torque_study
@@ -27,9 +27,9 @@ class Planned(NamedTuple):
 
     by: str
     """What the plan knew, in words"""
-    open: Driven
-    closed: Driven
-    distance: Driven
+    open: PlanDrive
+    closed: PlanDrive
+    distance: PlanDrive
     """the distance-optimal plan of the same knowledge, by the controller"""
     gaps: tuple[float, float]
     """from the robot's outline to the nearest post [m], open loop and closed; negative: it touched it"""
@@ -48,7 +48,7 @@ class ScenarioOutcome(NamedTuple):
     title: str
     figures: str
     """Of P4"""
-    asked: Scenario
+    asked: PaperScenario
     plans: tuple[Planned, ...]
 
     @property
@@ -57,7 +57,7 @@ class ScenarioOutcome(NamedTuple):
         return f"{self.title.partition(':')[0].rpartition(' ')[2]}, '{self.asked.surface}'"
 
 
-def measure_nominal(study: SavingStudySettings, asked: Scenario) -> ScenarioOutcome:
+def measure_nominal(study: SavingStudySettings, asked: PaperScenario) -> ScenarioOutcome:
     """Scenario 1: without slip, and with that of the floor; the power model is the floor's both times."""
     own = load_turn_costs(study.costs_of(asked.surface))
     nominal = _with_slip(own, SlipCoefficients(), "no slip")
@@ -68,7 +68,7 @@ def measure_nominal(study: SavingStudySettings, asked: Scenario) -> ScenarioOutc
     return ScenarioOutcome(f"Scenario 1: on '{asked.surface}', without slip and with it", "20 and 21", asked, plans)
 
 
-def measure_foreign(study: SavingStudySettings, asked: Scenario) -> ScenarioOutcome:
+def measure_foreign(study: SavingStudySettings, asked: PaperScenario) -> ScenarioOutcome:
     """Scenario 2: with the slip of another floor, and of its own; the power model is the floor's both times."""
     own, other = load_turn_costs(study.costs_of(asked.surface)), load_turn_costs(study.costs_of(asked.law))
     foreign = _with_slip(own, other.slip, f"slip of {asked.law}")
@@ -81,7 +81,7 @@ def measure_foreign(study: SavingStudySettings, asked: Scenario) -> ScenarioOutc
     )
 
 
-def measure_loaded(study: SavingStudySettings, asked: Scenario) -> ScenarioOutcome:
+def measure_loaded(study: SavingStudySettings, asked: PaperScenario) -> ScenarioOutcome:
     """Scenario 3: a payload; torques as learned without one, and of the terrain that these were mapped to."""
     own = load_turn_costs(study.costs_of(asked.surface))
     plans = (
@@ -92,7 +92,7 @@ def measure_loaded(study: SavingStudySettings, asked: Scenario) -> ScenarioOutco
     return ScenarioOutcome(title, "24", asked, plans)
 
 
-def loaded_costs(study: SavingStudySettings, asked: Scenario, own: TurnCosts) -> TurnCosts:
+def loaded_costs(study: SavingStudySettings, asked: PaperScenario, own: TurnCosts) -> TurnCosts:
     """Turn costs under a payload, from a diagnostic drive without one: equation 24, then the shear law.
 
     The slip is that of the floor without payload. At the torque limit a turn asks for no more than the motors have.
@@ -154,7 +154,7 @@ def pose_of(place: Place) -> Pose:
     return place[0], place[1], math.radians(place[2])
 
 
-def check_scenario(study: SavingStudySettings, asked: Scenario) -> None:
+def check_scenario(study: SavingStudySettings, asked: PaperScenario) -> None:
     """Raise ConfigError where a name of it does not exist, or the goal or the start lies in a post."""
     for name in (asked.surface, *((asked.law,) if asked.law else ())):
         load_turn_costs(study.costs_of(name))
@@ -164,7 +164,7 @@ def check_scenario(study: SavingStudySettings, asked: Scenario) -> None:
             raise ConfigError(f"scenario on '{asked.surface}': a post stands where the robot's {what} is; move it")
 
 
-def _planned(study: SavingStudySettings, asked: Scenario, costs: TurnCosts, by: str) -> Planned:
+def _planned(study: SavingStudySettings, asked: PaperScenario, costs: TurnCosts, by: str) -> Planned:
     start, goal = pose_of(asked.start), pose_of(asked.goal)
     around = Surroundings(discs=[MovingDisc(*post) for post in asked.posts])
     plans = plan_each(costs, start, goal, speed=study.speed, obstacles=around, settings=study.planning.settings)

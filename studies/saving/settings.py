@@ -21,7 +21,7 @@ Post = tuple[float, float, Positive]
 """x, y and radius [m]."""
 
 
-class Drawn(StrictModel):
+class DrawnTasks(StrictModel):
     """Pairs of start and goal."""
 
     count: int = Field(ge=1)
@@ -30,7 +30,7 @@ class Drawn(StrictModel):
     distance: tuple[Positive, Positive]
 
     @model_validator(mode="after")
-    def _apart(self) -> Drawn:
+    def _apart(self) -> DrawnTasks:
         if self.seed == self.tuning_seed:
             raise ValueError("seed and tuning_seed are the same: what is reported must not have been tuned on")
         if not self.distance[0] < self.distance[1]:
@@ -53,7 +53,7 @@ class Planning(StrictModel):
         return own.model_copy(update={"polish": polish, "motion": motion})
 
 
-class Standing(StrictModel):
+class Standstill(StrictModel):
     """When the robot stands."""
 
     speed: Positive
@@ -61,7 +61,7 @@ class Standing(StrictModel):
     wait: Positive
 
 
-class Scenario(StrictModel):
+class PaperScenario(StrictModel):
     """One of P4's, section 4.3."""
 
     kind: Literal["nominal", "foreign", "loaded"]
@@ -81,9 +81,9 @@ class SavingStudySettings(StrictModel):
     surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
     speed: Positive
     planning: Planning
-    pairs: Drawn
-    standing: Standing
-    scenarios: tuple[Scenario, ...]
+    pairs: DrawnTasks
+    standing: Standstill
+    scenarios: tuple[PaperScenario, ...]
     seed: int = Field(ge=0)
     asked: NotNegative
     computer: NotNegative
@@ -133,7 +133,7 @@ class Pair(NamedTuple):
         return float(np.hypot(self.goal[0] - self.start[0], self.goal[1] - self.start[1]))
 
 
-def draw_pairs(asked: Drawn, count: int, seed: int) -> list[Pair]:
+def draw_pairs(asked: DrawnTasks, count: int, seed: int) -> list[Pair]:
     """So many pairs from a seed: distance, where the goal lies, and where the robot is to look there.
 
     A Latin hypercube: each of the three is spread evenly over its range, one pair to each of `count` slices, so that

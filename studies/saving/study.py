@@ -12,14 +12,14 @@ import numpy as np
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
-from diffdrive_mpc.bench.statistics import Estimate, mean
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean
 from diffdrive_mpc.bench.study import Draw, Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim.plants.make import plant_outline
-from studies.saving.drives import AIMS, Driven, PairOutcome, Saved, measure_pair, worse_arrival
+from studies.saving.drives import AIMS, PairOutcome, PlanDrive, Saved, measure_pair, worse_arrival
 from studies.saving.scenarios import (
     ScenarioOutcome,
     check_scenario,
@@ -27,24 +27,24 @@ from studies.saving.scenarios import (
     measure_loaded,
     measure_nominal,
 )
-from studies.saving.settings import SavingStudySettings, Scenario, draw_pairs
+from studies.saving.settings import PaperScenario, SavingStudySettings, draw_pairs
 from studies.torque.measurements import plant_of
 
-_MEASURES: dict[str, Callable[[SavingStudySettings, Scenario], ScenarioOutcome]] = {
+_MEASURES: dict[str, Callable[[SavingStudySettings, PaperScenario], ScenarioOutcome]] = {
     "nominal": measure_nominal,
     "foreign": measure_foreign,
     "loaded": measure_loaded,
 }
 
 
-class Results(NamedTuple):
+class SavingResults(NamedTuple):
     """What was found."""
 
     floors: list[tuple[str, list[PairOutcome]]]
     scenarios: list[ScenarioOutcome]
 
 
-class SavingStudy(Study[SavingStudySettings, Results]):
+class SavingStudy(Study[SavingStudySettings, SavingResults]):
     """Pairs on each floor, then the scenarios.
 
     Parameters
@@ -70,7 +70,7 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             check_scenario(asked, scenario)
         return asked
 
-    def run(self, plan: SavingStudySettings, jobs: int, bar: ProgressBar) -> Results:
+    def run(self, plan: SavingStudySettings, jobs: int, bar: ProgressBar) -> SavingResults:
         """Plan and drive every pair on every floor, and every scenario."""
         pairs = draw_pairs(plan.pairs, plan.pairs.count, plan.pairs.seed)
         bar.begin("pairs", len(plan.surfaces) * len(pairs))
@@ -81,9 +81,9 @@ class SavingStudy(Study[SavingStudySettings, Results]):
         floors = [(surface, [one for one in outcomes if one.surface == surface]) for surface in plan.surfaces]
         bar.begin("scenarios", len(plan.scenarios))
         measures = [partial(_MEASURES[scenario.kind], plan, scenario) for scenario in plan.scenarios]
-        return Results(floors, run_tasks(measures, jobs, bar.advance))
+        return SavingResults(floors, run_tasks(measures, jobs, bar.advance))
 
-    def report(self, results: Results, seconds: float) -> Report:
+    def report(self, results: SavingResults, seconds: float) -> Report:
         """Tables and figures."""
         from studies.saving import figures  # noqa: PLC0415 - matplotlib
 
@@ -131,7 +131,7 @@ def _key_figure(surface: str, outcomes: Sequence[PairOutcome], least: float) -> 
     )
 
 
-def _tables(results: Results, computer: float) -> list[Table]:
+def _tables(results: SavingResults, computer: float) -> list[Table]:
     floors = results.floors
     saved = [((surface,), (outcomes, Saved.of(outcomes))) for surface, outcomes in floors]
     floors_by_name = [((surface,), outcomes) for surface, outcomes in floors]
@@ -243,7 +243,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def _content(results: Results, computer: float) -> dict[str, Any]:
+def _content(results: SavingResults, computer: float) -> dict[str, Any]:
     pairs = [
         {
             "surface": outcome.surface,
@@ -293,13 +293,13 @@ def _content(results: Results, computer: float) -> dict[str, Any]:
     return {"floors": floors, "scenarios": scenarios, "pairs": pairs}
 
 
-def _plain(one: Driven) -> dict[str, Any]:
+def _plain(one: PlanDrive) -> dict[str, Any]:
     return {name: value for name, value in one._asdict().items() if name not in ("planned", "path")} | {
         "error": one.error
     }
 
 
-def _longer(drives: Sequence[tuple[Driven | None, Driven | None]]) -> float:
+def _longer(drives: Sequence[tuple[PlanDrive | None, PlanDrive | None]]) -> float:
     """By how much the first plans are longer than the second, all together [-]."""
     both = [(one.length, other.length) for one, other in drives if one is not None and other is not None]
     if not both:
@@ -314,8 +314,8 @@ def _savings_fed(outcomes: Sequence[PairOutcome], computer: float) -> FloatArray
     return np.asarray(savings[np.isfinite(savings)])
 
 
-def _fed(outcomes: Sequence[PairOutcome], computer: float) -> Estimate:
-    return Estimate.of_runs(_savings_fed(outcomes, computer), mean)
+def _fed(outcomes: Sequence[PairOutcome], computer: float) -> BootstrapEstimate:
+    return BootstrapEstimate.of_runs(_savings_fed(outcomes, computer), mean)
 
 
 def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
@@ -324,7 +324,7 @@ def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
     return float(np.mean([one for one in savings if math.isfinite(one)] or [math.nan]))
 
 
-def _mean(drives: Sequence[Driven], what: str) -> float:
+def _mean(drives: Sequence[PlanDrive], what: str) -> float:
     return float(np.mean([getattr(drive, what) for drive in drives]))
 
 
@@ -332,5 +332,5 @@ def _percent(share: float) -> str:
     return number(100 * share, 1)
 
 
-def _interval(savings: Estimate) -> str:
+def _interval(savings: BootstrapEstimate) -> str:
     return f"{_percent(savings.low)} to {_percent(savings.high)}"

@@ -24,7 +24,7 @@ from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.validation import fit_percent
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -59,7 +59,7 @@ class CalibrationParameters(StrictModel):
     required_fit: RequiredFit
 
 
-class DriveFit(NamedTuple):
+class PredictionFit(NamedTuple):
     """How well the target model predicts one drive."""
 
     seed: int
@@ -76,7 +76,7 @@ def load_calibration_parameters() -> CalibrationParameters:
     return load_checked(CalibrationParameters, Path(__file__).with_name("calibration.yaml"))
 
 
-def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[DriveFit]:
+def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[PredictionFit]:
     """Free-run FIT of the target model on random drives of the plant, smoothed and in steps.
 
     Parameters
@@ -96,7 +96,7 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
             fit = [
                 fit_percent(y, yhat) for y, yhat in zip(drive.output.T, target.simulate(drive.command).T, strict=True)
             ]
-            fits.append(DriveFit(seed, smooth, *fit))
+            fits.append(PredictionFit(seed, smooth, *fit))
     return fits
 
 
@@ -179,7 +179,7 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
     return _firmware(names, values, provenance)
 
 
-def _drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
+def _drive(firmware: Firmware, seed: int, smooth: bool) -> OpenLoopDrive:
     from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
     friction = load_surface("default").friction
@@ -202,7 +202,7 @@ def _error(firmware: Firmware) -> float:
     return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
 
 
-def _squared_error(drive: Drive, target: DiscreteModel) -> float:
+def _squared_error(drive: OpenLoopDrive, target: DiscreteModel) -> float:
     """Error energy of the target on one drive, each channel over that of its prediction, which no parameter changes."""
     predicted = target.simulate(drive.command)
     energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)

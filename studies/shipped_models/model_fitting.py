@@ -32,7 +32,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.named_file import kept_editor_line
-from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
 from diffdrive_mpc.models.robot import Positive, load_robot
@@ -40,7 +40,7 @@ from diffdrive_mpc.models.structures.model_file import Motors, TwoPoles
 from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands, step_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands, step_commands
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
 from studies.reproduce.drives import RobotLogs
 from studies.reproduce.published import load_study
@@ -57,7 +57,7 @@ _METHOD = (
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
 """Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
 
-Identify = Callable[[str, list[Experiment], float | None], IdentifiedChannel]
+Identify = Callable[[str, list[SampledExperiment], float | None], IdentifiedChannel]
 """From the name of a channel, its experiments, and its dead time [s] where that is known, to what was found."""
 
 
@@ -80,16 +80,16 @@ def fitting_settings() -> FittingSettings:
 class PaperExperiments:
     """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot."""
 
-    wheels: list[Drive]
-    v: list[Drive]
-    omega: list[Drive]
+    wheels: list[OpenLoopDrive]
+    v: list[OpenLoopDrive]
+    omega: list[OpenLoopDrive]
 
 
 def run_experiments() -> PaperExperiments:
     """Drive the simulated robot through the steps of the paper."""
     seed = itertools.count(fitting_settings().first_seed)
 
-    def logs(commands: Iterable[FloatArray]) -> list[Drive]:
+    def logs(commands: Iterable[FloatArray]) -> list[OpenLoopDrive]:
         return [drive_open_loop(make_plant("mujoco", seed=next(seed)), rows) for rows in commands]
 
     return PaperExperiments(logs(step_commands("wheels")), logs(step_commands("v")), logs(step_commands("omega")))
@@ -120,7 +120,7 @@ def fit_models(
     announce = on_progress or (lambda _done, _total: None)
     count = itertools.count(1)
 
-    def identify(label: str, experiments: list[Experiment], dead_time: float | None) -> IdentifiedChannel:
+    def identify(label: str, experiments: list[SampledExperiment], dead_time: float | None) -> IdentifiedChannel:
         shortest = fitting_settings().shortest
         # The simulated sensors have no outliers, and the experiments stay below every limit.
         channel = identify_channel(
@@ -139,7 +139,9 @@ def fit_models(
     return validation_table(folder), warnings
 
 
-def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive]], day: str, replaced: Path) -> None:
+def _write(
+    path: Path, data: dict[str, Any], used: tuple[list[OpenLoopDrive], list[OpenLoopDrive]], day: str, replaced: Path
+) -> None:
     """Write a parameter file, load it as a user would, and add the FIT of what was loaded.
 
     A file of the same name in the folder `replaced` keeps its line for editors.
@@ -182,7 +184,7 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
     )
 
 
-def best_extra_dead_time(model: VelocityModel, logs: list[Drive]) -> FloatArray:
+def best_extra_dead_time(model: VelocityModel, logs: list[OpenLoopDrive]) -> FloatArray:
     """(2,) dead time [s] that the model's file does not carry and that would make it explain the logs best."""
     dt, extra = load_robot().sample_time, np.zeros(2)
     for row in (0, 1):
@@ -210,7 +212,7 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
 def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     robot = load_robot()
 
-    def experiments(wheel: int) -> list[Experiment]:
+    def experiments(wheel: int) -> list[SampledExperiment]:
         return [
             _experiment(log, log.command[:, 0] / robot.wheel_radius, log.wheel_speeds[:, wheel]) for log in logs.wheels
         ]
@@ -236,14 +238,14 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     }
 
 
-def _experiment(log: Drive, command: FloatArray, output: FloatArray) -> Experiment:
+def _experiment(log: OpenLoopDrive, command: FloatArray, output: FloatArray) -> SampledExperiment:
     level = log.command[np.argmax(np.abs(log.command).sum(axis=1))]
     name = f"step to {level[0]:.3f} m/s, {level[1]:.3f} rad/s"
     every = np.ones((len(output), 1), dtype=bool)
-    return Experiment(name, load_robot().sample_time, command[:, None], output[:, None], every)
+    return SampledExperiment(name, load_robot().sample_time, command[:, None], output[:, None], every)
 
 
-def _settled(log: Drive) -> FloatArray:
+def _settled(log: OpenLoopDrive) -> FloatArray:
     """(K,) whether the command has not changed for the settling time."""
     window = round(fitting_settings().settling_time / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
@@ -251,13 +253,13 @@ def _settled(log: Drive) -> FloatArray:
     return np.asarray((recent == 0) & log.command.any(axis=1))
 
 
-def _model_fit(model: VelocityModel, logs: list[Drive], row: int) -> float:
+def _model_fit(model: VelocityModel, logs: list[OpenLoopDrive], row: int) -> float:
     discrete = model.discretise(load_robot().sample_time)
     simulated = [discrete.simulate(log.command)[:, row] for log in logs]
     return pooled_fit_percent([log.output[:, row] for log in logs], simulated)
 
 
-def _describe(logs: list[Drive], row: int) -> str:
+def _describe(logs: list[OpenLoopDrive], row: int) -> str:
     levels = [log.command[np.argmax(np.abs(log.command[:, row])), row] for log in logs]
     return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}"
 

@@ -20,7 +20,7 @@ FOLDER = Path("docs/pictures")
 _COLOURS = 64
 
 
-class Picture(StrictModel):
+class SitePicture(StrictModel):
     """What draws a picture."""
 
     commands: list[str]
@@ -30,15 +30,15 @@ class Picture(StrictModel):
 class Pictures(StrictModel):
     """Schema of `pictures.yaml`, by name."""
 
-    pictures: dict[str, Picture]
+    pictures: dict[str, SitePicture]
 
 
-def listed() -> dict[str, Picture]:
+def listed() -> dict[str, SitePicture]:
     """The pictures by name; raises ConfigError on a mistake in the file."""
     return load_checked(Pictures, Path(__file__).with_name("pictures.yaml")).pictures
 
 
-def draw(picture: Picture, target: Path) -> None:
+def draw(picture: SitePicture, target: Path) -> None:
     """Run the commands in a folder of their own, and write what they drew to `target`.
 
     Raises

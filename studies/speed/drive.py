@@ -51,7 +51,7 @@ class PeerInput:
 
 
 @dataclass
-class Drive:
+class ClosedLoop:
     """A closed loop that goes on tick by tick.
 
     Attributes

@@ -22,7 +22,7 @@ from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from studies.speed.closed_loop_cost import closed_loop_cost
-from studies.speed.drive import Drive
+from studies.speed.drive import ClosedLoop
 from studies.speed.process.environment import PeerEnvironment
 from studies.speed.process.subject import Subject, SubjectError, TimedStep
 from studies.speed.results import Missing, SpeedRecord, time_statistics
@@ -51,7 +51,7 @@ class _Running:
 
     name: str
     problem: SpeedProblem
-    drive: Drive
+    drive: ClosedLoop
     built: dict[str, float]
     times: TurnTimes | None = None
     lost: str = ""
@@ -124,7 +124,7 @@ def measure(
             except SubjectError as error:
                 missing.append(Missing(name, problem.name, problem.horizon, str(error)))
                 continue
-            drive = Drive(problem.config, problem.model, settings, subject, chosen.kind == "ours")
+            drive = ClosedLoop(problem.config, problem.model, settings, subject, chosen.kind == "ours")
             running.append(_Running(name, problem, drive, built))
         for _ in range(settings.ticks):
             for one in running:

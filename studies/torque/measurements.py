@@ -19,7 +19,7 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings, power_read
@@ -83,7 +83,7 @@ def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sens
     )
 
 
-def diagnostic_drive(plant: MujocoPlant, asked: Diagnostic) -> Drive:
+def diagnostic_drive(plant: MujocoPlant, asked: Diagnostic) -> OpenLoopDrive:
     """The spiral of P4: each radius held, to the left and to the right, the speeds in turn."""
     return drive_open_loop(plant, diagnostic_commands(asked.radii, asked.speeds, round(asked.hold / plant.sample_time)))
 
@@ -175,7 +175,7 @@ def unseen_commands(asked: Unseen, seed: int, sample_time: float, least: float) 
 # A drive of the simulated robot whose battery and motors are read once for each of several drive constants.
 
 
-class Driven(NamedTuple):
+class TorqueDrive(NamedTuple):
     """What happened, n ticks; the physics does not depend on what is read."""
 
     dt: float
@@ -186,7 +186,7 @@ class Driven(NamedTuple):
     """(n, steps, 2, 4) in the sample before the tick"""
 
 
-def driven(plant: MujocoPlant, commands: FloatArray) -> Driven:
+def driven(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
     """Drive, and keep what every motor did in every step."""
     plant.reset(np.zeros(3))
     speeds, motors = [], []
@@ -198,10 +198,10 @@ def driven(plant: MujocoPlant, commands: FloatArray) -> Driven:
         motors.append(done)
         plant.advance(command)
         done = plant.motors.copy()
-    return Driven(plant.sample_time, commands, np.array(speeds), np.array(motors))
+    return TorqueDrive(plant.sample_time, commands, np.array(speeds), np.array(motors))
 
 
-def record(drive: Driven, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
+def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
     """What a log of the drive holds with sensors of power, for a robot with these constants."""
     sensor = load_sensor_set("power").power
     assert sensor is not None

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.turn_costs import (
     least_radius,
     load_vehicle,
 )
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from studies.torque.measurements import (
     Steady,
@@ -64,7 +64,7 @@ class FloorOutcome(NamedTuple):
     surface: str
     steady: dict[float, Steady]
     """By speed"""
-    drive: Drive
+    drive: OpenLoopDrive
     prior: TorqueCurves
     learned: TorqueCurves
     learned_by_radius: float
@@ -174,7 +174,7 @@ def turn_costs_of(
     vehicle: Vehicle,
     constants: DriveConstants,
     learned: TorqueCurves,
-    drive: Drive,
+    drive: OpenLoopDrive,
     sample_time: float,
 ) -> tuple[TurnCosts, IdentifiedSlip]:
     """The file of this robot on this floor, and how well its slip law is known.
@@ -201,12 +201,12 @@ def turn_costs_of(
     return costs, slip
 
 
-def true_energy(drive: Drive, constants: DriveConstants, sample_time: float) -> float:
+def true_energy(drive: OpenLoopDrive, constants: DriveConstants, sample_time: float) -> float:
     """What the battery gave for a drive [J], from what each motor really did."""
     return float(true_power(drive, constants).sum() * sample_time)
 
 
-def true_power(drive: Drive, constants: DriveConstants) -> FloatArray:
+def true_power(drive: OpenLoopDrive, constants: DriveConstants) -> FloatArray:
     """(K,) what the battery gave in each sample [W], as `true_energy`."""
     return np.asarray(constants.motor_power(drive.motor_power, drive.motor_square).sum(axis=1) + constants.idle_power)
 
@@ -244,7 +244,7 @@ def measure_payload(study: TorqueStudySettings, payload: float) -> PayloadOutcom
 def _learned(
     vehicle: Vehicle,
     study: TorqueStudySettings,
-    drive: Drive,
+    drive: OpenLoopDrive,
     sample_time: float,
     steady: Steady,
     speed: float,

@@ -32,14 +32,14 @@ from studies.torque.settings import TorqueStudySettings
 _IN_TIME, _RADIUS_WITHIN, _ENERGY_WITHIN = 90.0, 0.20, 0.10
 
 
-class Results(NamedTuple):
+class TorqueResults(NamedTuple):
     """What was found."""
 
     floors: list[FloorOutcome]
     payloads: list[PayloadOutcome]
 
 
-class TorqueStudy(Study[TorqueStudySettings, Results]):
+class TorqueStudy(Study[TorqueStudySettings, TorqueResults]):
     """Floors one after the other, then payloads on one of them.
 
     Parameters
@@ -63,15 +63,15 @@ class TorqueStudy(Study[TorqueStudySettings, Results]):
             plant_of(asked.robot, surface)
         return asked
 
-    def run(self, plan: TorqueStudySettings, jobs: int, bar: ProgressBar) -> Results:
+    def run(self, plan: TorqueStudySettings, jobs: int, bar: ProgressBar) -> TorqueResults:
         """Measure every floor, and every payload."""
         bar.begin("floors", len(plan.surfaces))
         floors = run_tasks([partial(measure_floor, plan, name) for name in plan.surfaces], jobs, bar.advance)
         bar.begin("payloads", len(plan.payloads))
         payloads = run_tasks([partial(measure_payload, plan, mass) for mass in plan.payloads], jobs, bar.advance)
-        return Results(floors, payloads)
+        return TorqueResults(floors, payloads)
 
-    def report(self, results: Results, seconds: float) -> Report:
+    def report(self, results: TorqueResults, seconds: float) -> Report:
         """Tables and figures."""
         from studies.torque import figures  # noqa: PLC0415 - matplotlib
 
@@ -110,7 +110,7 @@ class TorqueStudy(Study[TorqueStudySettings, Results]):
         )
 
 
-def _key_figures(results: Results, speed: float) -> list[KeyFigure]:
+def _key_figures(results: TorqueResults, speed: float) -> list[KeyFigure]:
     """The worst of each, and whether it is within what is asked: 10 % in 90 s, 20 %, 10 %."""
     floors = results.floors
     learned = max(max(rms_error(one.learned, one.steady[speed], speed)) for one in floors)
@@ -133,7 +133,7 @@ def _state(good: bool) -> Literal["good", "bad"]:
     return "good" if good else "bad"
 
 
-def _tables(results: Results, speed: float) -> list[Table]:
+def _tables(results: TorqueResults, speed: float) -> list[Table]:
     floors = [((one.surface,), one) for one in results.floors]
     learning = Table.of(
         "Torque learned",
@@ -203,7 +203,7 @@ def _tables(results: Results, speed: float) -> list[Table]:
     return [learning, radius, terrain, payload, energy]
 
 
-def _content(results: Results, speed: float) -> dict[str, object]:
+def _content(results: TorqueResults, speed: float) -> dict[str, object]:
     rows: list[dict[str, Any]] = [
         {
             "surface": floor.surface,

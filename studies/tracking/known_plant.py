@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 
 from diffdrive_mpc.models.load import load_linear_model
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.model_file import TwoPoles, side_by_side
 from diffdrive_mpc.models.structures.two_poles import identify_channel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 _PERFECT = "perfect"
@@ -83,12 +83,12 @@ def _exact(model: VelocityModel, surface: str) -> KnownPlant:
     return KnownPlant(known, slip.side_slip, 0.0)
 
 
-def _drive(plant: str, surface: str, trajectory: str) -> Drive:
+def _drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
     robot, reference = make_plant(plant, surface, _PERFECT), load_trajectory(trajectory)
     return drive_open_loop(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 
 
-def _experiments(logs: list[Drive], channel: int, output: int) -> list[Experiment]:
+def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[SampledExperiment]:
     """Each drive after a while at rest, so that the initial state, which is free, is known too."""
     experiments = []
     for log in logs:
@@ -96,7 +96,7 @@ def _experiments(logs: list[Drive], channel: int, output: int) -> list[Experimen
             dt = float(log.time[1] - log.time[0])
             before = ((round(_REST / dt), 0), (0, 0))
             command, moved = (np.pad(rows, before) for rows in (log.command[:, [channel]], log.true_twist[:, [output]]))
-            experiments.append(Experiment("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
+            experiments.append(SampledExperiment("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
     return experiments
 
 
@@ -104,7 +104,7 @@ def _transfer(parameters: ParameterEstimate) -> TwoPoles:
     return TwoPoles(**{name: parameters.value(name) for name in TwoPoles.model_fields})
 
 
-def _slip(logs: list[Drive]) -> tuple[float, float]:
+def _slip(logs: list[OpenLoopDrive]) -> tuple[float, float]:
     """Side-slip and load shift, by least squares."""
     regressors, lateral = [], []
     for log in logs:

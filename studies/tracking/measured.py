@@ -28,7 +28,7 @@ _POINTS = 400
 """Ticks of a run that the page holds at most."""
 
 
-class Target(StrictModel):
+class FigureTarget(StrictModel):
     """A figure of some runs, and its largest value that is allowed."""
 
     what: str
@@ -42,7 +42,7 @@ class Targets(StrictModel):
     """Everything that was asked for."""
 
     lateral_from: float
-    targets: tuple[Target, ...]
+    targets: tuple[FigureTarget, ...]
 
 
 @cache

@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Chart,
     KeyFigure,
     Mark,
-    Runs,
+    RunViews,
     Series,
     Shown,
     Toggle,
@@ -44,7 +44,7 @@ def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TargetResult:
     """One target, and how near each model comes.
 
     Attributes
@@ -72,7 +72,7 @@ class Verdict:
         return all(self.met_by(model) for model in self.reached)
 
 
-def judge(rows: DataFrame) -> list[Verdict]:
+def judge(rows: DataFrame) -> list[TargetResult]:
     """Verdicts on everything that was asked for and driven, from the rows of the part "targets"."""
     verdicts = []
     for target in load_targets().targets:
@@ -80,18 +80,18 @@ def judge(rows: DataFrame) -> list[Verdict]:
         value = worst_arc if target.figure == "worst_arc" else figure(target.figure, target.what)
         reached = {model: value(own) for model, own in by(there, "driver").items()}
         if reached:
-            verdicts.append(Verdict(target.what, target.at, target.limit, reached))
+            verdicts.append(TargetResult(target.what, target.at, target.limit, reached))
     return verdicts
 
 
-def target_table(verdicts: Sequence[Verdict]) -> Table:
+def target_table(verdicts: Sequence[TargetResult]) -> Table:
     """Every target with the value of each model; what is beyond the limit says so."""
     models = list(dict.fromkeys(model for verdict in verdicts for model in verdict.reached))
 
     def exact(value: float) -> str:
         return f"{value:.3g}" if np.isfinite(value) else "-"
 
-    def reached(verdict: Verdict, model: str) -> str:
+    def reached(verdict: TargetResult, model: str) -> str:
         if model not in verdict.reached:
             return "-"
         return exact(verdict.reached[model]) + ("" if verdict.met_by(model) else " (no)")
@@ -169,7 +169,7 @@ def shown(rows: DataFrame) -> Shown:
     series = [
         {**one, "style": models.index(name)} for name, one in zip(driven["driver"], driven["series"], strict=True)
     ]
-    runs = [Runs(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
+    runs = [RunViews(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)
     return Shown(
@@ -182,7 +182,7 @@ def shown(rows: DataFrame) -> Shown:
     )
 
 
-def _key_figures(rows: DataFrame, verdicts: Sequence[Verdict], driven: DataFrame) -> list[KeyFigure]:
+def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], driven: DataFrame) -> list[KeyFigure]:
     done = total(rows, "completed")
     made = [KeyFigure("completed", f"{done} of {len(rows)}", "runs", "good" if done == len(rows) else "bad")]
     if verdicts:
@@ -195,7 +195,7 @@ def _key_figures(rows: DataFrame, verdicts: Sequence[Verdict], driven: DataFrame
     return made
 
 
-def _target_chart(verdicts: Sequence[Verdict], models: Sequence[str]) -> Chart:
+def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Chart:
     """Each target as share of its limit, where that is not zero."""
     kept = [verdict for verdict in verdicts if verdict.limit > 0]
     names = [f"{one.what.split(' [')[0]}, {one.where}" for one in kept]
@@ -209,7 +209,7 @@ def _target_chart(verdicts: Sequence[Verdict], models: Sequence[str]) -> Chart:
     return Chart("Targets", *axes, series, note, [Mark(1.0, "limit", upright=True)], broad=True, height=560)
 
 
-def _warnings(rows: DataFrame, verdicts: Sequence[Verdict]) -> list[Warned]:
+def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[Warned]:
     warnings = []
     for verdict in verdicts:
         missed = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]

@@ -12,7 +12,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cells import Cell, grouped_table, load_tables
 from diffdrive_mpc.bench.experiment import by, total
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.statistics import Estimate, Rate, mean, median
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
 from studies.worlds.settings import stop_was_possible
@@ -55,15 +55,15 @@ def rate(rows: DataFrame, column: str) -> Rate:
     return Rate.of_runs(total(rows, column), len(rows))
 
 
-def lateness(rows: DataFrame) -> Estimate:
+def lateness(rows: DataFrame) -> BootstrapEstimate:
     """Mean of the time to the goal over that of the planned way, of runs that arrived."""
     arrived = rows[rows["passage_arrived"].astype(bool)]
-    return Estimate.of_runs((arrived["passage_time_s"] / arrived["planned_s"]).to_numpy(float), mean)
+    return BootstrapEstimate.of_runs((arrived["passage_time_s"] / arrived["planned_s"]).to_numpy(float), mean)
 
 
 def _median_clearance(rows: DataFrame) -> str:
     arrived = rows[rows["passage_arrived"].astype(bool)]
-    return number(Estimate.of_runs(arrived["passage_clearance_m"].to_numpy(float), median).value, 3)
+    return number(BootstrapEstimate.of_runs(arrived["passage_clearance_m"].to_numpy(float), median).value, 3)
 
 
 def _touched(*, in_time: bool) -> Cell:
@@ -137,7 +137,7 @@ def interval(of: Rate) -> str:
     return f"{100 * of.share:.1f} [{100 * of.low:.1f}, {100 * of.high:.1f}]"
 
 
-def estimate(of: Estimate, digits: int) -> str:
+def estimate(of: BootstrapEstimate, digits: int) -> str:
     """An estimate with its interval."""
     if not np.isfinite(of.value):
         return "-"

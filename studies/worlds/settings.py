@@ -27,7 +27,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
-class Condition(StrictModel):
+class WorldCondition(StrictModel):
     """A robot on a floor, with sensors."""
 
     plant: str = "mujoco"
@@ -43,7 +43,7 @@ class Doorway(StrictModel):
     seeds: Count
 
 
-class Crossing(StrictModel):
+class CrossingRuns(StrictModel):
     """Runs in which somebody crosses."""
 
     world: str
@@ -58,11 +58,11 @@ class WorldsSettings(StrictModel):
     peers_in: tuple[Literal["drawn", "doorway", "crossing", "named"], ...] = Field(
         description="parts that peers drive beside the predictive controller; alone they drive all"
     )
-    conditions: Annotated[tuple[Condition, ...], Field(min_length=1)]
+    conditions: Annotated[tuple[WorldCondition, ...], Field(min_length=1)]
     doorway: Doorway
     named: Names
     named_seeds: Count
-    crossing: Crossing
+    crossing: CrossingRuns
 
 
 def load_settings() -> WorldsSettings:
@@ -103,7 +103,7 @@ def cases(
     ]
 
 
-def _places(settings: WorldsSettings, part: str, runs: int, first: int) -> list[tuple[str, Condition, int]]:
+def _places(settings: WorldsSettings, part: str, runs: int, first: int) -> list[tuple[str, WorldCondition, int]]:
     seeds = range(first, first + runs)
     if part == "drawn":
         conditions = settings.conditions
@@ -112,17 +112,17 @@ def _places(settings: WorldsSettings, part: str, runs: int, first: int) -> list[
             for seed in seeds
         ]
     if part == "crossing":
-        floors = [Condition(surface=name) for name in settings.crossing.surfaces]
+        floors = [WorldCondition(surface=name) for name in settings.crossing.surfaces]
         return [(settings.crossing.world, floors[seed % len(floors)], seed) for seed in seeds]
     if part == "doorway":
         of = settings.doorway
         return [
-            ("doorway", Condition(surface=surface, sensors=sensors), first + seed)
+            ("doorway", WorldCondition(surface=surface, sensors=sensors), first + seed)
             for seed in range(of.seeds)
             for surface in of.surfaces
             for sensors in of.sensors
         ]
-    return [(world, Condition(), first + seed) for seed in range(settings.named_seeds) for world in settings.named]
+    return [(world, WorldCondition(), first + seed) for seed in range(settings.named_seeds) for world in settings.named]
 
 
 def _kind(share: float, seed: int) -> str:

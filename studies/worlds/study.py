@@ -8,7 +8,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
-from diffdrive_mpc.bench.experiment import Drive, by, drive_all, json_rows, total
+from diffdrive_mpc.bench.experiment import ExperimentRun, by, drive_all, json_rows, total
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -68,7 +68,7 @@ class WorldsStudy(Study[Plan, DataFrame]):
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case; each process keeps only what the study needs."""
         bar.begin(f"running, {jobs} at a time", len(plan))
-        return drive_all([Drive(case, {"part": part}) for part, case in plan], jobs, bar.advance, measured)
+        return drive_all([ExperimentRun(case, {"part": part}) for part, case in plan], jobs, bar.advance, measured)
 
     def report(self, results: DataFrame, seconds: float) -> Report:
         """Tables and figures."""

@@ -12,7 +12,7 @@ from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.commission.commissioning import Asked, NeedsAPersonError, commission
+from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError, commission
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key_of
 from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -34,7 +34,7 @@ def quick_search():
 def commissioned(tmp_path_factory):
     """One robot, commissioned in the shortest form, with what was said of each step."""
     out, said = tmp_path_factory.mktemp("commission"), []
-    asked = replace(Asked(Room(5.0, 4.0), "wide", jobs=1).quick(), runs=2)
+    asked = replace(CommissionRequest(Room(5.0, 4.0), "wide", jobs=1).quick(), runs=2)
     assert commission(asked, out, on_step=lambda name, done, new: said.append((name, done, new)))
     return asked, out, said
 
@@ -119,7 +119,7 @@ def test_what_was_tuned_is_proven_and_delivered(commissioned, monkeypatch):
 def test_a_person_drives(commissioned, tmp_path):
     """The same logs, taken as those of a person: the command asks for one, then for the next."""
     _, out, _ = commissioned
-    mine = Asked(Room(5.0, 4.0), jobs=1).quick()
+    mine = CommissionRequest(Room(5.0, 4.0), jobs=1).quick()
     assert commission(mine, tmp_path, one=True)
     with pytest.raises(NeedsAPersonError, match=r"drive .*excite-slow/drive.yaml on the robot"):
         commission(mine, tmp_path, one=True)
@@ -140,7 +140,7 @@ def test_a_gate_that_does_not_open_ends_it(tmp_path):
     """In so little time and with so little speed the first drive cannot promise enough."""
     said = []
     slow = DriveSettings(seconds=8.0, speed=0.01, yaw_rate=0.01)
-    asked = replace(Asked(Room(5.0, 4.0), "heavy").quick(), slow=slow)
+    asked = replace(CommissionRequest(Room(5.0, 4.0), "heavy").quick(), slow=slow)
     assert not commission(asked, tmp_path, on_step=lambda name, done, _: said.append((name, done)))
     assert [name for name, _ in said] == ["excite-slow"]
     assert said[0][1].sentence.endswith("too little; give more room or time")

@@ -10,7 +10,7 @@ import pytest
 from diffdrive_mpc.app.animation.film import Film
 from diffdrive_mpc.app.proof.boundaries import Boundary
 from diffdrive_mpc.app.proof.proof_file import DEFAULT as PROOF
-from diffdrive_mpc.app.proof.proof_file import Search, load_proof
+from diffdrive_mpc.app.proof.proof_file import BoundarySearch, load_proof
 from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.case import combinations, split_names
@@ -79,7 +79,7 @@ def test_proofs_and_plans_count_what_they_multiply_to(tmp_path: Path) -> None:
 
 def test_a_search_for_a_boundary_ends_where_numbers_do() -> None:
     """It is asked for more digits than there are: every bisection used to give the same value again."""
-    search = Boundary("f", Search(holds=1.0, beyond=1.00001, within=1e-300))
+    search = Boundary("f", BoundarySearch(holds=1.0, beyond=1.00001, within=1e-300))
     tried = 0
     while (value := search.next_value) is not None:
         search.take(value, int(value < 1.000004), 1)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.doctor import computer, examination, pictures, product, real_time, ros
-from diffdrive_mpc.app.doctor.machine import Finding, Machine
+from diffdrive_mpc.app.doctor.machine import Machine, MachineFinding
 from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE
 
 
@@ -210,7 +210,7 @@ def test_a_computer_without_anything_is_described_too(made) -> None:
 
 
 def test_a_look_that_fails_is_a_finding(made, monkeypatch) -> None:
-    def broken(machine: Machine) -> Finding:
+    def broken(machine: Machine) -> MachineFinding:
         raise RuntimeError("nobody thought\nof this")
 
     monkeypatch.setattr(examination, "LOOKS", {"computer": (broken, computer.governor)})
@@ -225,8 +225,8 @@ def test_it_fails_only_where_the_controller_cannot_run(monkeypatch) -> None:
     assert (shown.exit_code, said["can_run"]) == (0, True)
     assert said["findings"]["controller"][0]["found"].startswith("TRACKING")
 
-    def broken(machine: Machine) -> Finding:
-        return Finding("controller", "missing", "does not run", "see below", needed=True)
+    def broken(machine: Machine) -> MachineFinding:
+        return MachineFinding("controller", "missing", "does not run", "see below", needed=True)
 
     monkeypatch.setattr(examination, "LOOKS", {"controller": (broken,)})
     failed = CliRunner().invoke(app, ["doctor"])

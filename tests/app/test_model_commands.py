@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from studies.cli import app
 from studies.shipped_models.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 
@@ -21,7 +21,7 @@ runner = CliRunner()
 FITTING = "studies.shipped_models.model_fitting"
 
 
-def _step(v: float, omega: float) -> Drive:
+def _step(v: float, omega: float) -> OpenLoopDrive:
     commands: FloatArray = np.vstack([np.zeros((10, 2)), np.tile([v, omega], (100, 1))])
     return drive_open_loop(make_plant("model:ssm", surface="ideal", sensors="perfect"), commands)
 

@@ -9,17 +9,17 @@ import pytest
 from scipy.stats import binom
 
 from diffdrive_mpc.app.proof.boundaries import Boundary, drawn_map, find_boundaries, map_runs
-from diffdrive_mpc.app.proof.proof_file import Axis, Map, Search
+from diffdrive_mpc.app.proof.proof_file import BoundarySearch, Map, MapAxis
 from diffdrive_mpc.app.proof.report import Outcomes, facts, is_unsafe, tables, worst
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.statistics import Estimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, cvar, mean, median
 
 PROBE = Definition(Case())
 
 
-def driven(definition: Definition = PROBE, **row: object) -> Driven:
+def driven(definition: Definition = PROBE, **row: object) -> CampaignRun:
     usual: dict[str, object] = {
         "completed": True,
         "error": "",
@@ -32,7 +32,7 @@ def driven(definition: Definition = PROBE, **row: object) -> Driven:
         "time_processor_s": 1.0,
         **{f"unsafe_{kind}": 0 for kind in ("not_finite", "limit", "slew", "motion", "turn")},
     }
-    return Driven(definition, f"{definition.case.seed:064d}", usual | row)  # type: ignore[arg-type]
+    return CampaignRun(definition, f"{definition.case.seed:064d}", usual | row)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("count", "of"), [(3, 40), (39, 40), (20, 40), (1, 300)])
@@ -65,19 +65,19 @@ def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
 
 def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
     values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
-    found = Estimate.of_runs(values, mean)
+    found = BootstrapEstimate.of_runs(values, mean)
     half = 1.96 * np.std(values) / math.sqrt(400)
     assert found.value == pytest.approx(np.mean(values))
     assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
-    assert Estimate.of_runs(values, median).value == pytest.approx(np.median(values))
-    assert Estimate.of_runs(values, mean) == found
+    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
+    assert BootstrapEstimate.of_runs(values, mean) == found
 
 
 def test_few_runs_have_no_interval() -> None:
-    assert math.isnan(Estimate.of_runs([], mean).value)
-    one = Estimate.of_runs([3.0], cvar)
+    assert math.isnan(BootstrapEstimate.of_runs([], mean).value)
+    one = BootstrapEstimate.of_runs([3.0], cvar)
     assert (one.value, math.isnan(one.low)) == (3.0, True)
-    assert Estimate.of_runs([3.0, 3.0], cvar) == Estimate(3.0, 3.0, 3.0)
+    assert BootstrapEstimate.of_runs([3.0, 3.0], cvar) == BootstrapEstimate(3.0, 3.0, 3.0)
 
 
 class Robot:
@@ -88,7 +88,7 @@ class Robot:
         self._down = downwards
         self.rounds = 0
 
-    def drive(self, runs: list[Definition]) -> list[Driven]:
+    def drive(self, runs: list[Definition]) -> list[CampaignRun]:
         self.rounds += 1
         found = []
         for run in reversed(runs):
@@ -102,8 +102,8 @@ class Robot:
         return found
 
 
-def search(**fields: float) -> Search:
-    return Search(**fields)  # type: ignore[arg-type]
+def search(**fields: float) -> BoundarySearch:
+    return BoundarySearch(**fields)  # type: ignore[arg-type]
 
 
 def test_bisection_closes_in_on_where_every_seed_holds() -> None:
@@ -158,8 +158,8 @@ def test_a_run_that_does_not_end_does_not_hold() -> None:
 
 def test_a_map_has_its_first_factor_along_x() -> None:
     of = Map(
-        x=Axis(factor="robot.robot.mass", low=5.0, high=7.0, steps=3),
-        y=Axis(factor="surface.friction", low=0.2, high=0.4, steps=2),
+        x=MapAxis(factor="robot.robot.mass", low=5.0, high=7.0, steps=3),
+        y=MapAxis(factor="surface.friction", low=0.2, high=0.4, steps=2),
     )
     runs = map_runs(of, PROBE, 3)
     found = drawn_map(

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.open_loop import replay
 from diffdrive_mpc.app.replay.own_log import read_own_csv
-from diffdrive_mpc.app.replay.study import Asked, ReplayStudy
+from diffdrive_mpc.app.replay.study import ReplayRequest, ReplayStudy
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import LatePlant, build
 from diffdrive_mpc.bench.html_report.page import Chart
@@ -117,7 +117,7 @@ def test_time_axes_begin_at_zero_whatever_the_clock_of_the_log_says(tmp_path):
                 row[i] = repr(float(row[i] or "nan") + 1.7e9)
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
-    study = ReplayStudy(Asked(log=path, model="ssm"), tmp_path)
+    study = ReplayStudy(ReplayRequest(log=path, model="ssm"), tmp_path)
     with ProgressBar("replaying") as bar:
         report = study.report(study.run(study.plan(), 1, bar), 0.0)
     charts = [chart for chart in report.charts if isinstance(chart, Chart)]

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.app.tune.objective import broken, exceeded, in_words, score, terms_of
-from diffdrive_mpc.app.tune.search import Point, Searched
+from diffdrive_mpc.app.tune.search import Searched, TunePoint
 from diffdrive_mpc.app.tune.tune_file import Constraint, Objective
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.statistics import Estimate
+from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -28,10 +28,10 @@ TABLES = st.lists(
 ).map(np.array)
 
 
-def driven(**row: object) -> Driven:
+def driven(**row: object) -> CampaignRun:
     usual = {"completed": True, "error": "", "position_rmse_m": 0.01, "unsafe_limit": 0}
     usual |= {"recovery_command_rate_v": 1.0, "recovery_command_energy_v": 1.0}
-    return Driven(Definition(Case()), "0" * 64, usual | row)  # type: ignore[arg-type]
+    return CampaignRun(Definition(Case()), "0" * 64, usual | row)  # type: ignore[arg-type]
 
 
 @given(TABLES, TABLES, st.floats(0.1, 10.0))
@@ -47,10 +47,10 @@ def test_the_objective_is_a_weighted_ratio(mine: FloatArray, usual: FloatArray, 
 
 @given(st.lists(st.tuples(st.integers(1, 6), st.integers(1, 6), st.booleans()), min_size=1, max_size=12))
 def test_no_usable_point_beats_one_of_the_front(listed: list[tuple[int, int, bool]]) -> None:
-    points = [Point(k, {}, 1, 1.0, e, f, 1.0, "", usable=u) for k, (e, f, u) in enumerate(listed)]
+    points = [TunePoint(k, {}, 1, 1.0, e, f, 1.0, "", usable=u) for k, (e, f, u) in enumerate(listed)]
     found = Searched(points, {})
 
-    def beats(a: Point, b: Point) -> bool:
+    def beats(a: TunePoint, b: TunePoint) -> bool:
         return a.error <= b.error and a.effort <= b.effort and (a.error, a.effort) != (b.error, b.effort)
 
     for one in found.front:
@@ -88,7 +88,7 @@ def test_what_two_share_run_by_run_does_not_widen_their_interval() -> None:
     def ratio(a: FloatArray, b: FloatArray) -> FloatArray:
         return np.asarray(a.mean(axis=-1) / b.mean(axis=-1))[0]
 
-    found = Estimate.of_same_runs((mine, usual), ratio)
+    found = BootstrapEstimate.of_same_runs((mine, usual), ratio)
     assert found.low < 0.8 < found.high
     assert found.high - found.low < 0.01
-    assert Estimate.of_same_runs((usual, usual), ratio) == Estimate(1.0, 1.0, 1.0)
+    assert BootstrapEstimate.of_same_runs((usual, usual), ratio) == BootstrapEstimate(1.0, 1.0, 1.0)

@@ -12,7 +12,7 @@ from tune_parts import searched, small_plan
 from diffdrive_mpc.app.tune.objective import predicted_p99
 from diffdrive_mpc.app.tune.tune_file import StepTime
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.engine import Driven, drive_all
+from diffdrive_mpc.bench.campaign.engine import CampaignRun, drive_all
 from diffdrive_mpc.bench.case import Case
 
 DRIVE = "diffdrive_mpc.app.tune.search.drive_all"
@@ -29,7 +29,7 @@ def test_a_seed_fixes_the_study_and_an_interruption_changes_nothing(
     assert 0 < len(whole.usable) < 11
     calls = iter(range(1000))
 
-    def interrupted(*given: object, **named: object) -> list[Driven]:
+    def interrupted(*given: object, **named: object) -> list[CampaignRun]:
         # Once after the first fidelity of the first group, once before anything of the last one.
         if next(calls) in (5, 8):
             raise KeyboardInterrupt
@@ -61,7 +61,7 @@ def test_a_point_with_an_unsafe_command_is_never_chosen(tmp_path: Path, monkeypa
     assert free.best.number > 0
     forbidden = free.best.values["weights.omega_increment"]
 
-    def unsafe(definitions: Sequence[Definition], *given: object) -> list[Driven]:
+    def unsafe(definitions: Sequence[Definition], *given: object) -> list[CampaignRun]:
         found = drive_all(definitions, *given)  # type: ignore[arg-type]
         hit = [("weights.omega_increment", forbidden) in one.definition.case.overrides for one in found]
         return [replace(one, row=one.row | {"unsafe_limit": int(bad)}) for one, bad in zip(found, hit, strict=True)]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import yaml
 
-from diffdrive_mpc.app.tune.search import Search, Searched
+from diffdrive_mpc.app.tune.search import ConfigurationSearch, Searched
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
-from diffdrive_mpc.bench.campaign.engine import Place
+from diffdrive_mpc.bench.campaign.engine import CampaignPlace
 from diffdrive_mpc.bench.progress import ProgressBar
 
 SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
@@ -47,4 +47,4 @@ def small_plan(folder: Path, **changes: object) -> TunePlan:
 def searched(plan: TunePlan, out: Path, worker: int = 1) -> Searched:
     """What a search finds for the SSM, in this process."""
     with ProgressBar("searching") as bar:
-        return Search(plan, {"model": "ssm"}, Place(out, 1), worker=worker).run(bar)
+        return ConfigurationSearch(plan, {"model": "ssm"}, CampaignPlace(out, 1), worker=worker).run(bar)

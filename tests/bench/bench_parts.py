@@ -11,7 +11,7 @@ from pandas import DataFrame
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.experiment import frame
-from diffdrive_mpc.bench.run_row import Outcome
+from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.models.interface import FloatArray, Measurement, ReferenceSample, Stamped
 from diffdrive_mpc.models.pose import integrate_pose
 
@@ -73,10 +73,10 @@ def quick_case(**changes: object) -> Case:
     return Case(**{**fields, **changes})  # type: ignore[arg-type]
 
 
-def rows(*outcomes: Outcome) -> DataFrame:
+def rows(*outcomes: RunOutcome) -> DataFrame:
     return frame(one.row for one in outcomes)
 
 
-def quick_outcome(**changes: object) -> Outcome:
+def quick_outcome(**changes: object) -> RunOutcome:
     case = quick_case(**changes)
-    return Outcome(case, run_case(case))
+    return RunOutcome(case, run_case(case))

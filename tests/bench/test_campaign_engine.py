@@ -21,7 +21,15 @@ from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign import identity
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.drive import TIME, built, drive, drive_whole
-from diffdrive_mpc.bench.campaign.engine import OtherVersionError, Place, Store, Task, do, drive_all, failed
+from diffdrive_mpc.bench.campaign.engine import (
+    CampaignPlace,
+    CampaignTask,
+    OtherVersionError,
+    Store,
+    do,
+    drive_all,
+    failed,
+)
 from diffdrive_mpc.bench.campaign.identity import key_of
 from diffdrive_mpc.bench.campaign.parquet import read_table
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -170,7 +178,7 @@ def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
 
 
 def test_who_has_other_files_does_not_drive(short: Path) -> None:
-    task = Task.of(Definition.of({"trajectory": str(short), "plant": "model:sm"}))
+    task = CampaignTask.of(Definition.of({"trajectory": str(short), "plant": "model:sm"}))
     assert do(task)["completed"] is True
     short.write_text(SHORT.replace("0.3", "0.2"), encoding="utf-8")
     with pytest.raises(OtherVersionError, match="has another version of this product"):
@@ -185,7 +193,7 @@ def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkey
 
     monkeypatch.setattr(drive_module, "simulate", refuse)
     with ProgressBar("") as bar:
-        driven = drive_all([definition, definition], Place(tmp_path, 1), bar)
+        driven = drive_all([definition, definition], CampaignPlace(tmp_path, 1), bar)
     assert len(driven) == 1
     assert driven[0].row["completed"] is False
     assert failed(driven).endswith("ZeroDivisionError: of a test")
@@ -251,7 +259,7 @@ def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) ->
 )
 def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
     with ProgressBar("") as bar, pytest.raises(ConfigError) as caught:
-        drive_all([Definition.of({}), Definition.of(factors)], Place(tmp_path, 1), bar)  # type: ignore[arg-type]
+        drive_all([Definition.of({}), Definition.of(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
     assert line in str(caught.value)
     assert "a run with " in str(caught.value)
     assert not Store(tmp_path).keys()

@@ -13,8 +13,8 @@ import yaml
 from diffdrive_mpc.bench import command_check
 from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.drive import WatchedController, drive
-from diffdrive_mpc.bench.command_check import Limits, Unsafe, check_commands, stated_limits
+from diffdrive_mpc.bench.campaign.drive import RecordedController, drive
+from diffdrive_mpc.bench.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import ControlStep, Measurement
 from diffdrive_mpc.mpc import load_config
@@ -22,7 +22,7 @@ from diffdrive_mpc.sim import simulate
 
 NONE = Unsafe(0, 0, 0, 0)
 DT = 0.02
-LIMITS = Limits(most=(1.0, 2.0), slew=(2.0, 6.0), braking=(1.0, 3.0), max_pose_age=0.5, sample_time=DT)
+LIMITS = StatedLimits(most=(1.0, 2.0), slew=(2.0, 6.0), braking=(1.0, 3.0), max_pose_age=0.5, sample_time=DT)
 BLACKOUT = """
 description: poses stay away for good while the robot drives
 drop_outs: [{sensor: pose, start: 2.0, duration: 60.0}]
@@ -156,7 +156,7 @@ def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_pa
     path.write_text(BLACKOUT, encoding="utf-8")
     definition = Definition.of({"scenario": str(path), "plant": "model:ssm", "config.failure.dead_reckoning": 0.0})
     controller, plant, reference = build(definition.case)
-    watched = WatchedController(controller)
+    watched = RecordedController(controller)
     run = simulate(watched, plant, reference)
     assert run.modes[-1] == "STOPPED"
     assert watched.unsafe(definition) == NONE
@@ -174,7 +174,7 @@ def test_overrides_and_the_file_tighten_what_is_checked(tmp_path: Path) -> None:
         "model: ssm\nlimits:\n  v: 0.9   # m/s\nfailure: {max_pose_age: 0.2, dead_reckoning: 0.0}\n", encoding="utf-8"
     )
     limits = stated_limits(config, {"limits.omega_slew": 4.0, "horizon": 20})
-    assert limits == Limits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202)
+    assert limits == StatedLimits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202)
 
 
 def test_an_override_counts_more_than_a_file_in_whichever_room_either_names_a_key(tmp_path: Path) -> None:
@@ -202,16 +202,16 @@ def test_it_imports_nothing_of_this_project() -> None:
 
 
 def test_a_command_that_the_loop_refuses_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    step = WatchedController.step
+    step = RecordedController.step
 
-    def poisoned(self: WatchedController, t: float, measurement: Measurement) -> ControlStep:
+    def poisoned(self: RecordedController, t: float, measurement: Measurement) -> ControlStep:
         result = step(self, t, measurement)
         if len(self.times) == 30:
             self.commands[-1] = (np.nan, 0.0)
             raise ValueError("the controller's command must be two finite numbers")
         return result
 
-    monkeypatch.setattr(drive_module.WatchedController, "step", poisoned)
+    monkeypatch.setattr(drive_module.RecordedController, "step", poisoned)
     row = drive(Definition.of({"plant": "model:ssm"}))
     assert row["unsafe_not_finite"] == 1
     assert row["completed"] is False

@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.comparison.tables import side_by_side_table
 from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.run_row import Outcome, row_of
+from diffdrive_mpc.bench.run_row import RunOutcome, row_of
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import make_plant
 
@@ -86,11 +86,11 @@ def test_a_plant_that_is_earlier_than_told_is_told_of_more_dead_time() -> None:
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def outcome() -> RunOutcome:
     return quick_outcome(trajectory="cane")
 
 
-def scores(outcome: Outcome, **errors: list[float]) -> DataFrame:
+def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:
     """Controllers with these position RMSE [m] over two trajectories and as many seeds as it takes."""
     cases = [
         (Case(model=model, trajectory=("s", "cane")[i % 2], seed=i // 2), error)
@@ -100,7 +100,7 @@ def scores(outcome: Outcome, **errors: list[float]) -> DataFrame:
     return frame(row_of(case, outcome.run) | {"position_rmse_m": error} for case, error in cases)
 
 
-def test_the_order_says_who_is_told_apart(outcome: Outcome) -> None:
+def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
     """SM is always 1 mm behind MBM; SSM is as often ahead of SM as behind."""
     base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
     found = scores(
@@ -114,7 +114,7 @@ def test_the_order_says_who_is_told_apart(outcome: Outcome) -> None:
     assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 
-def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: Outcome) -> None:
+def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: RunOutcome) -> None:
     one = scores(outcome, mbm=[5e-3] * 4, sm=[6e-3] * 4, ssm=[6.1e-3, 5.95e-3, 6.1e-3, 5.95e-3])
     other = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
     certain, open_ = reversed_pairs(one, other)
@@ -142,7 +142,7 @@ def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
     assert 0 <= own.drift < other.drift
 
 
-def test_the_table_holds_property_and_error_of_the_same_model_and_plant(outcome: Outcome) -> None:
+def test_the_table_holds_property_and_error_of_the_same_model_and_plant(outcome: RunOutcome) -> None:
     (found,) = measure_properties([outcome.case], 1)
     (cells,) = property_table([found], rows_of(outcome)).rows
     assert cells[:2] == ("SSM", "model:ssm, ideal, perfect")
@@ -158,7 +158,7 @@ def test_a_rank_correlation_needs_a_few_points() -> None:
     assert "too few" in predicts(rows[:4])
 
 
-def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: Outcome, tmp_path: Path) -> None:
+def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: RunOutcome, tmp_path: Path) -> None:
     case = outcome.case
 
     def beyond(*cases: Case) -> DataFrame:
@@ -187,7 +187,7 @@ def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: Outc
     assert "## Order" in text and "## Which property of a model predicts tracking" in text
 
 
-def test_controllers_stand_side_by_side_path_by_path(outcome: Outcome) -> None:
+def test_controllers_stand_side_by_side_path_by_path(outcome: RunOutcome) -> None:
     """Another path of another controller: where one did not drive there is a dash."""
     other = replace(outcome, case=replace(outcome.case, model="mbm", trajectory="s"))
     table = side_by_side_table(rows_of(outcome, replace(outcome, case=replace(outcome.case, seed=1)), other))

@@ -18,13 +18,13 @@ from diffdrive_mpc.bench.html_report.origin import case_config
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
-    Configuration,
+    ConfigurationView,
     GridAxis,
     GridMap,
     KeyFigure,
     Origin,
     Page,
-    Runs,
+    RunViews,
     Series,
     Shown,
     Toggle,
@@ -32,7 +32,7 @@ from diffdrive_mpc.bench.html_report.page import (
 )
 from diffdrive_mpc.bench.html_report.run_series import column, kept_ticks, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
-from diffdrive_mpc.bench.run_row import Outcome
+from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.documents.browser import opened_browser
@@ -47,7 +47,7 @@ HOSTILE = '<script>document.title = "taken"</script><b>&amp;'
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def outcome() -> RunOutcome:
     return quick_outcome(trajectory="cane")
 
 
@@ -139,29 +139,29 @@ def test_a_page_says_how_to_repeat_it_and_with_which_configuration(single: Path)
     assert "horizon: 30" in content["configurations"][0]["text"]
 
 
-def test_the_same_run_gives_the_same_page_but_for_times(outcome: Outcome) -> None:
+def test_the_same_run_gives_the_same_page_but_for_times(outcome: RunOutcome) -> None:
     def text() -> str:
-        runs = Runs([run_series(outcome.run.with_step_time(np.zeros(len(outcome.run.time))), "a", points=100)])
+        runs = RunViews([run_series(outcome.run.with_step_time(np.zeros(len(outcome.run.time))), "a", points=100)])
         return page_text(Page("c", "t", Shown(views=[runs]), [], Origin("c", [])))
 
     assert text() == text()
 
 
 @pytest.mark.system("browser")
-def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: Outcome) -> None:
+def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: RunOutcome) -> None:
     name = HOSTILE
     labels = {"controller": name, "path": "p"}
     series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
     series += [Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars")]
     axis = GridAxis(name, [1.0, 2.0])
     views = [
-        Runs([run_series(outcome.run, name, points=50, labels=labels)], name),
+        RunViews([run_series(outcome.run, name, points=50, labels=labels)], name),
         Chart(name, Axis(name), Axis(name, "log"), series, name),
         GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
     ]
     shown = Shown(
         [name], [name], [KeyFigure(name, name, name)], [Toggle("controller", (name,), (name,), styled=True)], views,
-        [Warned(name, name)], [Configuration(name, name)],
+        [Warned(name, name)], [ConfigurationView(name, name)],
     )  # fmt: skip
     table = Table(name, (name, "b [m]"), ((name, "1"),), note=name)
     path = tmp_path / "report.html"
@@ -196,7 +196,7 @@ def test_content_cannot_end_its_script() -> None:
     assert "<" not in json_text({"a": "</script><!--"})
 
 
-def test_thinned_runs_keep_their_peaks_and_rounded_columns_their_values(outcome: Outcome) -> None:
+def test_thinned_runs_keep_their_peaks_and_rounded_columns_their_values(outcome: RunOutcome) -> None:
     run = outcome.run
     kept = kept_ticks(run, 60)
     assert len(kept) == 60
@@ -210,18 +210,18 @@ def test_thinned_runs_keep_their_peaks_and_rounded_columns_their_values(outcome:
     assert (offset <= 1e3 * run.errors.position[kept] + 0.1).all()
 
 
-def test_spans_of_modes_cover_the_run(outcome: Outcome) -> None:
+def test_spans_of_modes_cover_the_run(outcome: RunOutcome) -> None:
     spans: dict[str, list[tuple[float, float]]] = run_series(outcome.run, "a", points=60)["modes"]  # type: ignore[assignment]
     covered = sum(end - begin for times in spans.values() for begin, end in times)
     assert covered == pytest.approx(outcome.run.time[-1], abs=0.01)
 
 
-def test_a_sound_run_is_not_warned_of(outcome: Outcome) -> None:
+def test_a_sound_run_is_not_warned_of(outcome: RunOutcome) -> None:
     quiet = outcome.run.with_step_time(np.full(len(outcome.run.time), 1e-3))
     assert run_warnings(quiet, case_config(outcome.case)) == []
 
 
-def test_what_needs_attention_is_said_with_what_to_do(outcome: Outcome) -> None:
+def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> None:
     run, config = outcome.run, case_config(outcome.case)
     assert config is not None
     count = len(run.time)

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
 from diffdrive_mpc.bench.peers import LAWS, make_peer
-from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, Motion
+from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.mppi import MppiLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
 from diffdrive_mpc.bench.peers.tracking_peer import (
     Delayed,
-    Sight,
+    LawInput,
     TrackingPeer,
     law_kind,
     load_gains,
@@ -42,9 +42,9 @@ PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along
 
 
 def sight(pose, reference, feed_forward, time=2.0, twist=None):
-    return Sight(
+    return LawInput(
         time,
-        Motion(np.array(pose), np.array(feed_forward if twist is None else twist)),
+        PredictedMotion(np.array(pose), np.array(feed_forward if twist is None else twist)),
         np.array(reference),
         np.array(feed_forward),
     )

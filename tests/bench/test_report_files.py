@@ -31,7 +31,7 @@ from diffdrive_mpc.bench.comparison.tables import (
 from diffdrive_mpc.bench.figure_style import file_name, free_name
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.report_folder import staged
-from diffdrive_mpc.bench.run_row import Outcome, driver_names
+from diffdrive_mpc.bench.run_row import RunOutcome, driver_names
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass
@@ -94,12 +94,12 @@ SILENT = ("scenario", "timing", "world")
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def outcome() -> RunOutcome:
     return quick_outcome(trajectory="cane")
 
 
 @pytest.fixture(scope="module")
-def results(outcome: Outcome) -> ComparisonResults:
+def results(outcome: RunOutcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
     short = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
@@ -120,7 +120,7 @@ def text_of(results: ComparisonResults) -> str:
     return markdown("Bench", replace(report, figures={}), describe_run(12.3) | report.meta)
 
 
-def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
+def test_a_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
     values = json_row(outcome.row, SILENT)
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
@@ -129,51 +129,51 @@ def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
     assert values["horizon"] == 30
 
 
-def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: Outcome) -> None:
+def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: RunOutcome) -> None:
     ticks = len(outcome.run.time)
     ways = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
     run = replace(outcome.run, solver_methods=ways)
     solved = np.count_nonzero(run.counted) - 5
-    values = json_row(Outcome(outcome.case, run).row, ["scenario"])
+    values = json_row(RunOutcome(outcome.case, run).row, ["scenario"])
     assert values["method_backend_percent"] == pytest.approx(100 * 20 / solved)
     assert values["method_active_set_percent"] == pytest.approx(100 * 20 / solved)
     assert values["method_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
     assert values["not_solved"] == 5
-    (cells,) = solver_table(rows_of(Outcome(outcome.case, run))).rows
+    (cells,) = solver_table(rows_of(RunOutcome(outcome.case, run))).rows
     assert cells[1:5] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
-    peer = json_row(Outcome(outcome.case, replace(outcome.run, solver_methods=("none",) * ticks)).row, ["scenario"])
+    peer = json_row(RunOutcome(outcome.case, replace(outcome.run, solver_methods=("none",) * ticks)).row, ["scenario"])
     assert (peer["method_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
 
-def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
+def test_a_swept_value_is_added_to_its_row(outcome: RunOutcome) -> None:
     case = outcome.case.with_override("weights.across", 200.0)
-    assert json_row(Outcome(case, outcome.run).row, ["scenario"], with_settings=True)["set"] == {
+    assert json_row(RunOutcome(case, outcome.run).row, ["scenario"], with_settings=True)["set"] == {
         "weights.across": 200.0
     }
 
 
-def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
+def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: RunOutcome) -> None:
     added = [name for name in json_row(outcome.row, silent=("timing", "world")) if name not in FIELDS]
     command = ["command_energy_v", "command_energy_omega", "command_rate_v", "command_rate_omega"]
     assert added == ["scenario", "ended", "disturbance_s", "recovery_time_s", "overshoot_m", *command]
 
 
-def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: Outcome) -> None:
+def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
-    values = json_row(Outcome(outcome.case, lasting).row, silent=())
+    values = json_row(RunOutcome(outcome.case, lasting).row, silent=())
     assert values["disturbance_s"] == [0.0, None]
     assert (values["recovery_time_s"], values["ended"]) == (None, None)
     assert values["overshoot_m"] == 0.0
-    (cells,) = scenario_table(rows_of(Outcome(outcome.case, lasting))).rows
+    (cells,) = scenario_table(rows_of(RunOutcome(outcome.case, lasting))).rows
     assert cells[2:4] == ("-", "-")
     assert cells[-2:] == ("-", "1/1")
 
 
-def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_no_time(outcome: Outcome) -> None:
+def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_no_time(outcome: RunOutcome) -> None:
     away = outcome.run.true_pose + np.array([0.0, 0.5, 0.0])
     lost = replace(outcome.run, true_pose=away, disturbance=(1.0, 2.0))
     held = replace(outcome.run, disturbance=(1.0, 2.0))
-    runs = [Outcome(replace(outcome.case, scenario="mine.yaml", seed=i), run) for i, run in enumerate((lost, held))]
+    runs = [RunOutcome(replace(outcome.case, scenario="mine.yaml", seed=i), run) for i, run in enumerate((lost, held))]
     assert driver_names([outcome.case, *(one.case for one in runs)]) == ["SSM, none", "SSM, mine", "SSM, mine"]
     plain, mine = scenario_table(rows_of(outcome, *runs)).rows
     assert plain[:5] == ("none", "SSM", "-", "-", "-")
@@ -182,10 +182,10 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
     assert mine[-2:] == ("1/2", "1/2")
 
 
-def test_what_cannot_be_computed_is_null(outcome: Outcome) -> None:
+def test_what_cannot_be_computed_is_null(outcome: RunOutcome) -> None:
     broken = outcome.run.true_pose.copy()
     broken[5] = np.nan
-    values = json_row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)).row, ["scenario"])
+    values = json_row(RunOutcome(outcome.case, replace(outcome.run, true_pose=broken)).row, ["scenario"])
     assert values["position_rmse_m"] is None
     assert values["completed"] is False
 
@@ -209,15 +209,15 @@ def test_a_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Pa
     assert str(Path.home()) not in text + json.dumps(data)
 
 
-def test_a_figure_is_the_same_file_every_time(outcome: Outcome, tmp_path: Path) -> None:
+def test_a_figure_is_the_same_file_every_time(outcome: RunOutcome, tmp_path: Path) -> None:
     for name in ("first.png", "second.png"):
         draw_case(outcome.run, "title", tmp_path / name)
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
 
 
-def test_tables_show_means_over_runs_and_worst_cases(outcome: Outcome) -> None:
+def test_tables_show_means_over_runs_and_worst_cases(outcome: RunOutcome) -> None:
     worse = replace(outcome.run, true_pose=outcome.run.true_pose + np.array([0.02, 0.0, 0.0]))
-    runs = [outcome, Outcome(replace(outcome.case, seed=1), worse)]
+    runs = [outcome, RunOutcome(replace(outcome.case, seed=1), worse)]
     (cells,) = summary_table(rows_of(*runs)).rows
     a, b = outcome.run.metrics, worse.metrics
     assert cells[0] == "SSM"
@@ -231,22 +231,22 @@ def times_in(table: Table, line: int = 0) -> list[str]:
     return [table.rows[line][i] for i in names]
 
 
-def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marked(outcome: Outcome) -> None:
+def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marked(outcome: RunOutcome) -> None:
     times = np.full(len(outcome.run.time), 2e-3)
     times[: len(times) // 2] = np.nan  # disturbed whenever they were measured
-    half = Outcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
+    half = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
     table = summary_table(rows_of(half))
     assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
     assert "*: something else ran; 50.0 % of the ticks" in table.note
     assert json_row(half.row, SILENT)["timed_clean_percent"] == 50.0
     assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
-    whole = Outcome(outcome.case, outcome.run.with_step_time(np.full(len(times), 2e-3), np.full(len(times), 1e-3)))
+    whole = RunOutcome(outcome.case, outcome.run.with_step_time(np.full(len(times), 2e-3), np.full(len(times), 1e-3)))
     assert times_in(summary_table(rows_of(whole))) == ["1.00", "1.00", "2.00", "2.00"]
     assert "*" not in summary_table(rows_of(whole)).note
     assert "*" not in "".join(time_table(rows_of(whole)).rows[0])
 
 
-def test_json_and_tables_hold_the_same_times(outcome: Outcome) -> None:
+def test_json_and_tables_hold_the_same_times(outcome: RunOutcome) -> None:
     values = json_row(outcome.row, SILENT)
     (cells,) = time_table(rows_of(outcome)).rows
     shown = dict(zip(time_table(rows_of(outcome)).columns, cells, strict=True))
@@ -255,7 +255,7 @@ def test_json_and_tables_hold_the_same_times(outcome: Outcome) -> None:
         assert float(shown[f"{what} {statistic} [ms]"]) == pytest.approx(written_ms, abs=5.1e-4)
 
 
-def test_a_solve_is_a_part_of_its_step(outcome: Outcome) -> None:
+def test_a_solve_is_a_part_of_its_step(outcome: RunOutcome) -> None:
     solved = np.isfinite(outcome.run.solve_time)
     assert solved.sum() > 0.9 * len(solved)
     assert (outcome.run.solve_time[solved] < outcome.run.step_time[solved]).all()
@@ -270,12 +270,12 @@ def test_the_horizon_table_says_where_it_was_measured(results: ComparisonResults
     place = "plant model:ssm, surface ideal, sensors perfect, seed 0"
     assert place in horizon_table(results.horizon).note
     cases = [case.with_override("weights.across", 80) for case in results.horizon["case"]]
-    runs = rows_of(*(Outcome(case, run) for case, run in zip(cases, results.horizon["run"], strict=True)))
+    runs = rows_of(*(RunOutcome(case, run) for case, run in zip(cases, results.horizon["run"], strict=True)))
     assert f"{place.replace(', seed 0', '')}, weights.across=80, seed 0" in horizon_table(runs).note
 
 
-def test_a_trajectory_called_mean_keeps_its_row(outcome: Outcome) -> None:
-    mean = Outcome(replace(outcome.case, trajectory="mean.yaml"), outcome.run)
+def test_a_trajectory_called_mean_keeps_its_row(outcome: RunOutcome) -> None:
+    mean = RunOutcome(replace(outcome.case, trajectory="mean.yaml"), outcome.run)
     assert [cells[1] for cells in error_table(rows_of(outcome, mean)).rows] == ["cane", "mean", "mean"]
 
 
@@ -319,18 +319,18 @@ def test_a_report_of_peers_alone_names_no_model() -> None:
 
 def test_runs_of_ours_that_did_not_complete_are_complained_about(results: ComparisonResults) -> None:
     assert incomplete(results) is None
-    ours, peer = (Outcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
+    ours, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
     stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
     assert not stopped.metrics.completed
-    complaint = incomplete(replace(results, main=rows_of(Outcome(ours.case, stopped), peer), horizon=DataFrame()))
+    complaint = incomplete(replace(results, main=rows_of(RunOutcome(ours.case, stopped), peer), horizon=DataFrame()))
     assert complaint is not None
     assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
-    assert incomplete(replace(results, main=rows_of(ours, Outcome(peer.case, stopped)))) is None
+    assert incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
 
 
-def test_groups_name_only_what_varies(outcome: Outcome) -> None:
-    slippery = Outcome(replace(outcome.case, surface="slippery"), outcome.run)
-    swept = [Outcome(outcome.case.with_override("horizon", steps), outcome.run) for steps in (5, 10)]
+def test_groups_name_only_what_varies(outcome: RunOutcome) -> None:
+    slippery = RunOutcome(replace(outcome.case, surface="slippery"), outcome.run)
+    swept = [RunOutcome(outcome.case.with_override("horizon", steps), outcome.run) for steps in (5, 10)]
     assert driver_names([outcome.case]) == ["SSM"]
     assert driver_names([outcome.case, slippery.case]) == ["SSM, ideal", "SSM, slippery"]
     assert driver_names([one.case for one in swept]) == ["SSM, horizon=5", "SSM, horizon=10"]
@@ -450,10 +450,10 @@ def test_file_names_suit_every_file_system() -> None:
     assert file_name("SSM, surface=default: s") == "ssm-surface-default-s"
 
 
-def test_no_figure_takes_the_name_of_another(outcome: Outcome, tmp_path: Path) -> None:
+def test_no_figure_takes_the_name_of_another(outcome: RunOutcome, tmp_path: Path) -> None:
     assert free_name("a b", ["a-b.png", "a-b-2.png"]) == "a-b-3.png"
     names = ("a_b.yaml", "a-b.yaml", "a b.yaml")
-    main = tuple(Outcome(replace(outcome.case, trajectory=name), outcome.run) for name in names)
+    main = tuple(RunOutcome(replace(outcome.case, trajectory=name), outcome.run) for name in names)
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": ()})
     drawn = drawings(ComparisonResults(settings, rows_of(*main)))
     for file, draw in drawn.items():

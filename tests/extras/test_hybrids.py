@@ -26,7 +26,7 @@ from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.model_comparison import compare_models
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model, model_path, read_model_file
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.structures.model_file import build_model
 from diffdrive_mpc.mpc import Controller, load_config
@@ -239,7 +239,11 @@ def twice_lagging(count=1500, dt=0.04):
     outputs = system.discretise(dt).simulate(commands)
     limits = np.full(2, np.inf)
     exact = LinearSystem(system.A, system.B, system.C, np.asarray(system.dead_time), np.zeros(2), limits)
-    return system.discretise(dt), exact, Experiment("drive", dt, commands, outputs, np.ones(outputs.shape, dtype=bool))
+    return (
+        system.discretise(dt),
+        exact,
+        SampledExperiment("drive", dt, commands, outputs, np.ones(outputs.shape, dtype=bool)),
+    )
 
 
 def test_runs_and_segments_are_those_of_the_linear_model():
@@ -258,7 +262,7 @@ def test_runs_and_segments_are_those_of_the_linear_model():
 
 def test_a_seed_gives_the_same_weights_and_a_penalty_shrinks_them():
     linear, system, experiment = twice_lagging(600)
-    bent = Experiment("bent", experiment.dt, experiment.inputs, np.tanh(experiment.outputs), experiment.counts)
+    bent = SampledExperiment("bent", experiment.dt, experiment.inputs, np.tanh(experiment.outputs), experiment.counts)
     runs = runs_of(linear, system, [bent])
     one, other = (trained(linear, runs, (1.0, 1e-3), QUICK) for _ in range(2))
     assert all(

@@ -11,7 +11,7 @@ from diffdrive_mpc.extras.networks.training import train, training_settings
 from diffdrive_mpc.models import identify, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.mpc import Controller, load_config
 
 SMALL = Architecture(window=8, units=8, dense=8)
@@ -25,7 +25,7 @@ def saturating_drive(seed, count=3000, dt=0.05):
     twist = np.zeros((count, 2))
     for k in range(1, count):
         twist[k] = twist[k - 1] + 0.4 * (np.tanh(1.5 * commands[k - 1]) - twist[k - 1])
-    return Experiment("drive", dt, commands, twist, np.ones((count, 2), dtype=bool))
+    return SampledExperiment("drive", dt, commands, twist, np.ones((count, 2), dtype=bool))
 
 
 def trained(seed=0, **changes):

@@ -12,7 +12,7 @@ from diffdrive_mpc.extras.planner import PlanError, load_plan_settings, plan, pl
 from diffdrive_mpc.extras.planner.clearance import Clearance, covering_discs, outline
 from diffdrive_mpc.extras.planner.inputs import Inputs, make_inputs, rates_of, sharpest_radius
 from diffdrive_mpc.extras.planner.result import driven
-from diffdrive_mpc.extras.planner.search import Search
+from diffdrive_mpc.extras.planner.search import PlanSearch
 from diffdrive_mpc.extras.planner.words import arc_arc_arc, arc_straight, arc_straight_arc, placed
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import SlipCoefficients, load_turn_costs
@@ -31,7 +31,7 @@ goals = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-math.pi, math.p
 def searched(costs, goal, minimise="distance", start=ORIGIN, via=NO_VIA, **allowed):
     allowed = {"reverse": False, "spot": False} | allowed
     inputs = make_inputs(costs, minimise, SPEED, SETTINGS, **allowed)
-    return Search(inputs, start, np.asarray(goal, dtype=float), via, SETTINGS.search, None).run()
+    return PlanSearch(inputs, start, np.asarray(goal, dtype=float), via, SETTINGS.search, None).run()
 
 
 def inputs_of(costs, commands, minimise="energy"):
@@ -104,7 +104,7 @@ def test_the_energy_is_that_of_a_dense_search(goal):
 def test_what_is_left_is_never_said_to_be_more_than_it_is(goal, minimise):
     costs = load_turn_costs("fsu_bot-grippy")
     inputs = make_inputs(costs, minimise, SPEED, SETTINGS, reverse=False, spot=False)
-    search = Search(inputs, ORIGIN, np.array(goal), NO_VIA, SETTINGS.search, None)
+    search = PlanSearch(inputs, ORIGIN, np.array(goal), NO_VIA, SETTINGS.search, None)
     words = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
     assert search.bound_from(ORIGIN) <= words.costs.min() * (1 + 1e-9)
 

@@ -14,7 +14,7 @@ from random import Random
 import numpy as np
 
 from diffdrive_mpc.app.replay.reading import read_recording
-from diffdrive_mpc.app.replay.study import Asked, ReplayStudy
+from diffdrive_mpc.app.replay.study import ReplayRequest, ReplayStudy
 from diffdrive_mpc.models.logs.reading import read_log
 from fuzz import mutation, shrink
 from fuzz.case import Case, FaultError
@@ -64,7 +64,9 @@ class ReplayFuzzer:
             scratch.mkdir()
             refused_or(lambda: read_recording(path, None if mapping is None else str(mapping), 0.0202, scratch))
             if len(case["edits"]) == 1:
-                refused_or(lambda: _replayed(Asked(path, mapping=None if mapping is None else str(mapping)), scratch))
+                refused_or(
+                    lambda: _replayed(ReplayRequest(path, mapping=None if mapping is None else str(mapping)), scratch)
+                )
 
 
 class _NoBar:
@@ -75,7 +77,7 @@ class _NoBar:
         return self.advance
 
 
-def _replayed(asked: Asked, scratch: Path) -> None:
+def _replayed(asked: ReplayRequest, scratch: Path) -> None:
     study = ReplayStudy(asked, scratch)
     study.run(study.plan(), 1, _NoBar())  # type: ignore[arg-type]
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from diffdrive_mpc.models import VelocityModel, load_model
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
 DT = 0.02
@@ -48,4 +48,4 @@ def two_channels(v, omega, dead_time=(0.05, 0.03)):
 
 
 def single(inputs, outputs):
-    return Experiment("one", DT, inputs, outputs, np.ones(outputs.shape, dtype=bool))
+    return SampledExperiment("one", DT, inputs, outputs, np.ones(outputs.shape, dtype=bool))

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.held_out import blocks
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -55,7 +55,7 @@ POINT = {
 
 def at_rest(commands):
     readings = np.zeros((len(commands), 3))
-    return Experiment("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
+    return SampledExperiment("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
 
 
 def test_the_free_run_is_that_of_the_model_file():

@@ -5,7 +5,7 @@ import pytest
 from identification_parts import DT, system, two_channels
 
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.validation import fit_percent, pooled_fit_percent, simulate_experiment
 from diffdrive_mpc.models.structures.two_poles import identify_channel
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -16,7 +16,7 @@ def steps(level):
 
 
 def experiment(command, output):
-    return Experiment("one", DT, command[:, None], output[:, None], np.ones((len(output), 1), dtype=bool))
+    return SampledExperiment("one", DT, command[:, None], output[:, None], np.ones((len(output), 1), dtype=bool))
 
 
 def record(transfer, dead_time, level, noise=0.0, seed=0):
@@ -53,7 +53,7 @@ def test_the_simulation_is_that_of_the_velocity_model():
     start = np.full(2, command[0])
     outputs = discrete.simulate(both, discrete.settled_state(start), np.tile(start, (discrete.memory, 1)))
     simulated = simulate_experiment(
-        system(model), Experiment("both", DT, both, outputs, np.ones(both.shape, dtype=bool))
+        system(model), SampledExperiment("both", DT, both, outputs, np.ones(both.shape, dtype=bool))
     )
     assert outputs == pytest.approx(simulated, abs=1e-9)
 

@@ -10,7 +10,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.model_comparison import NO_MODEL, Comparison, Scored, compare_models
+from diffdrive_mpc.models.identification.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 from diffdrive_mpc.models.structures import ssm
 
 
@@ -69,7 +69,7 @@ def test_the_interval_is_that_of_the_blocks():
     once[7] = 0.0
     by_one = scored("mbm", once)
     broken = scored("sm+effects", np.empty((0, 2)), "too few rows")
-    found = Comparison((base, everywhere, by_one, broken), weights, spread, 2, 5.0)
+    found = ModelComparison((base, everywhere, by_one, broken), weights, spread, 2, 5.0)
     assert found.fits(base) == pytest.approx([80.0, 80.0])
     assert found.gain(everywhere, base) == pytest.approx(2 * [100 * (0.2 - np.sqrt(0.03))])
     low, high = found.gain(by_one, base)

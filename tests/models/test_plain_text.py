@@ -4,7 +4,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.identification.configuration import Configuration, Setting
+from diffdrive_mpc.models.identification.configuration import IdentifiedConfiguration, Setting
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.export.generated_c import trajectory_texts
@@ -32,12 +32,12 @@ def test_what_is_cut_says_so():
 
 @given(st.text())
 def test_no_name_puts_keys_into_a_configuration(name):
-    found = Configuration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
+    found = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
     assert set(yaml.safe_load(found.text())) == {"sample_time", "limits"}
 
 
 def test_a_name_with_lines_puts_nothing_into_a_configuration():
-    found = Configuration(HOSTILE, (Setting("sample_time", 0.02, HOSTILE),), (), ())
+    found = IdentifiedConfiguration(HOSTILE, (Setting("sample_time", 0.02, HOSTILE),), (), ())
     assert yaml.safe_load(found.text()) == {"sample_time": 0.02, "limits": None}
 
 

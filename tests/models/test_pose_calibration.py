@@ -9,8 +9,8 @@ from identification_parts import DT, set_points
 from diffdrive_mpc.models import integrate_pose
 from diffdrive_mpc.models.identification.pose_calibration import (
     ConstantTrack,
+    GrowingTrack,
     SlipPolynomial,
-    VirtualTrack,
     calibrate_gyro,
     calibrate_wheels,
     displacement,
@@ -44,7 +44,7 @@ def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed
 
 LAWS = [
     (ConstantTrack(RADIUS, TRACK), [0.068, 0.71, 0.08]),
-    (VirtualTrack(RADIUS, TRACK), [0.068, 0.60, 0.049, 0.05]),
+    (GrowingTrack(RADIUS, TRACK), [0.068, 0.60, 0.049, 0.05]),
     (SlipPolynomial(RADIUS, TRACK), [0.015, -0.0004, -0.01, 0.007, 0.015, -0.007, 0.005, -0.405, 0.119]),
 ]
 
@@ -71,7 +71,7 @@ def test_a_polynomial_takes_in_the_lever_arm():
 @given(p1=st.floats(0.0, 0.3), left=st.floats(-20, 20), right=st.floats(-20, 20))
 def test_the_virtual_track_solves_its_equation(p1, left, right):
     """yaw rate times (p1 |yaw rate| + p0) is the difference of the rim speeds."""
-    rate = VirtualTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, p1, 0.0]), np.array([left, right]))[2]
+    rate = GrowingTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, p1, 0.0]), np.array([left, right]))[2]
     assert rate * (p1 * abs(rate) + 0.5) == pytest.approx(RADIUS * (right - left), abs=1e-9)
 
 
@@ -85,7 +85,7 @@ def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, 
 
 def test_without_growth_the_virtual_track_is_constant():
     wheels = set_points(1, 50, (10.0, 10.0), hold=1)
-    virtual = VirtualTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.0, 0.1]), wheels)
+    virtual = GrowingTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.0, 0.1]), wheels)
     assert virtual == pytest.approx(ConstantTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.1]), wheels))
 
 

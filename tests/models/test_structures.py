@@ -17,7 +17,7 @@ from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures import registry
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import ModelFile, structure_name
-from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
 
 class Lag(StrictModel):
@@ -37,7 +37,7 @@ class LagsFile(ModelFile):
         return -np.diag(rates), np.diag(rates * [self.v.gain, self.omega.gain]), np.eye(2)
 
 
-def identify_lags(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify_lags(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Least squares of the change from sample to sample."""
     values = []
     for row in (0, 1):
@@ -52,7 +52,7 @@ def identify_lags(records: Sequence[Record], conditions: Conditions) -> Found:
     content = {name: {key: rounded(numbers[f"{name}.{key}"]) for key in ("gain", "time")} for name in ("v", "omega")}
     parameters = ParameterEstimate(names, np.array(values), 1e-6 * np.eye(4))
     model = IdentifiedModel(LagsFile, content, parameters, np.zeros(2), {}, conditions.yaw, "regression", (), ())
-    return Found(model)
+    return StructureFit(model)
 
 
 @pytest.fixture

@@ -95,12 +95,12 @@ def test_rooms_lose_nothing():
 
 
 def test_what_identify_writes_is_written_as_it_is_now():
-    from diffdrive_mpc.models.identification.configuration import Configuration, Setting
+    from diffdrive_mpc.models.identification.configuration import IdentifiedConfiguration, Setting
 
     limits = tuple(Setting(name, 1.5) for name in ("v", "omega", "predicted_v", "predicted_omega", "corridor"))
     rest = {"estimator": (Setting("heading_noise", 0.01),), "reentry": (Setting("band", 0.1),)}
     failure = (Setting("max_position_error", 1.2),)
-    text = Configuration("mine", (Setting("model", "ssm"),), limits, (), **rest, failure=failure).text()
+    text = IdentifiedConfiguration("mine", (Setting("model", "ssm"),), limits, (), **rest, failure=failure).text()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         flat = side_by_side(yaml.safe_load(text), "mine.yaml")

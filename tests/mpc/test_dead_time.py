@@ -12,7 +12,7 @@ from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTime
+from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -179,7 +179,7 @@ def test_weights_that_change_meanwhile_and_the_dead_time_both_arrive():
 
 def learner(seconds=6.0, **said):
     """Give one that learns a robot's exact answers, with results that say what is in `said`."""
-    by, robot = DeadTime(controller().config, SM), SM.with_extra_dead_time([0.05, 0.05]).discretise(DT)
+    by, robot = DeadTimeEstimator(controller().config, SM), SM.with_extra_dead_time([0.05, 0.05]).discretise(DT)
     given = 0.4 * np.sin(np.arange(round(seconds / DT))[:, None] * DT * [2.0, 3.0])
     for k, (command, twist) in enumerate(zip(given, robot.simulate(given), strict=True)):
         fine = {"mode": Mode.TRACKING, "blocked_for": 0.0, "unused_sensors": ()}

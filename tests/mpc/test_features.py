@@ -33,7 +33,7 @@ def lunch(monkeypatch):
     module.FEATURE = Lunch
     monkeypatch.setitem(sys.modules, "diffdrive_mpc.mpc.lunch", types.ModuleType("diffdrive_mpc.mpc.lunch"))
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    listed = registry.Listed("lunch", lambda config: config.horizon == 31)
+    listed = registry.RegisteredFeature("lunch", lambda config: config.horizon == 31)
     monkeypatch.setattr(registry, "FEATURES", (*registry.FEATURES, listed))
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.ros import follow_goal
-from diffdrive_mpc.mpc.ros.control_loop import LoopState, Tick
-from diffdrive_mpc.mpc.ros.follow_goal import Code, Following, Goal, Outcome, lay_for_robot, path_limits
+from diffdrive_mpc.mpc.ros.control_loop import LoopState, LoopTick
+from diffdrive_mpc.mpc.ros.follow_goal import Code, FollowGoal, Following, GoalOutcome, lay_for_robot, path_limits
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 X = np.linspace(0.0, 1.0, 21)
@@ -65,12 +65,12 @@ def made():
 
 
 def standing():
-    return Tick(np.zeros(2), LoopState.IDLE, "")
+    return LoopTick(np.zeros(2), LoopState.IDLE, "")
 
 
 def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
     loop, beside, following = made
-    goal = Goal(STRAIGHT, "odom")
+    goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     following.after(standing())
     assert loop.told == [] and goal.end is None
@@ -80,10 +80,10 @@ def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
 
 def test_a_newer_goal_ends_one_that_has_not_begun(made):
     loop, beside, following = made
-    first, second = Goal(STRAIGHT, "odom"), Goal(STRAIGHT, "odom")
+    first, second = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(first)
     following.take(second)
-    assert (first.end.outcome, first.end.code) == (Outcome.ABORTED, Code.NONE)
+    assert (first.end.outcome, first.end.code) == (GoalOutcome.ABORTED, Code.NONE)
     # Its path comes too late.
     beside.answer()
     assert loop.told == []
@@ -93,56 +93,56 @@ def test_a_newer_goal_ends_one_that_has_not_begun(made):
 
 def test_cancelling_what_has_not_begun_ends_the_drive_that_it_was_to_replace(made):
     loop, beside, following = made
-    old, newer = Goal(STRAIGHT, "odom"), Goal(STRAIGHT, "odom")
+    old, newer = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(old)
     beside.answer()
     following.take(newer)
     newer.cancelled = True
     following.after(standing())
-    assert newer.end.outcome is Outcome.CANCELED
+    assert newer.end.outcome is GoalOutcome.CANCELED
     assert loop.told == ["follow", "brake", "release"]
-    assert (old.end.outcome, old.end.words) == (Outcome.ABORTED, "a newer goal was cancelled")
+    assert (old.end.outcome, old.end.words) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
     beside.answer()
     assert loop.told == ["follow", "brake", "release"]
 
 
 def test_a_goal_that_is_being_cancelled_stays_cancelled_when_a_newer_one_begins(made):
     loop, beside, following = made
-    old, newer = Goal(STRAIGHT, "odom"), Goal(STRAIGHT, "odom")
+    old, newer = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(old)
     beside.answer()
     old.cancelled = True
-    following.after(Tick(np.array([0.3, 0.0]), LoopState.DRIVING, ""))
+    following.after(LoopTick(np.array([0.3, 0.0]), LoopState.DRIVING, ""))
     assert loop.told[-1] == "brake" and old.end is None
     following.take(newer)
     beside.answer()
-    assert old.end.outcome is Outcome.CANCELED
+    assert old.end.outcome is GoalOutcome.CANCELED
 
 
 def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
     _, beside, following = made
-    goal = Goal(STRAIGHT, "odom")
+    goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     goal.handed_on -= follow_goal._LONGEST_LAYING + 1.0
     following.after(standing())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
-    following.take(slow := Goal(STRAIGHT, "odom"))
+    following.take(slow := FollowGoal(STRAIGHT, "odom"))
     beside.asked[-1][2]("to read it takes longer than 10 s")
     assert slow.end.code is Code.CONTROLLER_TIMED_OUT
 
 
 def test_a_fault_of_the_loop_ends_the_goal(made):
     _, beside, following = made
-    goal = Goal(STRAIGHT, "odom")
+    goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     beside.answer()
-    following.after(Tick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
+    following.after(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
 
 def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
     loop, beside, following = made
-    goal = Goal(STRAIGHT, "odom")
+    goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     beside.answer()
     loop.inbox.now = 0.9 * SETTINGS.follow_patience

@@ -8,7 +8,7 @@ import pytest
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, measure_slip, random_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, measure_slip, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -20,15 +20,15 @@ def _plant(surface: str = "default") -> MujocoPlant:
     return MujocoPlant(FRICTION[surface], load_sensor_set("perfect"))
 
 
-def _hold(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> Drive:
+def _hold(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> OpenLoopDrive:
     """Steady part of a held command."""
     log = drive_open_loop(plant, np.tile([v, omega], (samples, 1)))
     half = samples // 2
-    return Drive(*(getattr(log, name)[half:] for name in Drive.__dataclass_fields__))
+    return OpenLoopDrive(*(getattr(log, name)[half:] for name in OpenLoopDrive.__dataclass_fields__))
 
 
 @pytest.fixture(scope="module")
-def steady() -> dict[str, Drive]:
+def steady() -> dict[str, OpenLoopDrive]:
     """The same gentle curve on every surface."""
     return {surface: _hold(_plant(surface), 0.5, 0.5) for surface in FRICTION}
 
@@ -61,12 +61,12 @@ def test_turning_on_the_spot_slips_as_coulomb_friction_says() -> None:
     assert gain == pytest.approx(track**2 / (track**2 + base**2), abs=0.01)
 
 
-def test_yaw_rate_is_below_that_of_the_wheels(steady: dict[str, Drive]) -> None:
+def test_yaw_rate_is_below_that_of_the_wheels(steady: dict[str, OpenLoopDrive]) -> None:
     for log in steady.values():
         assert 0.7 < log.true_twist[:, 2].mean() / log.wheel_twist[:, 1].mean() < 0.95
 
 
-def test_side_slip_points_outward_and_grows_as_grip_falls(steady: dict[str, Drive]) -> None:
+def test_side_slip_points_outward_and_grows_as_grip_falls(steady: dict[str, OpenLoopDrive]) -> None:
     lateral = {surface: log.true_twist[:, 1].mean() for surface, log in steady.items()}
     assert lateral["slippery"] < lateral["default"] < lateral["grippy"] < 0
 

@@ -19,9 +19,9 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.surface import Slip, load_surface
+from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time
@@ -158,7 +158,7 @@ def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float
         np.testing.assert_allclose(log.true_pose[k + 1], pose, atol=1e-12)
 
 
-def _named(name: str, commands: np.ndarray, **options: float) -> Drive:
+def _named(name: str, commands: np.ndarray, **options: float) -> OpenLoopDrive:
     return drive_open_loop(make_plant(name, surface="ideal", sensors="perfect", **options), commands)  # type: ignore[arg-type]
 
 
@@ -196,8 +196,8 @@ def test_a_model_file_may_have_a_plus_in_its_path(tmp_path: Path) -> None:
     np.testing.assert_allclose(late.output[1:], plain.output[:-1], atol=1e-12)
 
 
-def _slipping(**changes: float) -> Drive:
-    slip = Slip(**{"yaw_gain": 1.0, "wheel_yaw_gain": 1.0, "longitudinal_gain": 1.0, "side_slip": 0.0} | changes)
+def _slipping(**changes: float) -> OpenLoopDrive:
+    slip = BodySlip(**{"yaw_gain": 1.0, "wheel_yaw_gain": 1.0, "longitudinal_gain": 1.0, "side_slip": 0.0} | changes)
     return drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), random_commands(6, duration=4.0))
 
 
@@ -214,7 +214,7 @@ def test_slip_of_the_model_plant() -> None:
 
 def test_side_slip_moves_the_body_sideways() -> None:
     """On a steady circle a side-slip turns the direction of travel outward by atan(side slip * omega)."""
-    slip = Slip(yaw_gain=1.0, wheel_yaw_gain=1.0, longitudinal_gain=1.0, side_slip=0.1)
+    slip = BodySlip(yaw_gain=1.0, wheel_yaw_gain=1.0, longitudinal_gain=1.0, side_slip=0.1)
     log = drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), np.tile([0.5, 0.8], (300, 1)))
     step = np.diff(log.true_pose[150:], axis=0)
     heading = 0.5 * (log.true_pose[150:-1, 2] + log.true_pose[151:, 2])

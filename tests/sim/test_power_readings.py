@@ -22,7 +22,7 @@ from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor, load_sensor_set
-from studies.torque.measurements import Driven, diagnostic_commands, drawn, driven, record
+from studies.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
 
 EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))
 CONSTANTS = ("torque_constant", "resistance", "idle_power")
@@ -138,7 +138,7 @@ def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: 
 FLOORS = [("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"), ("default", "slippery")]
 
 
-def diagnostic(robot: str, surface: str, seed: int) -> Driven:
+def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:
     """Ten turns, half a minute."""
     commands = diagnostic_commands(
         (400.0, -60.0, 15.0, -8.0, 4.5, -2.8, 1.8, -1.1, 0.8, -0.6), (0.2, 0.6, 0.4), 130, 100

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.named_file import shipped_names
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robot
 
 SHIPPED = shipped_names(ROBOTS)
@@ -26,7 +26,7 @@ def _plant(name: str, surface: str = "default") -> MujocoPlant:
     return plant
 
 
-def _hold(name: str, v: float, omega: float, samples: int = 150) -> Drive:
+def _hold(name: str, v: float, omega: float, samples: int = 150) -> OpenLoopDrive:
     return drive_open_loop(_plant(name), np.tile([v, omega], (samples, 1)))
 
 
@@ -56,7 +56,7 @@ def test_a_file_that_changes_nothing_is_the_twin_bit_for_bit(tmp_path: Path) -> 
     path.write_text("description: the same\n")
     commands = random_commands(7, duration=2.0)
     one, other = (drive_open_loop(make_plant(name, seed=3), commands) for name in ("mujoco", f"mujoco:{path}"))
-    for name in Drive.__dataclass_fields__:
+    for name in OpenLoopDrive.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 

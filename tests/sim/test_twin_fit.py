@@ -7,9 +7,9 @@ from twin_parts import drawn_truth, known_robot, record_of
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.sim.twin.fitting import told_apart
-from diffdrive_mpc.sim.twin.free_run import Motion, drive, most_telling, readings, stretch
+from diffdrive_mpc.sim.twin.free_run import FreeMotion, drive, most_telling, readings, stretch
 from diffdrive_mpc.sim.twin.nominal import nominal_robot
 from diffdrive_mpc.sim.twin.settings import twin_settings
 from diffdrive_mpc.sim.twin.space import space_of
@@ -41,7 +41,7 @@ def test_a_robot_of_any_size_obeys(mass, radius, track, tmp_path):
     assert scaled == pytest.approx(usual)
     space = space_of(nominal, BaseEffects(), gyro=True, lagging=False)
     commands = np.tile([1.0, 0.4], (60, 1))
-    run = Experiment("r", 0.05, commands, np.zeros((60, 3)), np.ones((60, 3), dtype=bool))
+    run = SampledExperiment("r", 0.05, commands, np.zeros((60, 3)), np.ones((60, 3), dtype=bool))
     (motion,) = drive(space.robot(space.values(np.zeros(len(space.names)))), [stretch(run, 0, 60, np.eye(2))])
     assert motion.wheels[-1, 0] == pytest.approx(1.0, rel=0.03)
     assert motion.twist()[-1, 2] > 0.1
@@ -51,8 +51,10 @@ def test_sensors_of_the_log_come_late_and_smoothed():
     """A ramp seen through delay and lag is the ramp, later by their sum; the gyro is prompt, and off by its offset."""
     count, parts, step = 40, 4, 0.0125
     ramp = step * np.arange(parts * count)
-    motion = Motion(parts, np.column_stack([ramp, 2 * ramp]), np.column_stack([ramp, ramp, 3 * ramp]), 0)
-    run = Experiment("r", parts * step, np.zeros((count, 2)), np.zeros((count, 3)), np.ones((count, 3), dtype=bool))
+    motion = FreeMotion(parts, np.column_stack([ramp, 2 * ramp]), np.column_stack([ramp, ramp, 3 * ramp]), 0)
+    run = SampledExperiment(
+        "r", parts * step, np.zeros((count, 2)), np.zeros((count, 3)), np.ones((count, 3), dtype=bool)
+    )
     seen = readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
     time = parts * step * np.arange(count)[20:]
     np.testing.assert_allclose(seen[20:, 0], time - 0.08, atol=1e-3)
@@ -76,7 +78,7 @@ def test_the_true_plant_explains_its_log():
     truth = drawn_truth(31)
     record = record_of(known_robot(truth), 31, 12.0)
     counts = np.ones((len(record.command), 3), dtype=bool)
-    run = Experiment("r", record.dt, record.command, np.column_stack([record.twist, record.yaw_rate]), counts)
+    run = SampledExperiment("r", record.dt, record.command, np.column_stack([record.twist, record.yaw_rate]), counts)
     along = most_telling([run], np.eye(2), twin_settings().window)
     (motion,) = drive(known_robot(truth), along)
     error = (readings(motion, along[0].experiment, {}) - along[0].experiment.outputs).std(axis=0)

@@ -16,7 +16,7 @@ from diffdrive_mpc.sim.twin.fitting import fit_twin
 from diffdrive_mpc.sim.twin.free_run import most_telling
 from diffdrive_mpc.sim.twin.held_out import identified
 from diffdrive_mpc.sim.twin.nominal import nominal_robot
-from diffdrive_mpc.sim.twin.problem import Problem
+from diffdrive_mpc.sim.twin.problem import TwinProblem
 from diffdrive_mpc.sim.twin.space import space_of
 
 MOTORS = """\
@@ -85,7 +85,7 @@ def fitted(record, file, seconds):
     beside = identified(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
     nominal = nominal_robot("drive", train, file)
     space = space_of(nominal, beside.effects, gyro=True, lagging=False)
-    return fit_twin(Problem(space, most_telling(runs, beside.model.dc_gain, seconds)), beside.start(nominal))
+    return fit_twin(TwinProblem(space, most_telling(runs, beside.model.dc_gain, seconds)), beside.start(nominal))
 
 
 def in_terms_of(fit, truth):

@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive_mpc.bench.study import Report, write_report
 from studies.reproduce import networks
 from studies.reproduce.cost import Cost
-from studies.reproduce.drives import PoseError, Spread
+from studies.reproduce.drives import PathError, Spread
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
 from studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
 from studies.reproduce.published import load_published, load_study
@@ -37,8 +37,8 @@ META = {
 }
 
 
-def pose_error(size: float) -> PoseError:
-    return PoseError(Spread.of([0.5 * size, size]), Spread.of([0.5 * size, size]))
+def pose_error(size: float) -> PathError:
+    return PathError(Spread.of([0.5 * size, size]), Spread.of([0.5 * size, size]))
 
 
 def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: float = 0.3, **changes) -> MbmSmResult:

@@ -9,11 +9,11 @@ import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from studies.shipped_models.calibration import (
-    DriveFit,
+    PredictionFit,
     calibrate,
     load_calibration_parameters,
     validate_calibration,
@@ -22,11 +22,11 @@ from studies.shipped_models.calibration import (
 
 
 @pytest.fixture(scope="module")
-def fits() -> list[DriveFit]:
+def fits() -> list[PredictionFit]:
     return validate_calibration()
 
 
-def test_published_model_predicts_the_plant_on_held_out_drives(fits: list[DriveFit]) -> None:
+def test_published_model_predicts_the_plant_on_held_out_drives(fits: list[PredictionFit]) -> None:
     required = load_calibration_parameters().required_fit
     smooth = [fit for fit in fits if fit.smooth]
     assert len(smooth) == 2
@@ -35,7 +35,7 @@ def test_published_model_predicts_the_plant_on_held_out_drives(fits: list[DriveF
         assert fit.omega >= required.omega
 
 
-def test_file_states_the_fit_that_the_plant_has(fits: list[DriveFit]) -> None:
+def test_file_states_the_fit_that_the_plant_has(fits: list[PredictionFit]) -> None:
     stated = load_firmware().provenance["held_out_fit_percent"]
     for row, fit in zip(stated, fits, strict=True):
         assert (row["seed"], row["smooth"]) == (fit.seed, fit.smooth)
@@ -77,7 +77,7 @@ def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Short drives of a velocity model in place of the physics; the seeds that were driven."""
     driven: list[int] = []
 
-    def drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
+    def drive(firmware: Firmware, seed: int, smooth: bool) -> OpenLoopDrive:
         driven.append(seed)
         plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
         return drive_open_loop(plant, random_commands(seed, smooth, duration=1.0))

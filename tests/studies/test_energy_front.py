@@ -7,7 +7,7 @@ from opened_report import check_report
 from typer.testing import CliRunner
 
 from studies.cli import app
-from studies.energy_front.study import HERE, Driven, fronts, load_study
+from studies.energy_front.study import HERE, FrontRun, fronts, load_study
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_its_page_is_drawn_in_a_browser(report):
 def test_what_is_saved_is_paired_by_seed():
     """Seeds that take more energy anyway are held against themselves."""
     made = [
-        Driven("floor", "path", weight, seed, energy, 0.01, 0.01, completed=weight < 1.0)
+        FrontRun("floor", "path", weight, seed, energy, 0.01, 0.01, completed=weight < 1.0)
         for seed, used in enumerate((100.0, 200.0))
         for weight, energy in ((0.0, used), (0.5, 0.9 * used), (1.0, 0.8 * used))
     ]

@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.monitor.judge import rule_names
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from studies.cli import app
 from studies.monitor.faults import FAULTS, Fault, Sent
-from studies.monitor.study import MonitorStudy, Watched, complaint
+from studies.monitor.study import MonitorStudy, MonitorStudyResult, complaint
 from studies.monitor.trial import HARM, faulty_trial, nominal_case, nominal_trial
 
 RULES = load_rules()
@@ -91,9 +91,9 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
 
 def test_an_alarm_in_a_sound_drive_is_a_complaint():
     found = nominal_trial(SEED, load_rules())
-    alarmed = Watched({}, [found.__class__(**{**vars(found), "rule": "off_path"})])
+    alarmed = MonitorStudyResult({}, [found.__class__(**{**vars(found), "rule": "off_path"})])
     assert complaint(alarmed) == "1 nominal drives alarmed"
-    assert complaint(Watched({}, [found])) == ""
+    assert complaint(MonitorStudyResult({}, [found])) == ""
     assert not math.isnan(found.farthest) and np.isfinite(found.fastest)
 
 

@@ -8,13 +8,13 @@ import pytest
 from diffdrive_mpc.bench.peers import LAWS
 from diffdrive_mpc.bench.peers.tracking_peer import law_kind, load_gains
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.peers.study import PeersStudy, Search, load_settings
+from studies.peers.study import GainSearch, PeersStudy, load_settings
 
 RANGES = {"a": (0.1, 10.0), "b": (1.0, 1000.0)}
 
 
-def found(evaluations: int) -> Search:
-    search = Search(
+def found(evaluations: int) -> GainSearch:
+    search = GainSearch(
         lambda values: np.log(values["a"] / 3.0) ** 2 + np.log(values["b"] / 2000.0) ** 2, RANGES, evaluations
     )
     search.scan(8, 0)

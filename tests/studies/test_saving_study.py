@@ -18,18 +18,18 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import load_turn_costs, load_vehicle
 from diffdrive_mpc.mpc import load_config
 from studies.cli import app
-from studies.saving.drives import Driven, PairOutcome, Saved, drive_closed, drive_open, standing_from, worse_arrival
+from studies.saving.drives import PairOutcome, PlanDrive, Saved, drive_closed, drive_open, standing_from, worse_arrival
 from studies.saving.scenarios import gap_to_posts, loaded_costs
-from studies.saving.settings import Drawn, Pair, SavingStudySettings, draw_pairs, load_study, small
+from studies.saving.settings import DrawnTasks, Pair, SavingStudySettings, draw_pairs, load_study, small
 
 STUDY = load_study()
 
 
 def driven(
     measured: float, *, predicted: float = 1.0, seconds: float = 1.0, arrived: bool = True, position: float = 0.0
-) -> Driven:
+) -> PlanDrive:
     """A drive of which only this matters."""
-    return Driven(
+    return PlanDrive(
         1.0, seconds, predicted, measured, seconds, position, 0.0, 0.0, 0.0, arrived, np.zeros((1, 3)), np.zeros((1, 3))
     )
 
@@ -149,7 +149,7 @@ def test_pairs_follow_from_their_seed_and_are_spread_evenly() -> None:
 
 def test_pairs_that_were_tuned_on_are_not_reported() -> None:
     with pytest.raises(ValueError, match="tuning_seed are the same"):
-        Drawn(count=3, seed=1, tuning_seed=1, distance=(1.0, 2.0))
+        DrawnTasks(count=3, seed=1, tuning_seed=1, distance=(1.0, 2.0))
 
 
 def test_quick_is_a_part_of_the_whole() -> None:

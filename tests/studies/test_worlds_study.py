@@ -11,7 +11,7 @@ from loop_parts import FeedForward
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, run_case
-from diffdrive_mpc.bench.peers.seeing import DistanceField
+from diffdrive_mpc.bench.peers.seeing import SeenDistanceField
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim import make_plant, simulate
@@ -98,7 +98,7 @@ def test_distances_from_what_was_seen() -> None:
     cells = np.zeros((40, 40), dtype=np.int8)
     cells[20, 30] = 100
     disc = SeenDisc(-0.5, -0.5, 0.2)
-    field = DistanceField(Seen(0.0, SeenGrid(cells, 0.05, (-1.0, -1.0, 0.0)), (), (disc,)), np.zeros(2))
+    field = SeenDistanceField(Seen(0.0, SeenGrid(cells, 0.05, (-1.0, -1.0, 0.0)), (), (disc,)), np.zeros(2))
     x, y = np.array([0.525, 0.325, -0.5, -0.2, 3.0]), np.array([0.025, 0.025, -0.5, -0.5, 0.0])
     found = field.at(x, y)
     assert found[0] == 0.0 and found[2] <= 0.0 and found[4] > 5.0

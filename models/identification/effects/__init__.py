@@ -1,6 +1,6 @@
 """What a base does around its linear dynamics, estimated from records."""
 
 from diffdrive_mpc.models.identification.effects.base import IdentifiedBase, identify_with_effects
-from diffdrive_mpc.models.identification.effects.selection import Trial
+from diffdrive_mpc.models.identification.effects.selection import EffectTrial
 
-__all__ = ["IdentifiedBase", "Trial", "identify_with_effects"]
+__all__ = ["EffectTrial", "IdentifiedBase", "identify_with_effects"]

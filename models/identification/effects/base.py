@@ -17,8 +17,8 @@ from diffdrive_mpc.models.identification.effects.selection import (
     BY_ENCODERS,
     EFFECTS,
     LINEAR,
+    EffectTrial,
     Selection,
-    Trial,
     select_effects,
 )
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
@@ -68,7 +68,7 @@ class IdentifiedBase:
 
     identified: IdentifiedModel
     effects: tuple[str, ...]
-    trials: tuple[Trial, ...]
+    trials: tuple[EffectTrial, ...]
     point: Point
     pose: ParameterEstimate | None
     points: tuple[Point, ...] = ()

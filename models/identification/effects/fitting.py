@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from diffdrive_mpc.models.identification.effects.free_run import Point, free_run
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.held_out import Pieces, cut
 from diffdrive_mpc.models.output_error.statistics import output_spread, residual_scale, sandwich, spike_weights
 
@@ -30,7 +30,7 @@ class Weighted:
         (p,) that scale.
     """
 
-    experiments: Sequence[Experiment]
+    experiments: Sequence[SampledExperiment]
     weights: Sequence[FloatArray]
     scale: FloatArray
 
@@ -80,7 +80,7 @@ class EffectFit:
     cost: float
 
 
-def weighted(experiments: Sequence[Experiment], point: Point | None = None) -> Weighted:
+def weighted(experiments: Sequence[SampledExperiment], point: Point | None = None) -> Weighted:
     """Weights by the residuals under `point`; without one, by the spread of the readings.
 
     Raises

@@ -9,12 +9,12 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
 
 SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
 
-def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[Experiment]:
+def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
     """Commands (v_ref, omega_ref) against v and omega of the encoders and, unless `yaw` says so, omega of the gyro.
 
     Raises
@@ -26,7 +26,7 @@ def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[Experimen
         return twist_experiments(records, yaw)
     by_encoders, by_gyro = twist_experiments(records, "encoders"), twist_experiments(records, "gyro")
     return [
-        Experiment(
+        SampledExperiment(
             wheels.name,
             wheels.dt,
             wheels.inputs,
@@ -42,7 +42,7 @@ Point = Mapping[str, float]
 """Values of parameters by name; an effect whose parameters are missing is not there."""
 
 
-def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> FloatArray:
+def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = False) -> FloatArray:
     """(K, p) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
 
     The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is taken

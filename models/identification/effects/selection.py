@@ -12,7 +12,7 @@ from diffdrive_mpc.models.identification.effects.fitting import EffectFit, Weigh
 from diffdrive_mpc.models.identification.effects.free_run import SENSORS, Point, base_track
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.held_out import blocks
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -109,7 +109,7 @@ def _powers(model: Tried, data: Weighted) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Trial:
+class EffectTrial:
     """One effect tried, in or out.
 
     Attributes
@@ -153,13 +153,13 @@ class Selection:
 
     fit: EffectFit
     effects: tuple[str, ...]
-    trials: tuple[Trial, ...]
+    trials: tuple[EffectTrial, ...]
     data: Weighted
     points: tuple[Point, ...]
 
 
 def select_effects(
-    experiments: Sequence[Experiment],
+    experiments: Sequence[SampledExperiment],
     encoder_track: float | None,
     on_trial: Callable[[str], None] | None = None,
     limits: Mapping[str, float] | None = None,
@@ -200,7 +200,7 @@ def select_effects(
         start, data = dict(fit.point), weighted(experiments, fit.point)
     model = tried(fit, data)
     effects: list[str] = []
-    trials: list[Trial] = []
+    trials: list[EffectTrial] = []
     for effect in EFFECTS:
         known = {name: value for name, value in clipped.items() if name in EFFECTS[effect]}
         if (effect in _NEEDS_TRACK and encoder_track is None) or (effect == _CLIPPED and not known):
@@ -213,7 +213,7 @@ def select_effects(
         worth = gain(model, candidate, data)
         sure = worth.gain > settings.certain * worth.error
         kept = sure and worth.gain > settings.worth and 2 * worth.blocks > len(model.points)
-        trials.append(Trial(effect, worth.gain, worth.blocks, kept, again=False))
+        trials.append(EffectTrial(effect, worth.gain, worth.blocks, kept, again=False))
         if kept:
             effects.append(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
@@ -223,7 +223,7 @@ def select_effects(
         candidate = tried(_without(model.fit, effect, data), data)
         worth = gain(candidate, model, data)
         kept = worth.gain > settings.worth
-        trials.append(Trial(effect, worth.gain, worth.blocks, kept, again=True))
+        trials.append(EffectTrial(effect, worth.gain, worth.blocks, kept, again=True))
         if not kept:
             effects.remove(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
@@ -281,7 +281,7 @@ def _without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
     return fit_effects(point, [name for name in fit.free if name not in gone], data)
 
 
-def _little_less_than_fastest(experiments: Sequence[Experiment]) -> float:
+def _little_less_than_fastest(experiments: Sequence[SampledExperiment]) -> float:
     """A top speed that is never met has no slope."""
     return 0.9 * max(float(np.abs(experiment.inputs[:, 0]).max()) for experiment in experiments)
 

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Answer, Streams, answer, foresight
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, StreamResponse, Streams, answer, foresight
 from diffdrive_mpc.models.logs.record import Finding
 
 
@@ -18,7 +18,7 @@ def check_shifts(log: str, streams: Streams, settings: CheckSettings) -> list[Fi
     return [*findings, *_commands(log, streams, answers, settings)]
 
 
-def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int], Answer]:
+def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int], StreamResponse]:
     """How each channel of each sensor answers to its command, where it does so clearly."""
     answers = {}
     for channel in (0, 1):
@@ -86,7 +86,7 @@ def _shift(streams: Streams, name: str, seconds: float) -> None:
 
 
 def _commands(
-    log: str, streams: Streams, answers: dict[tuple[str, int], Answer], settings: CheckSettings
+    log: str, streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings
 ) -> list[Finding]:
     if not answers:
         return []
@@ -115,7 +115,7 @@ def _commands(
     return []
 
 
-def _foreseen(streams: Streams, answers: dict[tuple[str, int], Answer], settings: CheckSettings) -> bool:
+def _foreseen(streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings) -> bool:
     """Whether sensors tell commands that are still to come: a lag of another shape can look like a lead."""
     shares = []
     for name, channel in answers:

@@ -193,7 +193,7 @@ def _covered(fresh: BoolArray) -> BoolArray:
 
 
 @dataclass(frozen=True)
-class Answer:
+class StreamResponse:
     """How a stream answers to another.
 
     Attributes
@@ -226,7 +226,7 @@ def answer(
     *,
     intervals: bool = False,
     both_measured: bool = False,
-) -> Answer | None:
+) -> StreamResponse | None:
     """How `outputs` (N,) or (N, m) answer to `inputs` (N,) or (N, c); None where either never changes.
 
     Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
@@ -262,7 +262,7 @@ def answer(
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
     before, after = (part[:, 0] for part in paired(behind, y, low + at))
     size = float(before @ after) / max(float(before @ before), 1e-300)
-    return Answer(streams.dt * _peak(strength, low), deviation, lag, gain, correlation, size)
+    return StreamResponse(streams.dt * _peak(strength, low), deviation, lag, gain, correlation, size)
 
 
 def _with_heads(streams: Streams, u: FloatArray, y: FloatArray, settings: CheckSettings) -> tuple[FloatArray, Streams]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import Answer, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, answer
 from diffdrive_mpc.models.logs.record import Finding
 
 _SIDES = ("left", "right")
@@ -114,7 +114,7 @@ def _one_motion(sides: FloatArray, settings: CheckSettings) -> bool:
     return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinear)
 
 
-def _odd_side(response: Answer) -> int:
+def _odd_side(response: StreamResponse) -> int:
     """Of two, the side whose gain is further from one."""
     return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 

@@ -32,7 +32,7 @@ class TransformError(DiffdriveMpcError, ValueError):
     """A transform cannot be used, or there is none; says why, in few words."""
 
 
-class Found(NamedTuple):
+class TransformLookup(NamedTuple):
     """A transform that was looked up.
 
     Attributes
@@ -118,7 +118,7 @@ class TransformBuffer:
             del placed.history[old]
         del placed.stamps[:begin]
 
-    def lookup(self, target: str, source: str, now: int, time: int | None = None) -> Found:
+    def lookup(self, target: str, source: str, now: int, time: int | None = None) -> TransformLookup:
         """The transform from `source` to `target` at `time` [ns], or the newest that all of the chain has.
 
         Raises
@@ -149,7 +149,7 @@ class TransformBuffer:
         back, transform = transform.inverse(), IDENTITY
         for name in up[: up.index(common)]:
             transform = self._at(name, stamp).after(transform)
-        return Found(back.after(transform), stamp if moving else None, oldest)
+        return TransformLookup(back.after(transform), stamp if moving else None, oldest)
 
     def passes(self, source: str, target: str, frame: str) -> bool:
         """Whether the chain from `source` to `target` goes through `frame`, or begins there."""

@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class DirectedPart:
     """A part of a path that is driven in one direction, from one place where the robot stops to the next.
 
     Attributes
@@ -47,7 +47,7 @@ class Run:
         return float(np.hypot(*np.diff(self.points, axis=0).T).sum())
 
 
-def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -> list[Run]:
+def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -> list[DirectedPart]:
     """Cut a path where its direction changes.
 
     A part whose poses point against the travel is driven backwards; poses that stay at one place and turn are a turn on
@@ -88,11 +88,11 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
     senses = _steady(senses, lengths, settings.least_run)
     turned = np.abs(wrap_angle(leaving - arriving)) > settings.bendable if stated else np.zeros(len(points), dtype=bool)
     cuts = [0, *(i for i in range(1, len(lengths)) if senses[i] != senses[i - 1] or turned[i]), len(lengths)]
-    runs: list[Run] = []
+    runs: list[DirectedPart] = []
     for begin, end in pairwise(cuts):
         first = float(leaving[begin]) if stated else None
         last = float(arriving[end]) if stated or end == len(lengths) else None
-        runs += _without_hairpins(Run(points[begin : end + 1], int(senses[begin]), first, last))
+        runs += _without_hairpins(DirectedPart(points[begin : end + 1], int(senses[begin]), first, last))
     most = settings.turns_allowed + settings.turns_per_metre * float(lengths.sum())
     if len(runs) - 1 > most:
         raise ConfigError(
@@ -124,7 +124,7 @@ def _steady(senses: FloatArray, lengths: FloatArray, least: float) -> FloatArray
     return np.asarray(steady)
 
 
-def _without_hairpins(run: Run) -> list[Run]:
+def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
     """Parts between places where the path turns back on itself."""
     settings = load_settings()
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
@@ -146,7 +146,7 @@ def _without_hairpins(run: Run) -> list[Run]:
     edges = [0, *sorted(cuts), len(run.points) - 1]
     last = len(edges) - 2
     return [
-        Run(
+        DirectedPart(
             run.points[begin : end + 1],
             run.sense,
             run.first if i == 0 else None,
@@ -303,7 +303,7 @@ _Ends = tuple[float | None, float | None]
 
 
 def _smoothed(
-    run: Run, robot: FloatArray | None, bend: float, deviation: float, beside: float
+    run: DirectedPart, robot: FloatArray | None, bend: float, deviation: float, beside: float
 ) -> tuple[FloatArray, _Ends, FloatArray]:
     """The least bent line (m, 2) along a run, how it begins and ends, and how far its points are from it (m,) [m].
 
