@@ -3,7 +3,7 @@
 import os
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 from ros_domain import own_domain
@@ -35,6 +35,8 @@ PERIOD = round(DT * 1e9)
 START = 10**9
 # Far more than anything here takes; only a fault reaches it.
 PATIENCE = 60.0
+# For one participant to discover a service, which takes some hundredths of a second [s].
+DISCOVERY = 20.0
 
 
 class KeptProcess(SideProcess):
@@ -239,12 +241,46 @@ class Stack:
 
     def call(self, kind, name, request):
         """Call a service of the node over DDS."""
-        client = self.base.node.create_client(kind, name)
-        self.base.until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.base.until(future.done, name)
-        self.base.node.destroy_client(client)
-        return future.result()
+        with ExitStack() as stack:
+            node = self.base.node
+            client = node.create_client(kind, name)
+            while not self.is_discovered(client, DISCOVERY):
+                # Fast DDS may lose a service for good (ros2/rmw_fastrtps#792); a new participant discovers it anew.
+                node.destroy_client(client)
+                assert node is self.base.node, f"discovered in vain: {name}"
+                node = stack.enter_context(self.new_participant())
+                client = node.create_client(kind, name)
+            future = client.call_async(request)
+            self.base.until(future.done, name)
+            node.destroy_client(client)
+            return future.result()
+
+    def is_discovered(self, client, patience):
+        """Whether the service of a client is there within `patience` [s]."""
+        end = time.monotonic() + patience
+        while not client.service_is_ready():
+            if time.monotonic() > end:
+                return False
+            self.base.spin()
+        return True
+
+    @contextmanager
+    def new_participant(self):
+        """A node in a context of its own, which the base's loop spins, too."""
+        context = Context()
+        rclpy.init(context=context, args=[])
+        node = rclpy.create_node("second_caller", context=context)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        spin = self.base.spin_node
+        self.base.spin_node = lambda: (spin(), executor.spin_once(timeout_sec=0.0))
+        try:
+            yield node
+        finally:
+            self.base.spin_node = spin
+            executor.shutdown()
+            node.destroy_node()
+            rclpy.shutdown(context=context)
 
     def close(self):
         self.base.close()
