@@ -63,7 +63,7 @@ def run_campaign(
     began = time.perf_counter()
     with ProgressBar("preparing") as bar:
         driven = drive_all(definitions, place, bar)
-    write_table([one.columns for one in driven], place.folder / RESULTS, {"description": campaign.description})
+    write_table([run.columns for run in driven], place.folder / RESULTS, {"description": campaign.description})
     kept = place.folder / CAMPAIGN
     if not (kept.exists() and kept.samefile(file)):
         with whole_file(kept) as draft:
@@ -77,6 +77,6 @@ def run_campaign(
 
 
 def _sentence(driven: list[CampaignRun], seconds: float) -> str:
-    done = sum(one.row["completed"] is True for one in driven)
-    each = statistics.fmean(one.number(f"{TIME}processor_s") for one in driven)
+    done = sum(run.row["completed"] is True for run in driven)
+    each = statistics.fmean(run.number(f"{TIME}processor_s") for run in driven)
     return f"{len(driven)} runs, {done} completed; {each:.2f} s of one core for each; {seconds:.0f} s this time"

@@ -70,7 +70,9 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
 def repeating(case: Case) -> list[str]:
     """Arguments of `simulate` that drive a case again."""
-    chosen = [one for one in DIMENSIONS if getattr(case, one.name) not in (one.default, NO_MODEL)]
+    chosen = [
+        dimension for dimension in DIMENSIONS if getattr(case, dimension.name) not in (dimension.default, NO_MODEL)
+    ]
     words = [word for one in chosen for word in (one.option, str(getattr(case, one.name)))]
     words += ["--config", case.config] if case.config else []
     words += ["--scale-to-robot"] if case.scaled else []

@@ -209,11 +209,13 @@ class Case:
     @property
     def labels(self) -> dict[str, str]:
         """Value of each dimension for tables and files; of a path only the stem, which says nothing of the machine."""
-        return {one.name: label(getattr(self, one.name)) for one in DIMENSIONS}
+        return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
         """Value of each dimension for JSON, but of those whose names are in `leave_out`."""
-        values = {one.name: getattr(self, one.name) for one in DIMENSIONS if one.name not in leave_out}
+        values = {
+            dimension.name: getattr(self, dimension.name) for dimension in DIMENSIONS if dimension.name not in leave_out
+        }
         return {name: label(value) if isinstance(value, str) else value for name, value in values.items()}
 
     def with_override(self, key: str, value: object) -> Case:

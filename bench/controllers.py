@@ -126,7 +126,7 @@ def load_reference(case: Case) -> Trajectory:
         return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:
         segments = load_segments(case.trajectory)
-        faster = case.top_speed / max(abs(one.v) for one in segments)
+        faster = case.top_speed / max(abs(segment.v) for segment in segments)
         scaled = [
             Segment(v=segment.v * faster, omega=segment.omega * faster, duration=segment.duration / faster)
             for segment in segments

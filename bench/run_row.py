@@ -114,7 +114,9 @@ def model_name(name: str) -> str:
     """Name of a model as the papers write it, or that of the user's file."""
     if name in STRUCTURES:
         return name.upper()
-    return {one.name: one.title for one in function_structures().values()}.get(name, name)
+    return {
+        function_structure.name: function_structure.title for function_structure in function_structures().values()
+    }.get(name, name)
 
 
 def driver_names(cases: Sequence[Case]) -> list[str]:
@@ -123,7 +125,9 @@ def driver_names(cases: Sequence[Case]) -> list[str]:
     The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
     """
     labels = [case.labels for case in cases]
-    varying = [one for one in DIMENSIONS if one.place and len({of[one.name] for of in labels}) > 1]
+    varying = [
+        dimension for dimension in DIMENSIONS if dimension.place and len({of[dimension.name] for of in labels}) > 1
+    ]
     several = len({case.overrides for case in cases if case.controller == "mpc"}) > 1
     names = []
     for case, of in zip(cases, labels, strict=True):

@@ -24,7 +24,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, load_checked
 from diffdrive_mpc.sim import Run
 
 VARIANT = "variant"
-_DIMENSIONS = {one.name for one in DIMENSIONS}
+_DIMENSIONS = {dimension.name for dimension in DIMENSIONS}
 
 
 class Experiment(ExperimentFile):

@@ -212,5 +212,5 @@ def _go_round(group: list[_Track], best: float, block: int, core: int | None) ->
                 continue
             measured += track.take(first, last)
         disturbed = CoreCounters.read(core).since(before).disturbed
-        for one in measured:
-            one.disturbed = disturbed
+        for row in measured:
+            row.disturbed = disturbed

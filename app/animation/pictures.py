@@ -247,7 +247,7 @@ class _Page:
             axes.yaxis.set_major_locator(MaxNLocator(4))
         charts[-1].set_xlabel("time [s]")
         for axes in charts[:2]:
-            self._legend(axes, [one for one in axes.get_lines() if not str(one.get_label()).startswith("_")], 3)
+            self._legend(axes, [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")], 3)
         return curves
 
     @staticmethod

@@ -226,7 +226,7 @@ def film_file(
     return FilmFile(path, film)
 
 
-DEFAULTS = {one.name: None if one.name == "model" else one.default for one in DIMENSIONS}
+DEFAULTS = {dimension.name: None if dimension.name == "model" else dimension.default for dimension in DIMENSIONS}
 """Values of the options of `simulate` where they are not given."""
 _BENCH_OUT = "out/bench"
 SIMULATE_EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"

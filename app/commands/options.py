@@ -85,7 +85,7 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
         are values by the dimension's name.
     """
     make = _list_option if several else _single_option
-    added = [make(one) for one in DIMENSIONS if not names or one.name in names]
+    added = [make(dimension) for dimension in DIMENSIONS if not names or dimension.name in names]
 
     def extended(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)

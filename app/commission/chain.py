@@ -137,7 +137,7 @@ def prove(folder: Path, config: Path, plant: Path, runs: int, jobs: int | None, 
     proven = carry_out(study, folder, jobs)
     keep(proven, folder)
     of = Outcomes.of(proven.driven)
-    calm = [one for one in proven.driven if one.definition.case.scenario == "none"]
+    calm = [run for run in proven.driven if run.definition.case.scenario == "none"]
     arrived = sum(one.row["completed"] is True for one in calm)
     words = (
         f"{of.unsafe.count} of {of.unsafe.of} runs had an unsafe command (with 95 % confidence fewer than "

@@ -275,7 +275,7 @@ def _logs(folder: Path, asked: CommissionRequest) -> Logs:
     """What a step recorded."""
     if asked.robot is not None:
         return Logs((folder / LOG,))
-    files = tuple(sorted(one for one in folder.iterdir() if one.name != SAID and not one.name.startswith(".")))
+    files = tuple(sorted(entry for entry in folder.iterdir() if entry.name != SAID and not entry.name.startswith(".")))
     return Logs(files, asked.mapping)
 
 

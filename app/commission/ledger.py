@@ -128,7 +128,7 @@ def _files(path: Path) -> list[Path]:
     """A file, or the files of a folder; the rows of driven runs are a store of their own."""
     if path.is_file():
         return [path]
-    return sorted(one for one in path.rglob("*") if one.is_file() and "runs" not in one.relative_to(path).parts)
+    return sorted(entry for entry in path.rglob("*") if entry.is_file() and "runs" not in entry.relative_to(path).parts)
 
 
 def _quietly(step: Callable[[Path], Gate], folder: Path) -> Gate:

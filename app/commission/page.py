@@ -171,7 +171,10 @@ def compare(robot: Path, config: Path, shipped: str, folder: Path, jobs: int | N
     }
     with ProgressBar("comparing") as bar:
         driven = drive_all(
-            [one for group in runs.values() for one in group], CampaignPlace(folder, jobs), bar, "comparing"
+            [definition for group in runs.values() for definition in group],
+            CampaignPlace(folder, jobs),
+            bar,
+            "comparing",
         )
     results = iter(driven)
     errors: dict[str, dict[str, float]] = {name: {} for name in controllers}
@@ -239,7 +242,7 @@ def _sentence(steps: Mapping[str, Done], whole: bool) -> str:
 def _key_figures(
     steps: Mapping[str, Done], runs: Mapping[str, Run], comparison: ControllerComparison | None, whole: bool
 ) -> list[KeyFigure]:
-    passed, cost = sum(step.passed for step in steps.values()), sum(one.processor_s for one in steps.values())
+    passed, cost = sum(step.passed for step in steps.values()), sum(step.processor_s for step in steps.values())
     made = [
         KeyFigure("steps passed", f"{passed} of {len(steps)}", "each gates the next", "good" if whole else "bad"),
         KeyFigure("processor time", f"{cost:.0f} s", "of all steps"),
@@ -304,4 +307,6 @@ def _warnings(steps: Mapping[str, Done], out: Path, runs: Mapping[str, Run]) -> 
         if not step.passed
     ]
     config = load_config(out / RESULT / CONFIG_FILE) if runs else None
-    return warnings + [one for path, run in runs.items() for one in run_warnings(run, config, f"{path} on the twin")]
+    return warnings + [
+        run_warning for path, run in runs.items() for run_warning in run_warnings(run, config, f"{path} on the twin")
+    ]

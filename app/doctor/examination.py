@@ -61,7 +61,7 @@ def _careful(look: Look, machine: Machine) -> list[MachineFinding]:
 
 def can_run(findings: dict[str, list[MachineFinding]]) -> bool:
     """Whether nothing is missing that the controller needs."""
-    return not any(one.needed and one.status == "missing" for group in findings.values() for one in group)
+    return not any(finding.needed and finding.status == "missing" for group in findings.values() for finding in group)
 
 
 def heading() -> str:
@@ -74,11 +74,11 @@ def heading() -> str:
 def tables(findings: dict[str, list[MachineFinding]]) -> Iterator[Table]:
     """One table for each subject."""
     for about, group in findings.items():
-        rows = tuple((one.what, one.status, one.found, one.means) for one in group)
+        rows = tuple((finding.what, finding.status, finding.found, finding.means) for finding in group)
         yield Table("", (about, "", "found", "what it means"), rows, text_columns=4)
 
 
 def as_json(groups: dict[str, list[MachineFinding]]) -> str:
     """The same for programs."""
-    findings = {about: [asdict(one) for one in group] for about, group in groups.items()}
+    findings = {about: [asdict(finding) for finding in group] for about, group in groups.items()}
     return json.dumps({"heading": heading(), "can_run": can_run(groups), "findings": findings}, indent=2)

@@ -150,10 +150,10 @@ def order_charts(report: IdentificationReport) -> list[Chart]:
 def drift_charts(report: IdentificationReport) -> list[Chart]:
     """Position error over the time of a free prediction."""
     drift = report.poses.drift
-    x = [one.horizon for one in drift]
+    x = [row.horizon for row in drift]
     series = [
-        Series("RMSE", x, [rounded(one.position_rmse) for one in drift], 0),
-        Series("mean", x, [rounded(one.position_mean) for one in drift], 1),
+        Series("RMSE", x, [rounded(row.position_rmse) for row in drift], 0),
+        Series("mean", x, [rounded(row.position_mean) for row in drift], 1),
     ]
     axes = Axis("time since the poses agreed [s]"), Axis("position error [m]")
     return [Chart("Drift of the pose", *axes, series)]

@@ -118,7 +118,7 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
     """The trial drives as linked views."""
     if not drives:
         return []
-    plants = list(dict.fromkeys(one.plant for one in drives))
+    plants = list(dict.fromkeys(drive.plant for drive in drives))
     runs = [
         run_series(
             drive.run,
@@ -142,7 +142,7 @@ def _pictures(folder: Path) -> list[View]:
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
     """Of log, estimate and drives; those that matter for driving first."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
-    shown = [(one.verdict, str(one), one.kind) for one in findings]
+    shown = [(finding.verdict, str(finding), finding.kind) for finding in findings]
     shown += [(one.verdict, str(one), one.kind) for one in (*report.doubts, *trial_doubts(drives))]
     shown.sort(key=lambda one: one[0] is None or not one[0].matters)
     return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in shown]

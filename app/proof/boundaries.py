@@ -122,7 +122,7 @@ def map_runs(of: Map, probe: Definition, seed: int) -> list[Definition]:
 
 def drawn_map(name: str, of: Map, runs: Sequence[Definition], driven: Sequence[CampaignRun]) -> DrivenMap:
     """What came of the runs of `map_runs`."""
-    by_run = {one.definition: one for one in driven}
+    by_run = {run.definition: run for run in driven}
     shape = (of.y.steps, of.x.steps)
 
     def grid(column: str) -> FloatArray:

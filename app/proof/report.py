@@ -65,7 +65,7 @@ class Outcomes:
         """Count them."""
         count = len(driven)
         return cls(
-            Rate.of_runs(sum(one.row["completed"] is True for one in driven), count),
+            Rate.of_runs(sum(run.row["completed"] is True for run in driven), count),
             Rate.of_runs(sum(map(holds, driven)), count),
             Rate.of_runs(sum(map(_stopped, driven)), count),
             Rate.of_runs(sum(map(is_unsafe, driven)), count),
@@ -84,7 +84,7 @@ def errors(driven: Sequence[CampaignRun]) -> FloatArray:
 
 def error_estimates(driven: Sequence[CampaignRun]) -> dict[str, BootstrapEstimate]:
     """Mean, median and CVaR of the position RMSE [m], of all runs and of those that came to their end."""
-    arrived = [one for one in driven if one.row["completed"] is True]
+    arrived = [run for run in driven if run.row["completed"] is True]
     named = {"mean": mean, "median": median, CVAR: cvar}
     return {
         f"{name}, {which}": BootstrapEstimate.of_runs(errors(runs), figure)
@@ -105,9 +105,9 @@ def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
 
 def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
     """What was driven, what it cost, and what it says of unsafe commands."""
-    times = np.array([one.number(f"{TIME}processor_s") for one in driven])
-    ticks = sum(one.number("steps") for one in driven if math.isfinite(one.number("steps")))
-    failures = sum(one.row["error"] != "" for one in driven)
+    times = np.array([run.number(f"{TIME}processor_s") for run in driven])
+    ticks = sum(run.number("steps") for run in driven if math.isfinite(run.number("steps")))
+    failures = sum(run.row["error"] != "" for run in driven)
     unsafe = Outcomes.of(driven).unsafe
     return [
         f"{len(driven)} runs drawn, {others} more for maps and boundaries; {ticks:.0f} ticks were checked.",
@@ -169,10 +169,10 @@ def _errors(driven: Sequence[CampaignRun]) -> Table:
 
 def _unsafe(driven: Sequence[CampaignRun]) -> Table:
     def ticks(kind: str) -> int:
-        return sum(int(one.row.get(f"unsafe_{kind}") or 0) for one in driven)
+        return sum(int(run.row.get(f"unsafe_{kind}") or 0) for run in driven)
 
     def rate(kind: str) -> Rate:
-        return Rate.of_runs(sum(bool(one.row.get(f"unsafe_{kind}")) for one in driven), len(driven))
+        return Rate.of_runs(sum(bool(run.row.get(f"unsafe_{kind}")) for run in driven), len(driven))
 
     return Table.of(
         "Unsafe commands",
@@ -226,7 +226,7 @@ def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
             "searched to": lambda one: value(one.search.beyond, one),
             "values tried": lambda one: str(len(one.values)),
         },
-        [((one.factor,), one) for one in boundaries],
+        [((boundary.factor,), boundary) for boundary in boundaries],
         f"One factor at a time. It holds where {seeds} seeds all complete and never leave the band; by bisection, "
         "which takes everything between to be monotone.",
     )
@@ -272,7 +272,7 @@ def _largest(driven: Sequence[CampaignRun], column: str) -> float:
 
 
 def _known(driven: Sequence[CampaignRun], column: str) -> FloatArray:
-    values = np.array([one.number(column) for one in driven])
+    values = np.array([run.number(column) for run in driven])
     return np.asarray(values[np.isfinite(values)])
 
 
@@ -299,7 +299,7 @@ def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Bound
     seeds
         How many seeds a boundary was tried with.
     """
-    scenarios = tuple(dict.fromkeys(str(one.definition.columns["scenario"]) for one in driven))
+    scenarios = tuple(dict.fromkeys(str(run.definition.columns["scenario"]) for run in driven))
     of = Outcomes.of(driven)
     toggles = [Toggle("scenario", scenarios, scenarios, styled=True)] if len(scenarios) > 1 else []
     views = [_by_path(driven, scenarios), *(_boundary(boundary, seeds) for boundary in boundaries)]
@@ -334,7 +334,7 @@ def _interval(rate: Rate) -> str:
 
 def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
     """The share of completed runs with a larger error than a given one, and CVaR; empty without such runs."""
-    rmse = 1e3 * errors([one for one in driven if one.row["completed"] is True])
+    rmse = 1e3 * errors([run for run in driven if run.row["completed"] is True])
     if not rmse.size:
         return []
     worst = 1e3 * error_estimates(driven)[f"{CVAR}, completed runs"].value
@@ -387,7 +387,7 @@ def _boundary(one: Boundary, seeds: int) -> Chart:
 
 def _warnings(driven: Sequence[CampaignRun], boundaries: Sequence[Boundary]) -> list[Warned]:
     of, warnings = Outcomes.of(driven), []
-    failed = sum(one.row["error"] != "" for one in driven)
+    failed = sum(run.row["error"] != "" for run in driven)
     band = f"{1e3 * metric_settings().band:g} mm"
     if of.unsafe.count:
         words = f"{of.unsafe.count} runs had an unsafe command: not finite, or beyond what the configuration allows."

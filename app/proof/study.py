@@ -101,7 +101,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             raise ConfigError(f"factors.{named[0]}: it is {self._config} that is to be proven; leave it out")
         factors = told_of(self._config)
         probe = Definition.of(dict(self._proof.probe.factors) | dict(factors), "probe")
-        return ProofPlan([one.changed(factors) for one in self._proof.definitions(self._runs)], probe)
+        return ProofPlan([definition.changed(factors) for definition in self._proof.definitions(self._runs)], probe)
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:
         """The run that the maps change a factor of."""
@@ -118,7 +118,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
 
         def drive(runs: list[Definition]) -> list[CampaignRun]:
             outcomes = drive_all(runs, place, bar, "searching boundaries")
-            tried.update((one.key, one) for one in outcomes)
+            tried.update((outcome.key, outcome) for outcome in outcomes)
             return outcomes
 
         boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive)
@@ -151,7 +151,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
 
 def keep(proven: Proven, out: Path) -> None:
     """Write the table of the drawn runs and the worst of them into `out`; raises ConfigError if that cannot be."""
-    write_table([one.columns for one in proven.driven], out / RESULTS)
+    write_table([run.columns for run in proven.driven], out / RESULTS)
     for old in (out / WORST).glob("[0-9][0-9].yaml"):
         old.unlink()
     for name, one in proven.worst.items():

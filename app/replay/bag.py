@@ -238,8 +238,8 @@ def _from_topics(reader: Reader, path: Path, topics: Topics, sample_time: float,
     findings = []
     if by_stamp:
         require_one_clock(str(path), late, "set `clock: receive` under 'topics' to use the times of receipt")
-        findings += [str(one) for one in drifting_clocks(path.name, late)]
-    origin = min(int(_instants(one, by_stamp=by_stamp)[0]) for one in rows.values())
+        findings += [str(drifting_clock) for drifting_clock in drifting_clocks(path.name, late)]
+    origin = min(int(_instants(row, by_stamp=by_stamp)[0]) for row in rows.values())
     readings = {}
     for role, field in _FIELDS.items():
         if role in rows:

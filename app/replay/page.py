@@ -73,7 +73,7 @@ def replay_page(
         key_figures=_key_figures(difference, replayed, counted, verdicts),
         toggles=toggles,
         views=[RunViews(runs, _HINT)] if runs else [],
-        warnings=[Warned(one.what, one.remedy) for one in verdicts],
+        warnings=[Warned(verdict.what, verdict.remedy) for verdict in verdicts],
         configurations=[_configuration(who, replay.config) for who, replay in replays.items()],
         pictures=not runs,
     )
@@ -219,7 +219,7 @@ def trust_charts(recording: Recording, replayed: Replayed, counted: BoolArray) -
             "Age of readings at the tick that got them",
             when,
             Axis("age [ms]"),
-            [one for one in ages if len(one.x)],
+            [age for age in ages if len(age.x)],
             "From the stamp. What steps, comes late; where nothing is drawn, nothing came.",
         ),
         Chart(

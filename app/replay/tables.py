@@ -20,7 +20,7 @@ _WORDS = 160
 
 def verdict_table(verdicts: Sequence[Diagnosis]) -> Table:
     """What the log tells, and what can be done."""
-    rows = tuple((one.what, one.remedy) for one in verdicts)
+    rows = tuple((verdict.what, verdict.remedy) for verdict in verdicts)
     return Table("Worth a look", ("what the log shows", "what to do"), rows, 2)
 
 

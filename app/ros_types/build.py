@@ -162,7 +162,11 @@ def _run(command: Sequence[str | Path], environment: dict[str, str] | None = Non
 def _origin() -> str:
     """Digest of all that the packages come from: definitions, generators, the types they build on, and the Python."""
     texts = [str(path.relative_to(INTERFACES)) + path.read_text(encoding="utf-8") for path in _files(INTERFACES)]
-    wheels = sorted(f"{one.name} {one.version}" for one in distributions() if (one.name or "").startswith("ros-"))
+    wheels = sorted(
+        f"{distribution.name} {distribution.version}"
+        for distribution in distributions()
+        if (distribution.name or "").startswith("ros-")
+    )
     code = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
     here = [sysconfig.get_config_var("EXT_SUFFIX") or "", platform.machine(), np.__version__]
     return digest_of([*texts, *wheels, *code, *here])

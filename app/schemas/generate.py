@@ -202,8 +202,8 @@ def _controllers() -> Schema:
 
 
 def _models() -> Schema:
-    functions = (one.schema() for one in function_structures().values())
-    files: list[Any] = [*(one.file for one in STRUCTURES.values()), *functions]
+    functions = (function_structure.schema() for function_structure in function_structures().values())
+    files: list[Any] = [*(structure.file for structure in STRUCTURES.values()), *functions]
     return {"title": "Velocity model", **TypeAdapter(reduce(or_, files)).json_schema()}
 
 

@@ -48,7 +48,11 @@ def _energy(of: Metrics) -> list[KeyFigure]:
 def sentences(case: Case, run: Run) -> list[str]:
     """What was driven, and whether it went as it should."""
     of, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
-    where = [f"{one.name} {labels[one.name]}" for one in DIMENSIONS if one.place and labels[one.name] not in silent]
+    where = [
+        f"{dimension.name} {labels[dimension.name]}"
+        for dimension in DIMENSIONS
+        if dimension.place and labels[dimension.name] not in silent
+    ]
     ending = "came to its end" if of.completed else "did not come to its end"
     return [
         f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
@@ -108,7 +112,9 @@ def laps_page(
         toggles=[Toggle("controller", names, names, styled=True), Toggle("lap", laps, laps[-1:])],
         views=[RunViews(series, _hint(learned[-1], _LAP_POINTS)), *views],
         warnings=[
-            one for lap, run in zip(laps, learned, strict=True) for one in run_warnings(run, config, f"lap {lap}")
+            run_warning
+            for lap, run in zip(laps, learned, strict=True)
+            for run_warning in run_warnings(run, config, f"lap {lap}")
         ],
         configurations=configuration(case),
     )

@@ -71,7 +71,7 @@ def terms_of(objective: Objective) -> list[ObjectiveTerm]:
 
 def table_of(terms: Sequence[ObjectiveTerm], driven: Sequence[CampaignRun]) -> FloatArray:
     """(terms, runs) what each term is a figure of; NaN where a run has no such value."""
-    return np.array([[one.number(term.column) for one in driven] for term in terms])
+    return np.array([[run.number(term.column) for run in driven] for term in terms])
 
 
 def score(terms: Sequence[ObjectiveTerm], table: FloatArray, usual: FloatArray) -> ObjectiveScore:
@@ -136,11 +136,11 @@ def in_words(violations: Mapping[str, float]) -> str:
 
 
 def _lost(driven: Sequence[CampaignRun]) -> int:
-    return sum(one.row["completed"] is not True for one in driven)
+    return sum(run.row["completed"] is not True for run in driven)
 
 
 def _largest(column: str, driven: Sequence[CampaignRun]) -> float:
-    values = np.array([one.number(column) for one in driven])
+    values = np.array([run.number(column) for run in driven])
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
 
 

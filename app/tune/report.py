@@ -37,7 +37,7 @@ _LISTED = 12
 
 def facts(plan: TunePlan, searched: Searched, verdict: TuneVerdict) -> list[str]:
     """What came of it, and what was driven for it."""
-    through = [sum(one.fidelity > k for one in searched.points) for k in range(len(plan.fidelities))]
+    through = [sum(point.fidelity > k for point in searched.points) for k in range(len(plan.fidelities))]
     runs = " / ".join(str(fidelity.runs) for fidelity in plan.fidelities)
     broken = [point for point in searched.points if point.broken]
     lines = [
@@ -73,7 +73,7 @@ def configuration(
     chosen = searched.best.values if verdict.improved else {}
     other = {key: value for key, value in chosen.items() if value != usual[key]}
     tuned = _beside(load_config(config, other), path.parent)
-    worth = {one.key: one for one in verdict.put_back}
+    worth = {parameter.key: parameter for parameter in verdict.put_back}
     notes = {plain_key(key): _note(usual[key], worth.get(key)) for key in other}
     head = [
         f"Tuned from {Path(config).name}: {verdict.sentence}.",
@@ -162,7 +162,8 @@ def _put_back(verdict: TuneVerdict) -> Table:
         return f"{100 * of.value:+.1f} ({100 * of.low:+.1f} to {100 * of.high:+.1f})"
 
     rows = tuple(
-        (one.key, _value(one.usual), cell(one.rise), cell(one.error), cell(one.effort)) for one in verdict.put_back
+        (parameter.key, _value(parameter.usual), cell(parameter.rise), cell(parameter.error), cell(parameter.effort))
+        for parameter in verdict.put_back
     )
     return Table(
         "What each parameter buys",
@@ -263,10 +264,10 @@ def front_chart(searched: Searched) -> Chart:
         Series(
             name,
             [rounded(point.effort) or 0.0 for point in points],
-            [rounded(one.error) for one in points],
+            [rounded(point.error) for point in points],
             style,
             kind,  # type: ignore[arg-type]
-            text=[_told(one) for one in points],
+            text=[_told(point) for point in points],
         )
         for name, (points, style, kind) in sides.items()
     ]
@@ -278,7 +279,7 @@ def search_chart(searched: Searched) -> Chart:
     """The objective of every point, and the best usable one so far."""
     series = []
     for fidelity in sorted({point.fidelity for point in searched.points if point.fidelity}):
-        some = [one for one in searched.points if one.fidelity == fidelity]
+        some = [point for point in searched.points if point.fidelity == fidelity]
         numbers, values = [float(one.number) for one in some], [rounded(one.value) for one in some]
         series.append(
             Series(f"fidelity {fidelity}", numbers, values, fidelity, "points", text=[_told(one) for one in some])
@@ -299,8 +300,8 @@ def _importance(searched: Searched) -> Chart:
 
 
 def _page_put_back(verdict: TuneVerdict) -> Chart:
-    names = [one.key for one in verdict.put_back]
-    rises = [one.rise for one in verdict.put_back]
+    names = [parameter.key for parameter in verdict.put_back]
+    rises = [parameter.rise for parameter in verdict.put_back]
     value, low, high = ([round(100 * getattr(rise, of), 2) for rise in rises] for of in ("value", "low", "high"))
     several = np.isfinite([low, high]).all()
     series = Series("objective", names, value, 0, "points", low if several else (), high if several else ())
@@ -318,7 +319,7 @@ def _warnings(searched: Searched, verdict: TuneVerdict) -> list[Warned]:
     if verdict.usual_broken:
         words = f"The defaults break {verdict.usual_broken}."
         warnings.append(Warned(words, "the plan asks for more than they were made for; see its constraints"))
-    idle = [one.key for one in verdict.put_back if one.rise.high <= 0.0]
+    idle = [parameter.key for parameter in verdict.put_back if parameter.rise.high <= 0.0]
     if idle and verdict.improved:
         words = f"Put back to its default, each of these would be better or the same: {', '.join(idle)}."
         warnings.append(Warned(words, "put them back in config.yaml by hand: fewer changes are easier to trust"))

@@ -213,14 +213,14 @@ class ConfigurationSearch:
         Raises ConfigError if the storage cannot be used or the objective has no value, MissingPackageError without
         Optuna, StudyFailedError if runs could not be driven.
         """
-        self._fidelities = [self.with_usual(one, bar) for one in self._fidelities]
+        self._fidelities = [self.with_usual(fidelity, bar) for fidelity in self._fidelities]
         self._own = {name: self.with_usual(one, bar) for name, one in self._own.items()}
         for fidelity in self._fidelities:
             check_usual(self._terms, table_of(self._terms, fidelity.usual))
         study = self._study = open_study(self._name(), self._place.folder, self._storage, self._plan.keep)
         while batch := self._next(study):
             self._judge(study, batch, bar)
-        points = [self._point(one) for one in study.get_trials(deepcopy=False) if _SCORE in one.user_attrs]
+        points = [self._point(trial) for trial in study.get_trials(deepcopy=False) if _SCORE in trial.user_attrs]
         return Searched(points, importance_of(points, self._distributions))
 
     def with_usual(self, of: RunSet, bar: ProgressBar) -> RunSet:
@@ -236,7 +236,7 @@ class ConfigurationSearch:
             other = {f"config.{key}": value for key, value in values.items() if value != self.usual[key]}
             asked.append([run.changed(other) if other else run for run in runs])
         driven = drive_all([run for mine in asked for run in mine], self._place, bar, text)
-        by_run = {one.definition: one for one in driven}
+        by_run = {run.definition: run for run in driven}
         return [[by_run[run] for run in mine] for mine in asked]
 
     def step_time(self, values: Mapping[str, Value]) -> dict[str, float]:
@@ -265,7 +265,7 @@ class ConfigurationSearch:
     def _next(self, study: Any) -> list[Any]:  # noqa: ANN401 - has no types
         """The points to judge now: what is left of a group that was interrupted, or a new one; none in the end."""
         trials = study.get_trials(deepcopy=False)
-        mine = [one for one in trials if one.user_attrs.get(_WORKER) == self._worker]
+        mine = [trial for trial in trials if trial.user_attrs.get(_WORKER) == self._worker]
         left = [one for one in mine if not one.state.is_finished()]
         if not trials:
             study.enqueue_trial(dict(self.usual))
@@ -290,12 +290,12 @@ class ConfigurationSearch:
         for one in judged:
             one.violations |= self.step_time(one.values)
         for k, of in enumerate(self._fidelities):
-            left = [one for one in judged if one.goes_on]
+            left = [point for point in judged if point.goes_on]
             text = f"points {batch[0].number} to {batch[-1].number} of {self._plan.points}, fidelity {k + 1}"
             results = self.drive([one.values for one in left], of.runs, bar, text)
             for one, driven in zip(left, results, strict=True):
                 self._take(one, k, driven, of.usual)
-        left = [one for one in judged if one.goes_on]
+        left = [point for point in judged if point.goes_on]
         for name, of in self._own.items():
             results = self.drive([one.values for one in left], of.runs, bar, f"constraint {name}")
             for one, driven in zip(left, results, strict=True):
@@ -303,15 +303,15 @@ class ConfigurationSearch:
                 one.violations[name] = exceeded(self._plan.constraints[name], driven, of.usual, name)
             left = [one for one in left if one.goes_on]
         state = needs_optuna().trial.TrialState
-        for one in judged:
-            for name, value in one.violations.items():
-                one.trial.set_constraint(name, value)
-            one.trial.set_user_attr(_SCORE, {"scores": one.scores, "broken": in_words(one.violations)})
-        for one in judged:
-            usable = one.goes_on
+        for point in judged:
+            for name, value in point.violations.items():
+                point.trial.set_constraint(name, value)
+            point.trial.set_user_attr(_SCORE, {"scores": point.scores, "broken": in_words(point.violations)})
+        for point in judged:
+            usable = point.goes_on
             study.tell(
-                one.trial.number,
-                one.scores[-1][0] if usable else None,
+                point.trial.number,
+                point.scores[-1][0] if usable else None,
                 state=state.COMPLETE if usable else state.PRUNED,
                 skip_if_finished=True,
             )

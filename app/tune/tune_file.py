@@ -155,7 +155,10 @@ class TunePlan(StrictModel):
                 raise ValueError(f"factors.{name}: the tuning itself says that; leave it out")
         for name, data in self.factors.items():
             read_factor(data, f"factors.{name}")
-        most = max([one.runs for one in self.fidelities] + [one.runs for one in self.constraints.values()])
+        most = max(
+            [fidelity.runs for fidelity in self.fidelities]
+            + [constraint.runs for constraint in self.constraints.values()]
+        )
         tuned = range(self.tuning.first_seed, self.tuning.first_seed + most)
         judged = range(self.verdict.first_seed, self.verdict.first_seed + self.verdict.runs)
         if max(tuned.start, judged.start) < min(tuned.stop, judged.stop):
@@ -183,7 +186,7 @@ class TunePlan(StrictModel):
             value = stated(key, drawn)
             drawn[key] = {"uniform": sorted((low * value, high * value))}
         campaign = Campaign(description=self.description, runs=count, draw_seed=of.draw_seed, factors=drawn)
-        return [one.changed(usual) for one in campaign.definitions()]
+        return [definition.changed(usual) for definition in campaign.definitions()]
 
 
 def load_plan(path: Path | None = None) -> TunePlan:

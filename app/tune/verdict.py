@@ -110,8 +110,8 @@ def judge(plan: TunePlan, search: ConfigurationSearch, chosen: TunePoint, bar: P
     constrained = {
         name: search.drive([chosen.values], one.runs, bar, f"constraint {name}")[0] for name, one in own.items()
     }
-    everything = [one for each in (mine, *constrained.values()) for one in each]
-    theirs_all = [one for each in (usual, *(of.usual for of in own.values())) for one in each]
+    everything = [point for each in (mine, *constrained.values()) for point in each]
+    theirs_all = [point for each in (usual, *(of.usual for of in own.values())) for point in each]
     violations = search.step_time(chosen.values) | broken(everything, theirs_all, terms)
     usual_violations = search.step_time(search.usual) | broken(theirs_all, theirs_all, terms)
     for name, constraint in plan.constraints.items():

@@ -40,8 +40,9 @@ def plant_text(twin: FittedTwin, day: datetime.date) -> str:
         "seconds_fitted": round(twin.fit.seconds, 1),
         "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_held.fit_percent.items()},
         "parameters": {
-            one.name: rounded({"value": one.value, "low": one.low, "high": one.high}) | {"told": one.told}
-            for one in twin.fit.told
+            parameter.name: rounded({"value": parameter.value, "low": parameter.low, "high": parameter.high})
+            | {"told": parameter.told}
+            for parameter in twin.fit.told
         },
     }
     plain = _plain(data)
@@ -71,7 +72,7 @@ def fit_table(twin: FittedTwin) -> Table:
         rows.append((name, *cells))
     columns = ["", *(f"FIT {name} [%]" for name in names)]
     columns += [f"position {horizon:g} s [m]" for horizon in horizons] + [
-        f"heading {one:g} s [rad]" for one in horizons
+        f"heading {horizon:g} s [rad]" for horizon in horizons
     ]
     note = f"Free runs from the commands alone, on {twin.data.held_out}. Errors of the pose are RMS."
     return Table("Rows held out", tuple(columns), tuple(rows), note=note)
@@ -81,15 +82,15 @@ def parameter_table(twin: FittedTwin) -> Table:
     """What the log told."""
     rows = tuple(
         (
-            one.name,
-            one.words,
-            one.unit,
-            f"{one.value:.4g}",
-            f"{one.low:.4g} to {one.high:.4g}",
-            f"{one.share:.2f}",
-            "yes" if one.told else "no, prior",
+            parameter.name,
+            parameter.words,
+            parameter.unit,
+            f"{parameter.value:.4g}",
+            f"{parameter.low:.4g} to {parameter.high:.4g}",
+            f"{parameter.share:.2f}",
+            "yes" if parameter.told else "no, prior",
         )
-        for one in twin.fit.told
+        for parameter in twin.fit.told
     )
     columns = ("parameter", "what", "unit", "value", "95 % interval", "deviation over prior's", "told")
     note = (
@@ -101,7 +102,7 @@ def parameter_table(twin: FittedTwin) -> Table:
 
 def report_text(twin: FittedTwin, figures: Mapping[str, str]) -> str:
     """The report in Markdown."""
-    untold = [one.name for one in twin.fit.told if not one.told]
+    untold = [parameter.name for parameter in twin.fit.told if not parameter.told]
     left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
     parts = [
         f"# {twin.name}",
@@ -136,7 +137,7 @@ def numbers(twin: FittedTwin) -> dict[str, Any]:
         "drives": twin.fit.drives,
         "twin": held(twin.twin_held),
         "model": {"name": twin.model_name} | held(twin.model_held),
-        "parameters": [told(one) for one in twin.fit.told],
+        "parameters": [told(parameter) for parameter in twin.fit.told],
         "notes": list(twin.notes),
     }
 

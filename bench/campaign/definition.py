@@ -20,7 +20,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 GROUPS = ("config", "robot", "surface", "sensors")
 """Files whose single values a factor may replace: `robot.twin.link.dead_time` is a key of the robot's file."""
-FACTORS_OF_A_CASE = (*(one.name for one in DIMENSIONS), "config", "top_speed", "scaled", "late")
+FACTORS_OF_A_CASE = (*(dimension.name for dimension in DIMENSIONS), "config", "top_speed", "scaled", "late")
 """Factors that are no key of a file."""
 _TYPES: dict[str, tuple[type, ...]] = {
     **dict.fromkeys(FACTORS_OF_A_CASE, (str,)),

@@ -254,7 +254,7 @@ def drive_all(
 
 def failed(driven: Sequence[CampaignRun]) -> str:
     """How many runs ended in an error, and the first of them, in one line; empty without any."""
-    errors = [one for one in driven if one.row["error"]]
+    errors = [run for run in driven if run.row["error"]]
     if not errors:
         return ""
     first = errors[0]

@@ -25,7 +25,11 @@ KINDS: dict[str, FileKind] = {
             "--model",
             ("parameters/*.yaml", "parameters/robots/*.yaml"),
             besides=("robot.yaml",),
-            elsewhere=tuple(one.shipped for one in function_structures().values() if one.shipped),
+            elsewhere=tuple(
+                function_structure.shipped
+                for function_structure in function_structures().values()
+                if function_structure.shipped
+            ),
         ),
         FileKind("mapping", "models", "columns or topics of a log", "--mapping", ("logs/mappings/*.yaml",)),
         FileKind("vehicle", "models", "robot as the floor feels it", "load_vehicle", ("turn_costs/vehicles/*.yaml",)),

@@ -105,7 +105,7 @@ def named_inputs(arguments: Sequence[str]) -> list[str]:
             continue
         parts += [word, value] if equals else [word]
         parts += re.split("[,:]", value or word)
-    return [one for one in parts if one]
+    return [part for part in parts if part]
 
 
 def command_line() -> str:

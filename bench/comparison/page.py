@@ -219,8 +219,8 @@ def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
             place = f"{name}, {case.labels['trajectory']}, seed {case.labels['seed']}"
-            for one in run_warnings(run, case_config(case), place):
-                warned.setdefault((name, one.remedy), []).append(one)
+            for run_warning in run_warnings(run, case_config(case), place):
+                warned.setdefault((name, run_warning.remedy), []).append(run_warning)
     made = []
     for alike in warned.values():
         more = f" The same kind in {len(alike) - 1} more of its runs." if len(alike) > 1 else ""

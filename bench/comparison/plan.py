@@ -92,7 +92,7 @@ def read_options(
     Raises ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
-    given = {one: text for one in DIMENSIONS if (text := values.get(one.several)) is not None}
+    given = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
     asked: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
     if "controllers" not in asked and (config is not None or settings or "models" in asked):
         asked["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
@@ -180,7 +180,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
         name: [Case(controller=name, model=NO_MODEL, scaled=settings.scaled)] for name in controllers if name in PEERS
     }
     # Trajectories and seeds vary fastest.
-    several = {one.name: settings.values(one.several) for one in DIMENSIONS if one.place}
+    several = {dimension.name: settings.values(dimension.several) for dimension in DIMENSIONS if dimension.place}
     several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}
     places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
     driven_by = {name: peers.get(name, drivers) for name in controllers}
@@ -237,7 +237,7 @@ def _check_labels(settings: ComparisonSettings) -> None:
 
     A model stands under its name where a peer stands under its own; upper and lower case make no file of their own.
     """
-    dimensions = {one.several: settings.values(one.several) for one in DIMENSIONS}
+    dimensions = {dimension.several: settings.values(dimension.several) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)
     dimensions["models"] = (*peers, *dimensions["models"]) if settings.ours else peers
     for dimension, names in dimensions.items():

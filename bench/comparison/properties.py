@@ -74,12 +74,16 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
     """Of every pair of model and plant among `cases`, once."""
     wanted = dict.fromkeys(_property_case(case) for case in cases if case.controller not in PEERS)
     measured = run_tasks([partial(Property.of, case) for case in wanted], jobs, on_done)
-    return [one for one in measured if one is not None]
+    return [row for row in measured if row is not None]
 
 
 def _property_case(case: Case) -> Case:
     """What the properties depend on."""
-    plain = {one.name: one.default for one in DIMENSIONS if one.name in ("trajectory", "seed", "scenario", "timing")}
+    plain = {
+        dimension.name: dimension.default
+        for dimension in DIMENSIONS
+        if dimension.name in ("trajectory", "seed", "scenario", "timing")
+    }
     return replace(case, **plain)
 
 

@@ -67,7 +67,11 @@ class ComparisonResults:
     @property
     def silent(self) -> list[str]:
         """Dimensions that nobody asked for, and that are left out for it."""
-        return [one.name for one in DIMENSIONS if one.silent and self.settings.values(one.several) == (one.default,)]
+        return [
+            dimension.name
+            for dimension in DIMENSIONS
+            if dimension.silent and self.settings.values(dimension.several) == (dimension.default,)
+        ]
 
     def rows(self) -> list[Row]:
         """Every run as plain values; what could not be computed is None."""
@@ -161,7 +165,7 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
     timing
         How the machine was while all was timed.
     """
-    asked: dict[str, object] = {one.several: labelled(settings, one.several) for one in DIMENSIONS}
+    asked: dict[str, object] = {dimension.several: labelled(settings, dimension.several) for dimension in DIMENSIONS}
     if not settings.ours:
         asked["models"] = []
     return {

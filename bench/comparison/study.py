@@ -52,11 +52,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         bar.begin(f"running, {jobs} at a time", len(cases))
         # Of the cases that are timed the whole run is kept, of the others their row.
         driven = run_tasks([partial(_drive, case, whole=case in plan.all) for case in cases], jobs, bar.advance)
-        recorded = [one for one in driven if isinstance(one, RunOutcome)]
+        recorded = [run for run in driven if isinstance(run, RunOutcome)]
         bar.begin("timing, in turns", len(recorded))
         timed, timing = time_outcomes(recorded, bar.advance)
-        rows: dict[Case, Row] = {one.case: one.row for one in timed}
-        rows |= {one["case"]: one for one in driven if not isinstance(one, RunOutcome)}
+        rows: dict[Case, Row] = {controller.case: controller.row for controller in timed}
+        rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
 
         def of(listed: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in listed)
@@ -73,7 +73,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """The overview above the tables, the runs of the first seed one by one below."""
         from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
-        named = [one for one in DIMENSIONS if (one.place or one.name == "seed") and one.name not in results.silent]
+        named = [
+            dimension
+            for dimension in DIMENSIONS
+            if (dimension.place or dimension.name == "seed") and dimension.name not in results.silent
+        ]
         asked = [
             f"{one.name if one.place and len(values) == 1 else one.several} {', '.join(map(str, values))}"
             for one in named

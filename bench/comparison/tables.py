@@ -206,7 +206,7 @@ def _disturbed_note(rows: DataFrame) -> str:
 def _where(rows: DataFrame) -> str:
     """Where all runs of the horizon sweep took place: only the first of each dimension is swept."""
     case = rows["case"].iloc[0]
-    labels = {one: case.labels[one.name] for one in DIMENSIONS if one.place}
+    labels = {dimension: case.labels[dimension.name] for dimension in DIMENSIONS if dimension.place}
     parts = [f"{one.name} {text}" for one, text in labels.items() if not (one.silent and text == one.default)]
     parts += [f"{key}={value}" for key, value in case.overrides if key != "horizon"]
     return ", ".join([*parts, f"seed {case.seed}"])

@@ -85,7 +85,7 @@ def _look() -> dict[str, list[str]]:
     return {
         "colours": list(PALETTE),
         "dashes": list(_DASHES),
-        "markers": [_MARKERS[one] for one in MARKERS],
+        "markers": [_MARKERS[marker] for marker in MARKERS],
     }
 
 

@@ -140,7 +140,7 @@ def _said(run: Run) -> str:
     if not messages:
         return ""
     more = f" And {len(messages) - _SHOWN} more." if len(messages) > _SHOWN else ""
-    return "The controller said: " + " ".join(f"“{one}”" for one in messages[:_SHOWN]) + more
+    return "The controller said: " + " ".join(f"“{message}”" for message in messages[:_SHOWN]) + more
 
 
 def _ticks(count: int) -> str:

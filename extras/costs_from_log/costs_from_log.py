@@ -88,7 +88,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
     car, prior = load_vehicle(vehicle), load_drive_constants(drive or "default")
     read = read_log(log, mapping)
     records = read.records
-    if any(one.motor_current is None for one in records):
+    if any(record.motor_current is None for record in records):
         raise ConfigError(
             f"{read.name}: no currents of the motors; name their columns or topics, 'motors', in the mapping"
         )
@@ -124,7 +124,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
         radii=(max(low, bounds[0]), min(high, bounds[1])),
     )
     least = curves.least_radius()
-    energies = np.sum([_energies(one, costs, least) for one in records], axis=0).tolist()
+    energies = np.sum([_energies(record, costs, least) for record in records], axis=0).tolist()
     return LogOutcome(read, car, constants, identified, prior, note, samples, curves, slip, slip_from, costs, *energies)
 
 

@@ -342,7 +342,7 @@ def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
         content.structure,
         content.sample_time,
         [channel.dead_samples for channel in channels],
-        [one.still for one in channels],
+        [channel.still for channel in channels],
         content.coefficients(),
         content.origins,
     )

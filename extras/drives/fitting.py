@@ -104,7 +104,7 @@ def fit_drive(kind: Kind, records: Sequence[Record], yaw: YawSource = "gyro") ->
     if any(run.dt != dt for run in runs):
         raise ValueError("the records have different sample times; a drive model is for one")
     channels = [_fit_channel(kind, row, [run.channel(row, row) for run in runs]) for row in (0, 1)]
-    values, dead = [one[0] for one in channels], (channels[0][1], channels[1][1])
+    values, dead = [channel[0] for channel in channels], (channels[0][1], channels[1][1])
     if kind == "drive_physical":
         values = _share_integral_time(values, dead, runs)
     return DriveFit(kind, dt, (values[0], values[1]), dead, numbers_at_bounds(values))

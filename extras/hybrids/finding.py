@@ -144,7 +144,7 @@ def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
     for rest, block in blocks(experiments):
         held_out = runs_of(linear, system, cut(experiments, block))
         networks = trained(linear, runs_of(linear, system, cut(experiments, rest)), settings.decays, settings)
-        gains.append([_log_power(linear, one, held_out) for one in networks])
+        gains.append([_log_power(linear, network, held_out) for network in networks])
     scores = np.mean(gains, axis=0)
     runs, best = runs_of(linear, system, experiments), int(np.argmin(scores))
     if scores[best] > np.log1p(-settings.min_gain):

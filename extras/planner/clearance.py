@@ -62,10 +62,10 @@ class Clearance:
 
     def __init__(self, surroundings: Surroundings, footprint: Footprint) -> None:
         polygons = [checked_polygon(polygon, f"polygon {i}") for i, polygon in enumerate(surroundings.polygons)]
-        self._polygons = [piece for one in polygons for piece in convex_pieces(one)]
+        self._polygons = [piece for polygon in polygons for piece in convex_pieces(polygon)]
         for i, disc in enumerate(surroundings.discs):
             check_disc(disc, f"disc {i}", timed=True)
-        self._discs = np.array([(one.x, one.y, one.radius) for one in surroundings.discs]).reshape(-1, 3)
+        self._discs = np.array([(disc.x, disc.y, disc.radius) for disc in surroundings.discs]).reshape(-1, 3)
         self.robot = covering_discs(footprint)
 
     @property

@@ -92,7 +92,7 @@ def laid_out(
         Whether it comes to rest between any two pieces, so that each is driven as the search has it; then the yaw rate
         is that of the piece's curvature all along.
     """
-    kept = [one for one in pieces if one.duration > _SHORTEST] or list(pieces)
+    kept = [piece for piece in pieces if piece.duration > _SHORTEST] or list(pieces)
     kept = slowed(kept, settings.motion.acceleration, each=stop_at_corners)
     laid = _Layer(costs, start, kept, sharpest, spot, settings)
     for i, piece in enumerate(kept):

@@ -68,7 +68,7 @@ class MranNetwork:
         self._errors.append(error)
         self._distance = max(settings.distance[1], self._distance * settings.distance_decay)
         nearest = float(np.abs(away).min()) if away.size else math.inf
-        rms = math.sqrt(sum(one * one for one in self._errors) / settings.window)
+        rms = math.sqrt(sum(error * error for error in self._errors) / settings.window)
         grown = (
             abs(error) > settings.instant_error
             and rms > settings.window_error

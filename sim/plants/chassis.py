@@ -285,9 +285,9 @@ def _mjcf(
     front, half_track = 0.0 if chassis.castors else chassis.wheel_base / 2, robot.track / 2
     rear = front - chassis.wheel_base
     rolling = [share * radius for share in chassis.rolling_radii] * 2
-    shapes = [f'type="sphere" size="{one}"' for one in rolling]
+    shapes = [f'type="sphere" size="{wheel}"' for wheel in rolling]
     if aligned:
-        shapes = [f'type="capsule" size="{one} {_CAPSULE}" euler="90 0 0"' for one in rolling]
+        shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling]
         tyre = _of_two(tyre)
     places = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
     # Without it the joints have no constraint at all: robots that leave it out move as ever, bit for bit.

@@ -155,7 +155,7 @@ class VelocityLoops:
         """
         arrays = [np.array(one, dtype=float) for one in (set_points, measured, speeds)]
         torques = np.empty(4)
-        self._lib.twin_torque(self.c, *(address(one) for one in arrays), address(torques))
+        self._lib.twin_torque(self.c, *(address(array) for array in arrays), address(torques))
         return torques
 
 

@@ -72,7 +72,7 @@ class TwinProblem:
         if motions is None:
             assert self.weight is not None
             lost = _LOST / self.weight
-            return [np.where(one.experiment.counts, lost, np.nan) for one in self.stretches]
+            return [np.where(stretch.experiment.counts, lost, np.nan) for stretch in self.stretches]
         return [
             np.where(
                 stretch.experiment.counts,

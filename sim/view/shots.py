@@ -61,7 +61,7 @@ class Shots:
 
     def save(self, path: Path) -> None:
         """Write to a .npz file."""
-        rest = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in _ARRAYS}
+        rest = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in _ARRAYS}
         words = json.dumps({**rest, "body": asdict(self.body)})
         np.savez(path, words=np.array(words), **{name: getattr(self, name) for name in _ARRAYS})
 

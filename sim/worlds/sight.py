@@ -146,8 +146,8 @@ class Eyes:
         if len(ends):
             new = (key for key, one in zip(keys, single, strict=True) if key not in self._known and _met(one, ends))
             self._known.update(new)
-        polygons = tuple(one for one in shapes.polygons if one.tobytes() in self._known)
-        return polygons, [SeenDisc(*one.tolist()) for one in shapes.discs if one.tobytes() in self._known]
+        polygons = tuple(polygon for polygon in shapes.polygons if polygon.tobytes() in self._known)
+        return polygons, [SeenDisc(*disc.tolist()) for disc in shapes.discs if disc.tobytes() in self._known]
 
     def _persons(self, time: float, pose: FloatArray, shapes: Shapes) -> tuple[SeenDisc, ...]:
         persons = []

@@ -57,7 +57,7 @@ class World(StrictModel):
     def changes(self) -> bool:
         """Whether anything moves or is taken away."""
         standing = (*self.walls, *self.boxes, *self.polygons, *self.posts)
-        return bool(self.movers) or any(one.until is not None for one in standing)
+        return bool(self.movers) or any(obstacle.until is not None for obstacle in standing)
 
     def shapes(self, time: float) -> Shapes:
         """What stands at `time` [s]; movers are not among it."""

@@ -92,7 +92,7 @@ def _rates(text: str) -> list[float]:
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
 
     try:
-        return [float(one) for one in split_names(text, "--rates")]
+        return [float(name) for name in split_names(text, "--rates")]
     except ValueError:
         raise ConfigError(f"--rates {text}: expected numbers above 0, such as 1,10,100") from None
 

@@ -129,8 +129,8 @@ def drive(case: Case) -> FrontRun:
 def fronts(driven: Sequence[FrontRun]) -> Fronts:
     """The front of each floor and path, weights ascending; the first is none."""
     by_place: Fronts = {}
-    for floor, path in dict.fromkeys((one.surface, one.trajectory) for one in driven):
-        there = [one for one in driven if (one.surface, one.trajectory) == (floor, path)]
+    for floor, path in dict.fromkeys((run.surface, run.trajectory) for run in driven):
+        there = [run for run in driven if (run.surface, run.trajectory) == (floor, path)]
         without = {one.seed: one.energy for one in there if one.weight == 0.0}
         by_place[floor, path] = []
         for weight in sorted({one.weight for one in there}):

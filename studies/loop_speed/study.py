@@ -115,7 +115,7 @@ class LoopSpeedStudy(Study[list[Case], list[LoopCost]]):
             Table.of("Times real time", names, speeds, entries, "Simulated time over processor time, on one core."),
             Table.of("A tick", names, parts, entries, "Rest: what the loop itself takes, records included."),
         ]
-        rows = [_named(one.case) | {k: v for k, v in asdict(one).items() if k != "case"} for one in results]
+        rows = [_named(result.case) | {k: v for k, v in asdict(result).items() if k != "case"} for result in results]
         fact = (
             f"{len(results)} drives, {self._repeats} times each in turn, in {seconds} s; plant {self._plant}, "
             f"scenario {self._scenario}; processor time, the least of each."

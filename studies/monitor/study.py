@@ -137,8 +137,8 @@ def _is_caught(held: FaultBounds, one: MonitorTrial) -> bool:
 
 def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[str, ...]:
     after = sorted(trial.after if trial.rule else math.inf for trial in trials)
-    rules = Counter(one.rule for one in trials if one.rule)
-    farthest = max(one.farthest for one in trials)
+    rules = Counter(trial.rule for trial in trials if trial.rule)
+    farthest = max(trial.farthest for trial in trials)
     return (
         name,
         held.of,
@@ -147,7 +147,7 @@ def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[
         number(after[len(after) // 2], 2),
         number(after[-1], 2),
         number(farthest, 2) if held.stoppable else "-",
-        f"{sum(_is_caught(held, one) for one in trials)}/{len(trials)}",
+        f"{sum(_is_caught(held, trial) for trial in trials)}/{len(trials)}",
     )
 
 

@@ -224,17 +224,17 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         ]
         proof = [
             {
-                "peer": one.peer,
+                "peer": result.peer,
                 "gain": it.gain,
                 "factor": it.factor,
                 "worse_m": float(it.worse.mean()),
                 "se_m": it.spread,
             }
-            for one in results
-            for it in one.neighbours
+            for result in results
+            for it in result.neighbours
         ]
         meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
-        tables = [_summary(results, settings.scan), *(_proof(one) for one in results)]
+        tables = [_summary(results, settings.scan), *(_proof(result) for result in results)]
         return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables)
 
 

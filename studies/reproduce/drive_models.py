@@ -151,7 +151,7 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
     numbers = []
     for source, group in _by_source(results).items():
         for name in group[0].errors:
-            mean = np.mean([[*one.errors[name].v, *one.errors[name].omega] for one in group], axis=0)
+            mean = np.mean([[*finding.errors[name].v, *finding.errors[name].omega] for finding in group], axis=0)
             rows.append((source, name, *(f"{value:.2f}" for value in mean)))
         for name in KINDS:
             numbers.append((source, name, *(_numbers(group, name, row) for row in (0, 1))))
@@ -197,7 +197,7 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
     findings = []
     for where, group in (
         ("drives of the simulated robot", [result for result in results if result.repetition]),
-        ("real logs", [one for one in results if not one.repetition]),
+        ("real logs", [result for result in results if not result.repetition]),
     ):
         if not group:
             continue
@@ -208,18 +208,18 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
         ):
             holds = tuple(
                 all(
-                    one.errors[name].v[0] < one.errors[worse].v[0]
-                    and one.errors[name].omega[0] < one.errors[worse].omega[0]
+                    finding.errors[name].v[0] < finding.errors[worse].v[0]
+                    and finding.errors[name].omega[0] < finding.errors[worse].omega[0]
                     for name in better
                 )
-                for one in group
+                for finding in group
             )
             paper = "-" if SM in better else "; ".join(_means(second[name]) for name in (*better, worse))
             ours = "; ".join(
                 _means(
                     VelocityErrors(
-                        (float(np.mean([one.errors[name].v[0] for one in group])), 0.0),
-                        (float(np.mean([one.errors[name].omega[0] for one in group])), 0.0),
+                        (float(np.mean([finding.errors[name].v[0] for finding in group])), 0.0),
+                        (float(np.mean([finding.errors[name].omega[0] for finding in group])), 0.0),
                     )
                 )
                 for name in (*better, worse)

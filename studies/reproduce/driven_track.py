@@ -63,7 +63,7 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
             _ALONE,
             (
                 [(0.0, yaw_rate) for yaw_rate in study.yaw_rates],
-                [(v, one) for one in study.yaw_rates],
+                [(v, yaw_rate) for yaw_rate in study.yaw_rates],
                 [(speed, yaw) for speed in study.speeds],
             ),
             strict=True,
@@ -95,7 +95,12 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
     """The tests beside the paper's, and what the track depends on."""
     paper, commands = published.virtual_track, results[0].tests
     rows = [
-        (str(k + 1), f"{yaw:.3f}", f"{track:.3f}", *(f"{one.tests[k, c]:.3f}" for one in results for c in (0, 1, 2)))
+        (
+            str(k + 1),
+            f"{yaw:.3f}",
+            f"{track:.3f}",
+            *(f"{result.tests[k, c]:.3f}" for result in results for c in (0, 1, 2)),
+        )
         for k, (yaw, track) in enumerate(paper.tests[: len(commands)])
     ]
     lines = [("P3, Epi.q", f"{paper.p1:.3f}", f"{paper.p0:.3f}", "-", *["-"] * (len(_ALONE) + 1))]
@@ -156,23 +161,27 @@ def driven_track_findings(results: Sequence[DrivenTrack], published: Published) 
             f"the virtual track grows with the yaw rate, by {certain:g} standard deviations or more ({floors})",
             "P3, section 3",
             f"{paper.p1:.3f} m s",
-            "; ".join(f"{_pm(one.line.p1, one.line.p1_deviation, 4)} m s" for one in results),
-            tuple(one.line.p1 > certain * one.line.p1_deviation for one in results),
+            "; ".join(f"{_pm(result.line.p1, result.line.p1_deviation, 4)} m s" for result in results),
+            tuple(result.line.p1 > certain * result.line.p1_deviation for result in results),
         ),
         PaperFinding(
             f"at constant yaw rate the virtual track does not depend on v, within {certain:g} standard deviations "
             f"({floors})",
             "P3's law",
             "no v in it",
-            "; ".join(f"{_pm(1e3 * (s := one.slopes[speed]).p1, 1e3 * s.p1_deviation, 1)} mm s/m" for one in results),
-            tuple(abs(one.slopes[speed].p1) < certain * one.slopes[speed].p1_deviation for one in results),
+            "; ".join(
+                f"{_pm(1e3 * (s := result.slopes[speed]).p1, 1e3 * s.p1_deviation, 1)} mm s/m" for result in results
+            ),
+            tuple(abs(result.slopes[speed].p1) < certain * result.slopes[speed].p1_deviation for result in results),
         ),
         PaperFinding(
             f"turning on the spot, the virtual track does not fall with the yaw rate, by {certain:g} deviations "
             f"({floors})",
             "ours",
             "-",
-            "; ".join(f"{_pm(1e3 * (s := one.slopes[spot]).p1, 1e3 * s.p1_deviation, 1)} mm s" for one in results),
-            tuple(one.slopes[spot].p1 > -certain * one.slopes[spot].p1_deviation for one in results),
+            "; ".join(
+                f"{_pm(1e3 * (s := result.slopes[spot]).p1, 1e3 * s.p1_deviation, 1)} mm s" for result in results
+            ),
+            tuple(result.slopes[spot].p1 > -certain * result.slopes[spot].p1_deviation for result in results),
         ),
     ]

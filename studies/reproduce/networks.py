@@ -74,12 +74,12 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
     drive = logs.free(1, study.train_duration, study.paper_range)
     drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
     ssm = identify_ssm(drive, PAPERS_ORDER, limits=False)
-    predictions = {SSM: tuple(free_drive(ssm.system, one) for one in drives)}
+    predictions = {SSM: tuple(free_drive(ssm.system, drive) for drive in drives)}
     kind, usual = Architecture(), training_settings()
     for name, settings in ((LSTM, usual), (LONGER, usual.model_copy(update=study.longer.model_dump()))):
         training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
         network = train(kind, training, validation, settings).network
-        predictions[name] = tuple(_network_drive(network, one) for one in drives)
+        predictions[name] = tuple(_network_drive(network, drive) for drive in drives)
     return NetworkResult(repetition, predictions)
 
 
@@ -174,7 +174,7 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
 
 
 def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
-    ours = {one.row: float(np.mean(one.test.fit_percent)) for one in rows}
+    ours = {row.row: float(np.mean(row.test.fit_percent)) for row in rows}
     printed = {row: float(np.mean(scores.test.values[:2])) for row, scores in published.networks.items()}
     words = []
     for means in (printed, ours):
@@ -192,14 +192,14 @@ def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
 def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
     """The nine networks, the paper's figures beside ours."""
     lines = []
-    for one in sorted(rows, key=lambda one: one.row):
-        scores = published.networks[one.row]
+    for row in sorted(rows, key=lambda one: one.row):
+        scores = published.networks[row.row]
         what = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
         numbers = f"{scores.window}, {scores.batch}, {scores.validation_every}, {scores.patience}"
         paper = [number(value, 2) for value in scores.test.values]
-        ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(one.test.values)]
-        validation = [number(value, 2) for value in one.validation.fit_percent]
-        lines.append((str(one.row), what, numbers, *paper, *ours, *validation, str(one.parameters), str(one.steps)))
+        ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(row.test.values)]
+        validation = [number(value, 2) for value in row.validation.fit_percent]
+        lines.append((str(row.row), what, numbers, *paper, *ours, *validation, str(row.parameters), str(row.steps)))
     columns = (
         "row",
         "layers x units, dense layer, optimiser",

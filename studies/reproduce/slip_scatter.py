@@ -225,7 +225,7 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
     rows, terms = [], []
     for (floor, drifts), group in _groups(results).items():
         nominal, learned, scaled = (pooled(group, name) for name in ("nominal", "learned", "scaled"))
-        by_slip = np.sqrt(np.mean([one.by_slip**2 for one in group], axis=0))
+        by_slip = np.sqrt(np.mean([finding.by_slip**2 for finding in group], axis=0))
         rows.append(
             (
                 floor,
@@ -239,8 +239,8 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
         )
         truth = group[0].truth
         if truth is not None:
-            coefficients = np.mean([one.coefficients for one in group], axis=0)
-            sure = np.sqrt(np.mean([one.deviations**2 for one in group], axis=0))
+            coefficients = np.mean([finding.coefficients for finding in group], axis=0)
+            sure = np.sqrt(np.mean([finding.deviations**2 for finding in group], axis=0))
             if drifts == results[0].drifts:
                 terms.append((floor, "true", *(f"{1e3 * value:.1f}" for value in truth)))
             cells = (f"{1e3 * mean:.1f} ± {1e3 * one:.1f}" for mean, one in zip(coefficients, sure, strict=True))
@@ -309,7 +309,7 @@ def _learning_helps(learned: Sequence[Foresight], nominal: Sequence[Foresight], 
 
 def _corresponds(values: Sequence[Foresight], how: str, where: str, published: Published) -> PaperFinding:
     factor = published.rules.corresponds
-    ratios = [(one.foreseen / one.rms)[:2] for one in values]
+    ratios = [(value.foreseen / value.rms)[:2] for value in values]
     return PaperFinding(
         f"foreseen deviations{how} are those of the errors along and across, to a factor of {factor:g} ({where})",
         _SOURCE,

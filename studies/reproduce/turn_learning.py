@@ -185,14 +185,14 @@ def turn_learning_tables(floors: Sequence[LearnedTurns], published: Published) -
     ]
     least += [
         (
-            f"robot on '{one.floor}'",
-            _metres(one.raw_least),
-            _metres(one.own),
-            _metres(one.learned_least),
-            _percent(one.learned_least / one.own - 1) if one.own else "-",
-            f"{100 * max(one.off):.1f}",
+            f"robot on '{floor.floor}'",
+            _metres(floor.raw_least),
+            _metres(floor.own),
+            _metres(floor.learned_least),
+            _percent(floor.learned_least / floor.own - 1) if floor.own else "-",
+            f"{100 * max(floor.off):.1f}",
         )
-        for one in floors
+        for floor in floors
     ]
     runs = [
         (f"P4, {name}, mean", "-", "-", number(one.learned, 1), number(one.prior, 1))
@@ -212,8 +212,8 @@ def turn_learning_tables(floors: Sequence[LearnedTurns], published: Published) -
         learned, prior = _means(floor)
         runs.append((f"{floor.floor}, mean", "-", "-", _percent(learned), _percent(prior)))
     cost = printed.cost
-    took = float(np.mean([one.learning_time for one in floors]))
-    plans = [duration for one in floors for duration in one.planning_times]
+    took = float(np.mean([floor.learning_time for floor in floors]))
+    plans = [duration for floor in floors for duration in floor.planning_times]
     return [
         Table(
             "Least radius learned",
@@ -262,9 +262,9 @@ def _percent(value: float) -> str:
 def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published) -> list[PaperFinding]:
     """What P4 concludes from its curves and energies, one verdict for each floor."""
     printed, rules = published.turning, published.rules
-    where, within = ", ".join(one.floor for one in floors), 100 * rules.turn_least_radius_off
+    where, within = ", ".join(floor.floor for floor in floors), 100 * rules.turn_least_radius_off
     radii = "; ".join(f"{one.network:g} m of {one.raw:g}" for one in printed.least_radius.values())
-    ours = "; ".join(f"{_metres(one.learned_least)} m of {_metres(one.own)}" for one in floors)
+    ours = "; ".join(f"{_metres(floor.learned_least)} m of {_metres(floor.own)}" for floor in floors)
     energies = ", ".join(f"{name} {one.learned:g} %" for name, one in printed.energy_missed.items())
     without = ", ".join(f"{name} {one.prior:g} %" for name, one in printed.energy_missed.items())
     means = [_means(floor) for floor in floors]
@@ -274,15 +274,15 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
             f"the curves of vinyl know no least radius, the learned ones do ({where})",
             _CURVES,
             "1.8, 2.4, 1.2 m from none",
-            "; ".join(f"{_metres(one.learned_least)} m from {_metres(one.prior_least)}" for one in floors),
-            tuple(one.prior_least == 0 < one.learned_least for one in floors),
+            "; ".join(f"{_metres(floor.learned_least)} m from {_metres(floor.prior_least)}" for floor in floors),
+            tuple(floor.prior_least == 0 < floor.learned_least for floor in floors),
         ),
         PaperFinding(
             f"learned torques are within {100 * rules.turn_torque_off:g} % of the measured ones (RMSE; {where})",
             _CURVES,
             "close to the average, by the figures",
-            "; ".join(f"{100 * max(one.off):.1f} %" for one in floors),
-            tuple(max(one.off) < rules.turn_torque_off for one in floors),
+            "; ".join(f"{100 * max(floor.off):.1f} %" for floor in floors),
+            tuple(max(floor.off) < rules.turn_torque_off for floor in floors),
         ),
         PaperFinding(
             f"the learned least radius is within {within:g} % of that of steady turns ({where})",
@@ -290,29 +290,32 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
             radii,
             ours,
             tuple(
-                bool(one.own) and abs(one.learned_least / one.own - 1) < rules.turn_least_radius_off for one in floors
+                bool(floor.own) and abs(floor.learned_least / floor.own - 1) < rules.turn_least_radius_off
+                for floor in floors
             ),
         ),
         PaperFinding(
             f"the learned least radius is not below the widest turn whose raw torques were at the limit ({where})",
             _CURVES,
             radii,
-            "; ".join(f"{_metres(one.learned_least)} m of {_metres(one.raw_least)}" for one in floors),
-            tuple(one.learned_least >= one.raw_least for one in floors),
+            "; ".join(f"{_metres(floor.learned_least)} m of {_metres(floor.raw_least)}" for floor in floors),
+            tuple(floor.learned_least >= floor.raw_least for floor in floors),
         ),
         PaperFinding(
             f"nor below that of steady turns ({where})",
             "ours",
             "-",
             ours,
-            tuple(one.learned_least >= one.own for one in floors),
+            tuple(floor.learned_least >= floor.own for floor in floors),
         ),
         PaperFinding(
             f"with learning the energy of each unseen drive is foreseen nearer than by vinyl ({where})",
             _ENERGY,
             f"missed: {energies}; without: {without}",
             "missed: " + "; ".join(f"{_percent(learned)} %, without {_percent(prior)} %" for learned, prior in means),
-            tuple(all(abs(run.missed(run.learned)) < abs(run.missed(run.prior)) for run in one.runs) for one in floors),
+            tuple(
+                all(abs(run.missed(run.learned)) < abs(run.missed(run.prior)) for run in floor.runs) for floor in floors
+            ),
         ),
         PaperFinding(
             f"with learning too much energy is foreseen, which is the safe side (mean; {where})",

@@ -168,17 +168,17 @@ def turning_findings(result: TurningResult, published: Published) -> list[PaperF
                 f"torques grow as turns get sharper, to {100 * rules.turn_rise:g} % of the largest ({where})",
                 _TORQUES,
                 "seen in the figure",
-                "; ".join(f"{one.torque[-1, 0]:.2f} to {one.torque[:, 0].max():.2f} N m" for one in turns),
-                tuple(_falls(one, rules.turn_rise) for one in turns),
+                "; ".join(f"{turn.torque[-1, 0]:.2f} to {turn.torque[:, 0].max():.2f} N m" for turn in turns),
+                tuple(_falls(turn, rules.turn_rise) for turn in turns),
             ),
             PaperFinding(
                 f"the inner side drives beyond the printed radius, to a factor of {rules.turn_crossing:g} ({where})",
                 _TORQUES,
                 f"{printed.inner_drives_beyond:g} m",
-                "; ".join(f"{one.drives_beyond:.1f} m" for one in turns) + (_CHOSEN if turns is result.law else ""),
+                "; ".join(f"{turn.drives_beyond:.1f} m" for turn in turns) + (_CHOSEN if turns is result.law else ""),
                 tuple(
-                    bool(abs(np.log(one.drives_beyond / printed.inner_drives_beyond)) < np.log(rules.turn_crossing))
-                    for one in turns
+                    bool(abs(np.log(turn.drives_beyond / printed.inner_drives_beyond)) < np.log(rules.turn_crossing))
+                    for turn in turns
                 ),
             ),
             _speed_does_not_matter(turns, where, rules.turn_alike, rules.turn_alike_from),
@@ -186,8 +186,8 @@ def turning_findings(result: TurningResult, published: Published) -> list[PaperF
                 f"the inner side gives back power at some radii where it skids ({where})",
                 _POWER,
                 "seen in the figure",
-                "; ".join("nowhere" if (b := one.gives_back) is None else f"{b[0]:g} to {b[1]:g} m" for one in turns),
-                tuple(one.gives_back is not None for one in turns),
+                "; ".join("nowhere" if (b := turn.gives_back) is None else f"{b[0]:g} to {b[1]:g} m" for turn in turns),
+                tuple(turn.gives_back is not None for turn in turns),
             ),
         ]
     return findings

@@ -99,7 +99,7 @@ def _message_table(rows: DataFrame) -> Table:
     """The most frequent message of the run in which a controller said most."""
     loudest = rows.loc[rows.groupby(["condition", "driver"], sort=False)["message_percent"].idxmax()]
     messages = loudest[(loudest["ended"] != "") | (loudest["message"] != "")]
-    entries = [((one.condition, one.driver, one.ended or one.message), one) for one in messages.itertuples()]
+    entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
     note = "The most frequent message of the run with most of them, and the share of ticks at which anything was said."
     columns = {"ticks [%]": lambda one: number(one.message_percent, 0)}
     return Table.of("What the controllers said", ("condition", "controller", "message"), columns, entries, note)

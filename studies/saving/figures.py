@@ -71,8 +71,10 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
         most, offset = 1.0, 0
         for k, (surface, outcomes) in enumerate(floors):
             for aim, filled in zip(AIMS[:2], (True, False), strict=True):
-                drives = [one.drives[aim] for one in outcomes if aim in one.drives and one.drives[aim].arrived]
-                measured, predicted = [drive.measured for drive in drives], [one.predicted for one in drives]
+                drives = [
+                    outcome.drives[aim] for outcome in outcomes if aim in outcome.drives and outcome.drives[aim].arrived
+                ]
+                measured, predicted = [drive.measured for drive in drives], [drive.predicted for drive in drives]
                 most = max(most, *measured, *predicted) if drives else most
                 left.plot(
                     measured,

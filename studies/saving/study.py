@@ -78,7 +78,9 @@ class SavingStudy(Study[SavingStudySettings, SavingResults]):
             partial(measure_pair, plan, surface, k, pair) for surface in plan.surfaces for k, pair in enumerate(pairs)
         ]
         outcomes = run_tasks(tasks, jobs, bar.advance)
-        floors = [(surface, [one for one in outcomes if one.surface == surface]) for surface in plan.surfaces]
+        floors = [
+            (surface, [outcome for outcome in outcomes if outcome.surface == surface]) for surface in plan.surfaces
+        ]
         bar.begin("scenarios", len(plan.scenarios))
         measures = [partial(_MEASURES[scenario.kind], plan, scenario) for scenario in plan.scenarios]
         return SavingResults(floors, run_tasks(measures, jobs, bar.advance))
@@ -321,7 +323,7 @@ def _fed(outcomes: Sequence[PairOutcome], computer: float) -> BootstrapEstimate:
 def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
     """Mean saving were so much power [W] drawn all the time [-]."""
     savings = [outcome.saving(computer=computer) for outcome in outcomes]
-    return float(np.mean([one for one in savings if math.isfinite(one)] or [math.nan]))
+    return float(np.mean([saving for saving in savings if math.isfinite(saving)] or [math.nan]))
 
 
 def _mean(drives: Sequence[PlanDrive], what: str) -> float:

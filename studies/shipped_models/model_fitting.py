@@ -222,14 +222,14 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     alone = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
     shared = float(np.mean([parameters.value("dead_time") for parameters in alone]))
     channels = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
-    motors = [one.parameters for one in channels]
+    motors = [channel.parameters for channel in channels]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
     settled = np.concatenate([_settled(log) for log in logs.omega])
     gain = np.mean([motor.value("gain") for motor in motors])
     return {
-        "warnings": [str(warning) for one in channels for warning in one.warnings],
+        "warnings": [str(warning) for channel in channels for warning in channel.warnings],
         "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
         "motors": {name: _rounded(motor) for name, motor in zip(names, motors, strict=True)},
         "wheel_radius": robot.wheel_radius,

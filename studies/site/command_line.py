@@ -37,7 +37,7 @@ def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: 
 
 def _section(name: str, command: Any) -> str:  # noqa: ANN401
     arguments = [param for param in command.params if not param.opts[0].startswith("-")]
-    options = [one for one in command.params if one.opts[0].startswith("-") and one.name != "help"]
+    options = [param for param in command.params if param.opts[0].startswith("-") and param.name != "help"]
     usage = " ".join([name, *map(_metavar, arguments), *(["[OPTIONS]"] if options else [])])
     parts = [f"## {_short(name)} {{ #{_anchor(name)} }}", f"```text\n{usage}\n```"]
     parts.append(_text(command.help))

@@ -34,7 +34,7 @@ def _section(kind: FileKind) -> str:
     names = ", ".join(f"`{path.stem}`" for path in kind.files)
     facts = f"For `{kind.given}`." + (f" Shipped: {names}." if names else "")
     title = f"## {kind.name}: {kind.what} {{ #{kind.name} }}"
-    return "\n\n".join([title, facts, *(_table(one, schema) for one in _alternatives(schema, schema))])
+    return "\n\n".join([title, facts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])
 
 
 def _table(part: Schema, schema: Schema) -> str:
@@ -68,12 +68,12 @@ def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
         return _alternatives(schema["$defs"][field["$ref"].rpartition("/")[2]], schema)
     choices = field.get("anyOf", field.get("oneOf", []))
     if choices:
-        return [one for part in choices for one in _alternatives(part, schema)]
+        return [choice for part in choices for choice in _alternatives(part, schema)]
     return [] if field.get("type") == "null" else [field]
 
 
 def _allowed(field: Schema, schema: Schema) -> str:
-    return " or ".join(dict.fromkeys(filter(None, (_text_of(one) for one in _alternatives(field, schema)))))
+    return " or ".join(dict.fromkeys(filter(None, (_text_of(choice) for choice in _alternatives(field, schema)))))
 
 
 def _text_of(one: Schema) -> str:
@@ -88,7 +88,7 @@ def _default(field: Schema) -> str:
 
 
 def _meaning(field: Schema, schema: Schema) -> str:
-    inner = (str(one.get("description", "")) for one in _alternatives(field, schema))
+    inner = (str(choice.get("description", "")) for choice in _alternatives(field, schema))
     return field.get("description") or next(filter(None, inner), "")
 
 

@@ -49,14 +49,14 @@ def _needed() -> dict[str, tuple[Distribution, set[str]]]:
     done: set[tuple[str, frozenset[str]]] = set()
     while todo:
         by, package, extras = todo.pop()
-        for one in _requirements(package, extras):
-            name = _normal(one.name)
+        for requirement in _requirements(package, extras):
+            name = _normal(requirement.name)
             try:
                 needed = distribution(name)
             except PackageNotFoundError:
                 continue  # not for this processor
             distributions.setdefault(name, (needed, set()))[1].add(_normal(by))
-            key = (name, frozenset(one.extras))
+            key = (name, frozenset(requirement.extras))
             if key not in done:
                 done.add(key)
                 todo.append((name, needed, key[1]))

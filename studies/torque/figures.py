@@ -117,7 +117,7 @@ def draw_energy(floors: Sequence[FloorOutcome], path: Path) -> None:
         for k, floor in enumerate(floors):
             measured, predicted = (
                 [energy.measured for energy in floor.energies],
-                [one.predicted for one in floor.energies],
+                [energy.predicted for energy in floor.energies],
             )
             axes.plot(measured, predicted, MARKERS[k], color=colour(k), label=floor.surface)
             most = max(most, *measured, *predicted) if measured else most

@@ -119,7 +119,7 @@ def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked
         for sign in (1, -1):
             drive = drive_open_loop(plant, np.tile([speed, sign * speed / radius], (before + after, 1)))
             torque, power, wheels = (
-                np.array([one[before:].mean() for one in sides(rows)])
+                np.array([side[before:].mean() for side in sides(rows)])
                 for rows in (drive.motor_torque, drive.motor_power, 0.5 * drive.motor_speed)
             )
             # Outer first: to the left it is the right side.

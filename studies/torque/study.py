@@ -106,16 +106,16 @@ class TorqueStudy(Study[TorqueStudySettings, TorqueResults]):
             tables=_tables(results, speed),
             figures=draws,
             shown=Shown(key_figures=_key_figures(results, speed)),
-            files={f"turn-costs-{one.surface}.yaml": turn_costs_text(one.costs) for one in results.floors},
+            files={f"turn-costs-{floor.surface}.yaml": turn_costs_text(floor.costs) for floor in results.floors},
         )
 
 
 def _key_figures(results: TorqueResults, speed: float) -> list[KeyFigure]:
     """The worst of each, and whether it is within what is asked: 10 % in 90 s, 20 %, 10 %."""
     floors = results.floors
-    learned = max(max(rms_error(one.learned, one.steady[speed], speed)) for one in floors)
-    after = max(one.close_after for one in floors)
-    radii = [abs(one.model_radius / one.own_radius[0] - 1) for one in floors if one.own_radius[0]]
+    learned = max(max(rms_error(floor.learned, floor.steady[speed], speed)) for floor in floors)
+    after = max(floor.close_after for floor in floors)
+    radii = [abs(floor.model_radius / floor.own_radius[0] - 1) for floor in floors if floor.own_radius[0]]
     energies = [abs(energy.error) for floor in floors for energy in floor.energies]
     return [
         _share("torque after learning", learned, CLOSE, "off, at most (RMSE)"),
@@ -134,7 +134,7 @@ def _state(good: bool) -> Literal["good", "bad"]:
 
 
 def _tables(results: TorqueResults, speed: float) -> list[Table]:
-    floors = [((one.surface,), one) for one in results.floors]
+    floors = [((floor.surface,), floor) for floor in results.floors]
     learning = Table.of(
         "Torque learned",
         ("floor",),
@@ -186,7 +186,7 @@ def _tables(results: TorqueResults, speed: float) -> list[Table]:
             "off [%]": lambda pair: number(100 * pair.error, 1),
             "by the prior [%]": lambda pair: number(100 * (pair.by_prior / pair.measured - 1), 1),
         },
-        [((floor.surface,), one) for floor in results.floors for one in floor.energies],
+        [((floor.surface,), energy) for floor in results.floors for energy in floor.energies],
     )
     payload = Table.of(
         "Payload",
@@ -197,7 +197,7 @@ def _tables(results: TorqueResults, speed: float) -> list[Table]:
             "curves as learned, outer [%]": lambda one: number(100 * _payload_error(one, 0, one.learned), 1),
             "inner, as learned [%]": lambda one: number(100 * _payload_error(one, 1, one.learned), 1),
         },
-        [((f"{one.payload:g}",), one) for one in results.payloads],
+        [((f"{payload.payload:g}",), payload) for payload in results.payloads],
         note="From the diagnostic drive without payload: the terrain that its curves were mapped to, and the curves.",
     )
     return [learning, radius, terrain, payload, energy]

@@ -38,7 +38,7 @@ def draw_ablation(rows: DataFrame, path: Path) -> None:
             for there in surfaces.values()
         ]
         errors = [1e3 * mean(there, "position_rmse_m") for there in surfaces.values()]
-        ends = ([min(part) for part in parts], [max(one) for one in parts])
+        ends = ([min(part) for part in parts], [max(part) for part in parts])
         series.append(Series(name, list(surfaces), errors, i, "bars", *ends))
     axes = Axis("", "category"), Axis("position RMSE [mm]")
     draw_charts([Chart("What each part of the estimator is worth", *axes, series)], path, width=10.0)

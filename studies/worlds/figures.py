@@ -45,9 +45,9 @@ def rate_charts(rows: DataFrame) -> list[Chart]:
         drivers, series = by(part, "driver"), []
         for style, (column, name) in enumerate((("passage_arrived", "arrived"), ("collided", "collided"))):
             charts = [rate(own, column) for own in drivers.values()]
-            low, high = ([100 * getattr(one, end) for one in charts] for end in ("low", "high"))
+            low, high = ([100 * getattr(chart, end) for chart in charts] for end in ("low", "high"))
             series.append(
-                Series(name, list(drivers), [100 * one.share for one in charts], 2 - style, "bars", low, high)
+                Series(name, list(drivers), [100 * chart.share for chart in charts], 2 - style, "bars", low, high)
             )
         axes = Axis("", "category"), Axis("share of runs [%], 95 % interval", range=(0, 105))
         made.append(Chart(f"Planned way: {planned}", *axes, series))
@@ -67,11 +67,11 @@ def draw_worlds(rows: DataFrame, path: Path) -> None:
             draw_world(axes, world)
             if world.way is not None:
                 axes.plot(*np.array(world.way.waypoints).T, color=REFERENCE_COLOUR, linewidth=3.0, alpha=0.5)
-            for one in own.itertuples():
-                i = drivers.index(one.driver)
-                axes.plot(*one.path.T, color=colour(i), linestyle=line_style(i), linewidth=1.3)
-                if not one.passage_arrived:
-                    axes.plot(*one.path[-1], marker="x" if one.collided else "s", color=colour(i), markersize=7)
+            for row in own.itertuples():
+                i = drivers.index(row.driver)
+                axes.plot(*row.path.T, color=colour(i), linestyle=line_style(i), linewidth=1.3)
+                if not row.passage_arrived:
+                    axes.plot(*row.path[-1], marker="x" if row.collided else "s", color=colour(i), markersize=7)
             axes.set(title=name, aspect="equal")
         for axes in panels[len(worlds) :]:
             axes.set_axis_off()

@@ -92,14 +92,14 @@ def cases(
     controllers = ours if ours and part not in settings.peers_in else controllers
     return [
         Case(
-            controller=one,
-            model=NO_MODEL if one in PEERS else model,
+            controller=controller,
+            model=NO_MODEL if controller in PEERS else model,
             world=world,
             seed=seed,
             **where.model_dump(),
         )
         for world, where, seed in chosen
-        for one in controllers
+        for controller in controllers
     ]
 
 

@@ -77,7 +77,9 @@ class WorldsStudy(Study[Plan, DataFrame]):
         parts = ", ".join(f"{len(rows)} of “{name}”" for name, rows in by(results, "part").items())
         drivers = by(results, "driver")
         words = [
-            f"{name} did not arrive and said: {one}." for name, rows in drivers.items() for one in last_messages(rows)
+            f"{name} did not arrive and said: {message}."
+            for name, rows in drivers.items()
+            for message in last_messages(rows)
         ]
         touched = total(results, "collided")
         return Report(
