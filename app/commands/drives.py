@@ -133,7 +133,7 @@ def replay(
 
     if pose not in ("log", "odometry"):
         raise ValueError(f"--pose '{pose}': give log or odometry")
-    asked = ReplayRequest(
+    request = ReplayRequest(
         log=log,
         config=config,
         model=model,
@@ -149,7 +149,7 @@ def replay(
         sample_time=sample_time,
         trusted=trust_terms or (),
     )
-    replay_into(asked, out or Path(_DEFAULT_OUT))
+    replay_into(request, out or Path(_DEFAULT_OUT))
 
 
 # Options of films, which `simulate` and `animate` share.
@@ -368,7 +368,7 @@ def bench(
             raise ValueError("--spec: the file says what is driven; give --out and --jobs beside it, nothing else")
         carry_out(SpecStudy(load_experiment(spec)), out or Path(_BENCH_OUT), jobs)
         return
-    asked = read_options(
+    request = read_options(
         values,
         horizons=horizons,
         config=config,
@@ -377,7 +377,7 @@ def bench(
         scaled=scale_to_robot,
         sweeps=sweeps,
     )
-    complaint = incomplete(carry_out(ComparisonStudy(asked), out or Path(_BENCH_OUT), jobs))
+    complaint = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
     if complaint:
         typer.echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)

@@ -415,7 +415,7 @@ def commission(
     simulated = robot is not None or drawn is not None
     if log and simulated:
         raise ValueError("--log: the simulated robot is driven here; leave it out, or the robot")
-    asked = CommissionRequest(
+    request = CommissionRequest(
         Room(*read_room(inside)),
         robot,
         config,
@@ -432,7 +432,7 @@ def commission(
     if quick and (runs is not None or plan is not None):
         raise ValueError("--quick has runs of its own and does not tune; leave --runs and --plan out")
     try:
-        passed = commission_into(asked.quick() if quick else asked, out, one=step, drawn=drawn)
+        passed = commission_into(request.quick() if quick else request, out, one_step=step, drawn=drawn)
     except NeedsAPersonError as need:
         typer.echo(f"Next: {need}.")
         return

@@ -42,9 +42,9 @@ class Logs:
     mapping: str | None = None
 
 
-def excite(folder: Path, config: str, room: Room, asked: DriveSettings, seed: int) -> Gate:
+def excite(folder: Path, config: str, room: Room, settings: DriveSettings, seed: int) -> Gate:
     """Look for the drive; it must promise enough."""
-    excitation = _excitation(config, room, asked, seed)
+    excitation = _excitation(config, room, settings, seed)
     excitation.write(folder / DRIVE)
     print(excitation.table())  # noqa: T201 - into the step's own file
     gates, expected = commission_settings().gates, excitation.expected
@@ -54,8 +54,8 @@ def excite(folder: Path, config: str, room: Room, asked: DriveSettings, seed: in
     gain = [expected.deviation(f"{channel}.gain") for channel in CHANNELS]
     passed = bool(max(late) <= gates.delay_deviation and max(gain) <= gates.gain_deviation)
     words = (
-        f"a drive of {asked.seconds:g} s in {room.length:g} by {room.width:g} m, up to {asked.speed:g} m/s, will tell "
-        f"how late v and omega answer to {1e3 * late[0]:.1f} and {1e3 * late[1]:.1f} ms, and their gains to "
+        f"a drive of {settings.seconds:g} s in {room.length:g} by {room.width:g} m, up to {settings.speed:g} m/s, will "
+        f"tell how late v and omega answer to {1e3 * late[0]:.1f} and {1e3 * late[1]:.1f} ms, and their gains to "
         f"{100 * max(gain):.2f} %"
     )
     return Gate(passed, words if passed else f"{words}: too little; give more room or time")
@@ -169,8 +169,10 @@ def twin_proof(plant: Path, runs: int, *, scaled: bool = False) -> Proof:
     return Proof.model_validate({"draw_seed": shipped.draw_seed, "sampler": shipped.sampler} | from_twin)
 
 
-def _excitation(config: str, room: Room, asked: DriveSettings, seed: int) -> Excitation:
-    return excite_model(config, room, seconds=asked.seconds, speed=asked.speed, yaw_rate=asked.yaw_rate, seed=seed)
+def _excitation(config: str, room: Room, settings: DriveSettings, seed: int) -> Excitation:
+    return excite_model(
+        config, room, seconds=settings.seconds, speed=settings.speed, yaw_rate=settings.yaw_rate, seed=seed
+    )
 
 
 def _explained(identification: Identification) -> Gate:

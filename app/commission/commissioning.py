@@ -130,21 +130,21 @@ def _check_known(path: Path) -> None:
 
 
 def commission(
-    asked: CommissionRequest,
+    request: CommissionRequest,
     out: Path,
     *,
-    one: bool = False,
+    one_step: bool = False,
     on_step: Callable[[str, Done, bool], None] = lambda *_: None,
 ) -> bool:
     """Do the steps that are not done, up to the first that does not pass; write `RESULT` in the end.
 
     Parameters
     ----------
-    asked
+    request
         What.
     out
         Folder; each step has one of its own in it, and `commission.json` says what is done.
-    one
+    one_step
         Whether to do only the next step that is not done.
     on_step
         Called with the name of each step, what came of it, and whether it was done just now.
@@ -161,18 +161,18 @@ def commission(
     models.checked_yaml.ConfigError, ValueError, OSError
         If something that is named cannot be used; what was done before stays.
     """
-    if asked.robot is not None:
-        load_simulated_robot(asked.robot)
-    if asked.known is not None:
-        _check_known(named_file("robot", ROBOTS, asked.known))
-    if asked.mapping is not None:
-        load_mapping(asked.mapping)
-    if asked.tuned:
+    if request.robot is not None:
+        load_simulated_robot(request.robot)
+    if request.known is not None:
+        _check_known(named_file("robot", ROBOTS, request.known))
+    if request.mapping is not None:
+        load_mapping(request.mapping)
+    if request.tuned:
         needs_optuna()
-        if asked.plan is not None:
-            load_plan(Path(asked.plan))
-    ledger, fresh = Ledger(out), list(asked.logs)
-    for step in _steps(asked, out, ledger, fresh):
+        if request.plan is not None:
+            load_plan(Path(request.plan))
+    ledger, fresh = Ledger(out), list(request.logs)
+    for step in _steps(request, out, ledger, fresh):
         key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)
         done = ledger.valid(step.name, key)
         new = done is None
@@ -183,68 +183,68 @@ def commission(
         on_step(step.name, done, new)
         if not done.passed:
             return False
-        if one and new and step.name != "prove":
+        if one_step and new and step.name != "prove":
             return True
-    _finish(asked, out, ledger)
+    _finish(request, out, ledger)
     return True
 
 
-def _steps(asked: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
+def _steps(request: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
     """The steps in order; each is made when those before are done."""
-    size = {"room": [asked.room.length, asked.room.width], "seed": asked.seed}
-    start = () if is_shipped(asked.config) else (Path(asked.config),)
-    named = {"config": asked.config if is_shipped(asked.config) else ""}
+    size = {"room": [request.room.length, request.room.width], "seed": request.seed}
+    start = () if is_shipped(request.config) else (Path(request.config),)
+    named = {"config": request.config if is_shipped(request.config) else ""}
     slow, full = out / "record-slow", out / "record"
 
     yield Step(
         "excite-slow",
-        size | named | asked.slow.model_dump(),
+        size | named | request.slow.model_dump(),
         start,
-        partial(chain.excite, config=asked.config, room=asked.room, asked=asked.slow, seed=asked.seed),
+        partial(chain.excite, config=request.config, room=request.room, settings=request.slow, seed=request.seed),
     )
-    yield _recorded("record-slow", asked, out / "excite-slow" / DRIVE, asked.config, start, ledger, fresh)
-    logs = _logs(slow, asked)
-    yield Step("learn", named, (slow, *start), partial(chain.learn, logs=logs, config=asked.config))
+    yield _recorded("record-slow", request, out / "excite-slow" / DRIVE, request.config, start, ledger, fresh)
+    logs = _logs(slow, request)
+    yield Step("learn", named, (slow, *start), partial(chain.learn, logs=logs, config=request.config))
     config = out / "learn" / CONFIG_FILE
     yield Step(
         "excite",
-        size | asked.full.model_dump(),
+        size | request.full.model_dump(),
         (out / "learn",),
-        partial(chain.excite, config=str(config), room=asked.room, asked=asked.full, seed=asked.seed),
+        partial(chain.excite, config=str(config), room=request.room, settings=request.full, seed=request.seed),
     )
-    yield _recorded("record", asked, out / "excite" / DRIVE, str(config), (out / "learn",), ledger, fresh)
-    whole = _logs(full, asked)
+    yield _recorded("record", request, out / "excite" / DRIVE, str(config), (out / "learn",), ledger, fresh)
+    whole = _logs(full, request)
     both = Logs((*whole.files, *logs.files), whole.mapping)
     yield Step("identify", {}, (slow, full), partial(chain.identify_all, logs=both))
     yield Step(
         "twin",
-        {"seconds": asked.twin_seconds},
-        (full, *(() if asked.known is None else (named_file("robot", ROBOTS, asked.known),))),
-        partial(chain.twin, logs=whole, robot=asked.known, jobs=asked.jobs, seconds=asked.twin_seconds),
+        {"seconds": request.twin_seconds},
+        (full, *(() if request.known is None else (named_file("robot", ROBOTS, request.known),))),
+        partial(chain.twin, logs=whole, robot=request.known, jobs=request.jobs, seconds=request.twin_seconds),
     )
     chosen, plant = out / "identify" / CONFIG_FILE, out / "twin" / PLANT
-    if asked.tuned:
-        plan = () if asked.plan is None else (Path(asked.plan),)
+    if request.tuned:
+        plan = () if request.plan is None else (Path(request.plan),)
         yield Step(
             "tune",
             {},
             (out / "identify", plant, *plan),
-            partial(chain.tuned, config=chosen, plant=plant, plan=asked.plan, jobs=asked.jobs),
+            partial(chain.tuned, config=chosen, plant=plant, plan=request.plan, jobs=request.jobs),
             kept=True,
         )
         chosen = out / "tune" / CONFIG_FILE
     yield Step(
         "prove",
-        {"runs": asked.runs, "scaled": asked.scaled} | commission_settings().proof.model_dump(),
+        {"runs": request.runs, "scaled": request.scaled} | commission_settings().proof.model_dump(),
         (chosen, out / "identify" / MODEL_FILE, plant),
-        partial(chain.prove, config=chosen, plant=plant, runs=asked.runs, jobs=asked.jobs, scaled=asked.scaled),
+        partial(chain.prove, config=chosen, plant=plant, runs=request.runs, jobs=request.jobs, scaled=request.scaled),
         kept=True,
     )
 
 
 def _recorded(
     name: str,
-    asked: CommissionRequest,
+    request: CommissionRequest,
     drive: Path,
     config: str,
     inputs: tuple[Path, ...],
@@ -252,36 +252,36 @@ def _recorded(
     fresh: list[Path],
 ) -> Step:
     """The step that drives: on the simulated robot, or by a person, whose logs are taken once."""
-    if asked.robot is not None:
-        file = named_file("robot", ROBOTS, asked.robot)
+    if request.robot is not None:
+        file = named_file("robot", ROBOTS, request.robot)
         act = partial(
-            chain.record, config=config, room=asked.room, drive=drive, plant=f"mujoco:{file}", seed=asked.seed
+            chain.record, config=config, room=request.room, drive=drive, plant=f"mujoco:{file}", seed=request.seed
         )
-        return Step(name, {"seed": asked.seed}, (drive, file, *inputs), act)
+        return Step(name, {"seed": request.seed}, (drive, file, *inputs), act)
     key_inputs = (drive,)
     taken = ledger.valid(name, key_of(name, commission_settings().gates.model_dump(), key_inputs))
     if taken is None and not fresh:
-        length, width = f"{asked.room.length:g}", f"{asked.room.width:g}"
+        length, width = f"{request.room.length:g}", f"{request.room.width:g}"
         raise NeedsAPersonError(
             f"drive {drive} on the robot, with the configuration {config} and in it fence: {{enabled: true, length: "
             f"{length}, width: {width}, frame: start}}; it begins in the middle of the room, its length ahead. Record "
             "commands, encoders, gyro and poses, and call again with --log LOG"
         )
-    logs = Logs(tuple(fresh), asked.mapping)
+    logs = Logs(tuple(fresh), request.mapping)
     return Step(name, {}, key_inputs, partial(chain.take, logs=logs))
 
 
-def _logs(folder: Path, asked: CommissionRequest) -> Logs:
+def _logs(folder: Path, request: CommissionRequest) -> Logs:
     """What a step recorded."""
-    if asked.robot is not None:
+    if request.robot is not None:
         return Logs((folder / LOG,))
     files = tuple(sorted(entry for entry in folder.iterdir() if entry.name != SAID and not entry.name.startswith(".")))
-    return Logs(files, asked.mapping)
+    return Logs(files, request.mapping)
 
 
-def _finish(asked: CommissionRequest, out: Path, ledger: Ledger) -> None:
+def _finish(request: CommissionRequest, out: Path, ledger: Ledger) -> None:
     """Put what is to be used into one folder."""
-    config = out / ("tune" if asked.tuned else "identify") / CONFIG_FILE
+    config = out / ("tune" if request.tuned else "identify") / CONFIG_FILE
     words = re.sub(r"(?m)^model: \S+", f"model: {MODEL_FILE}", config.read_text(encoding="utf-8"), count=1)
     with staged(out / RESULT) as folder:
         shutil.copy2(out / "identify" / MODEL_FILE, folder / MODEL_FILE)
@@ -292,4 +292,4 @@ def _finish(asked: CommissionRequest, out: Path, ledger: Ledger) -> None:
         shutil.copy2(out / "prove" / "prove.json", folder / "proof.json")
         if (out / "prove" / "figures").is_dir():
             shutil.copytree(out / "prove" / "figures", folder / "figures")
-        (folder / REPORT).write_text(report_text(ledger.steps, asked.tuned), encoding="utf-8")
+        (folder / REPORT).write_text(report_text(ledger.steps, request.tuned), encoding="utf-8")

@@ -193,7 +193,7 @@ _NEXT = (
 
 
 def commission_page(
-    asked: CommissionRequest,
+    request: CommissionRequest,
     out: Path,
     steps: Mapping[str, Done],
     comparison: ControllerComparison | None,
@@ -203,7 +203,7 @@ def commission_page(
 
     Parameters
     ----------
-    asked
+    request
         What was asked for.
     out
         Its folder.
@@ -215,8 +215,8 @@ def commission_page(
         How long the command took.
     """
     whole = all(step.passed for step in steps.values()) and (out / RESULT / CONFIG_FILE).is_file()
-    runs = _on_the_twin(asked, out) if whole else {}
-    table = steps_table(steps, asked.tuned)
+    runs = _on_the_twin(request, out) if whole else {}
+    table = steps_table(steps, request.tuned)
     shown = Shown(
         summary=[_sentence(steps, whole), *([_NEXT] if whole else [])],
         key_figures=_key_figures(steps, runs, comparison, whole),
@@ -226,7 +226,7 @@ def commission_page(
         configurations=ConfigurationView.of_files(out / RESULT, _FILES),
     )
     tables = [table, *([comparison.table()] if comparison else [])]
-    robot = [("robot", Path(asked.robot).stem if asked.robot else "a person drove it"), ("seed", str(asked.seed))]
+    robot = [("robot", Path(request.robot).stem if request.robot else "a person drove it"), ("seed", str(request.seed))]
     return Page("diffdrive-mpc commission", "Commissioning", shown, tables, origin(describe_run(seconds), robot))
 
 
@@ -257,14 +257,14 @@ def _key_figures(
     return made
 
 
-def _on_the_twin(asked: CommissionRequest, out: Path) -> dict[str, Run]:
+def _on_the_twin(request: CommissionRequest, out: Path) -> dict[str, Run]:
     """The delivered controller along some paths on the twin, by path."""
     place = out / RESULT
     config = str(place / CONFIG_FILE)
     plant = f"mujoco:{place / TWIN_FILE}"
     model = load_config(config).model
     return {
-        path: run_case(Case(model=model, config=config, plant=plant, trajectory=path, scaled=asked.scaled))
+        path: run_case(Case(model=model, config=config, plant=plant, trajectory=path, scaled=request.scaled))
         for path in _DRIVEN
     }
 

@@ -71,7 +71,7 @@ def _draws() -> dict[str, Draw]:
 ROBOT_FILE, COMPARISON = "robot.yaml", "comparison.json"
 
 
-def commission_into(asked: CommissionRequest, out: Path, *, one: bool = False, drawn: int | None = None) -> bool:
+def commission_into(request: CommissionRequest, out: Path, *, one_step: bool = False, drawn: int | None = None) -> bool:
     """Commission, print what each step found, and compare where the robot is a drawn one.
 
     Returns whether all steps passed; raises as `commissioning.commission` and `comparison.compare`.
@@ -79,26 +79,26 @@ def commission_into(asked: CommissionRequest, out: Path, *, one: bool = False, d
     if drawn is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_drawn_robot(drawn, out / ROBOT_FILE)
-        asked = replace(asked, robot=str(out / ROBOT_FILE))
+        request = replace(request, robot=str(out / ROBOT_FILE))
     began, steps = time.perf_counter(), dict[str, Done]()
 
     def done(name: str, step: Done, new: bool) -> None:
         steps[name] = step
         _say(name, step, new)
 
-    passed = commission(asked, out, one=one, on_step=done)
+    passed = commission(request, out, one_step=one_step, on_step=done)
     comparison = None
     if passed and (out / RESULT).is_dir():
         _print(f"{out / RESULT}: model, configuration, twin, proof and report.")
-        comparison = None if drawn is None else _compared(asked, out, drawn)
+        comparison = None if drawn is None else _compared(request, out, drawn)
     with whole_file(out / REPORT) as draft:
-        write_page(commission_page(asked, out, steps, comparison, time.perf_counter() - began), draft)
+        write_page(commission_page(request, out, steps, comparison, time.perf_counter() - began), draft)
     return passed
 
 
-def _compared(asked: CommissionRequest, out: Path, drawn: int) -> ControllerComparison:
+def _compared(request: CommissionRequest, out: Path, drawn: int) -> ControllerComparison:
     """Compare what was commissioned on the robot that was drawn, print it and keep it."""
-    comparison = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, asked.config, out / "compare", asked.jobs)
+    comparison = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, request.config, out / "compare", request.jobs)
     _write(comparison, drawn, out / COMPARISON)
     output_console().print(comparison.table().rich())
     _print(_sentence(comparison))

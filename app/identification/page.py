@@ -101,7 +101,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
         )
     )
     if drives:
-        worst = max(drives, key=lambda one: one.lateral_share)
+        worst = max(drives, key=lambda row: row.lateral_share)
         beside = f"of its turning circle beside the path, at most ({worst.path})"
         made.append(
             KeyFigure(
@@ -144,7 +144,7 @@ def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> lis
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
     shown = [(finding.verdict, str(finding), finding.kind) for finding in findings]
     shown += [(one.verdict, str(one), one.kind) for one in (*report.doubts, *trial_doubts(drives))]
-    shown.sort(key=lambda one: one[0] is None or not one[0].matters)
+    shown.sort(key=lambda row: row[0] is None or not row[0].matters)
     return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in shown]
 
 

@@ -76,12 +76,12 @@ def find_boundaries(
     Between what held and what did not everything is taken to be monotone; what lies beyond is not looked at.
     """
     boundaries = [Boundary(factor, search) for factor, search in searches.items()]
-    while asked := [(boundary, value) for boundary in boundaries if (value := boundary.next_value) is not None]:
-        runs = [_with(probe, one.factor, value).with_seed(seed) for one, value in asked for seed in seeds]
+    while queries := [(boundary, value) for boundary in boundaries if (value := boundary.next_value) is not None]:
+        runs = [_with(probe, boundary.factor, value).with_seed(seed) for boundary, value in queries for seed in seeds]
         driven = {one.definition: one for one in drive(runs)}
-        for index, (one, value) in enumerate(asked):
+        for index, (boundary, value) in enumerate(queries):
             mine = runs[index * len(seeds) : (index + 1) * len(seeds)]
-            one.take(value, sum(holds(driven[run]) for run in mine), len(seeds))
+            boundary.take(value, sum(holds(driven[run]) for run in mine), len(seeds))
     return boundaries
 
 

@@ -72,9 +72,9 @@ class Outcomes:
         )
 
 
-def is_unsafe(one: CampaignRun) -> bool:
+def is_unsafe(run: CampaignRun) -> bool:
     """Whether a run had an unsafe command of any kind."""
-    return any(one.row.get(f"unsafe_{kind}") for kind in UNSAFE)
+    return any(run.row.get(f"unsafe_{kind}") for kind in UNSAFE)
 
 
 def errors(driven: Sequence[CampaignRun]) -> FloatArray:
@@ -96,9 +96,9 @@ def error_estimates(driven: Sequence[CampaignRun]) -> dict[str, BootstrapEstimat
 def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
     """The worst runs first: unsafe, ended in an error, then by position RMSE; last those that stopped by themselves."""
 
-    def badness(one: CampaignRun) -> tuple[bool, bool, bool, float]:
-        error = one.number("position_rmse_m")
-        return is_unsafe(one), one.row["error"] != "", not _stopped(one), error if math.isfinite(error) else math.inf
+    def badness(run: CampaignRun) -> tuple[bool, bool, bool, float]:
+        error = run.number("position_rmse_m")
+        return is_unsafe(run), run.row["error"] != "", not _stopped(run), error if math.isfinite(error) else math.inf
 
     return sorted(driven, key=badness, reverse=True)[:count]
 
@@ -158,8 +158,8 @@ def _errors(driven: Sequence[CampaignRun]) -> Table:
         "Position error",
         ("figure",),
         {
-            "position RMSE [mm]": lambda one: millis(one.value),
-            "95 % interval [mm]": lambda one: f"{millis(one.low)} to {millis(one.high)}",
+            "position RMSE [mm]": lambda row: millis(row.value),
+            "95 % interval [mm]": lambda row: f"{millis(row.low)} to {millis(row.high)}",
         },
         [((name,), one) for name, one in error_estimates(driven).items()],
         "CVaR 95 %: mean of the worst twentieth of the runs. Intervals: bootstrap, 2000 samples. A robot that stopped "
@@ -221,10 +221,10 @@ def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
         "Boundaries",
         ("factor",),
         {
-            "still holds at": lambda one: value(one.held, one),
-            "no longer at": lambda one: value(one.failed, one),
-            "searched to": lambda one: value(one.search.beyond, one),
-            "values tried": lambda one: str(len(one.values)),
+            "still holds at": lambda row: value(row.held, row),
+            "no longer at": lambda row: value(row.failed, row),
+            "searched to": lambda row: value(row.search.beyond, row),
+            "values tried": lambda row: str(len(row.values)),
         },
         [((boundary.factor,), boundary) for boundary in boundaries],
         f"One factor at a time. It holds where {seeds} seeds all complete and never leave the band; by bisection, "
@@ -233,17 +233,17 @@ def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
 
 
 def _worst(files: Mapping[str, CampaignRun]) -> Table:
-    def words(one: CampaignRun) -> str:
-        reason = one.row["error"] or one.row.get("ended") or one.row.get("message") or ""
+    def words(run: CampaignRun) -> str:
+        reason = run.row["error"] or run.row.get("ended") or run.row.get("message") or ""
         return str(reason)
 
     return Table.of(
         "Worst runs",
         ("file", "what it is"),
         {
-            "completed": lambda one: "yes" if one.row["completed"] else "no",
-            "position RMSE [mm]": lambda one: millis(one.number("position_rmse_m")),
-            "largest lateral [mm]": lambda one: millis(one.number("lateral_max_m")),
+            "completed": lambda row: "yes" if row.row["completed"] else "no",
+            "position RMSE [mm]": lambda row: millis(row.number("position_rmse_m")),
+            "largest lateral [mm]": lambda row: millis(row.number("lateral_max_m")),
             "what was said most": words,
         },
         [((name, _brief(file.definition)), file) for name, file in files.items()],
@@ -258,8 +258,8 @@ def _brief(definition: Definition) -> str:
     return ", ".join([*parts, f"seed {columns['seed']}"])
 
 
-def _stopped(one: CampaignRun) -> bool:
-    return one.row["completed"] is False and one.row.get("last_mode") in ("STOPPED", "BRAKING") and not one.row["ended"]
+def _stopped(run: CampaignRun) -> bool:
+    return run.row["completed"] is False and run.row.get("last_mode") in ("STOPPED", "BRAKING") and not run.row["ended"]
 
 
 def _mean(driven: Sequence[CampaignRun], column: str) -> float:
@@ -346,7 +346,7 @@ def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
 
 def _by_path(driven: Sequence[CampaignRun], scenarios: Sequence[str]) -> Chart:
     """A point for each run; where there are too many, the worst."""
-    ordered = sorted(driven, key=lambda one: -np.nan_to_num(one.number("position_rmse_m")))[:_MOST_POINTS]
+    ordered = sorted(driven, key=lambda row: -np.nan_to_num(row.number("position_rmse_m")))[:_MOST_POINTS]
     series = []
     for i, name in enumerate(scenarios):
         own = [one for one in ordered if str(one.definition.columns["scenario"]) == name]
@@ -375,14 +375,14 @@ def map_chart(drawn: DrivenMap) -> GridMap:
     )
 
 
-def _boundary(one: Boundary, seeds: int) -> Chart:
-    tried = sorted(one.values.items())
+def _boundary(boundary: Boundary, seeds: int) -> Chart:
+    tried = sorted(boundary.values.items())
     series = Series("seeds", [value for value, _ in tried], [float(count) for _, count in tried], 0)
-    unit = f" [{one.search.unit}]" if one.search.unit else ""
-    held = "-" if one.held is None else f"{one.held:.4g}"
+    unit = f" [{boundary.search.unit}]" if boundary.search.unit else ""
+    held = "-" if boundary.held is None else f"{boundary.held:.4g}"
     note = f"It holds up to {held}{unit}; each value was tried with {seeds} seeds."
-    axes = Axis(f"{one.factor}{unit}"), Axis("seeds with which it holds", range=(-0.1 * seeds, 1.1 * seeds))
-    return Chart(f"Where it stops to hold: {one.factor}", *axes, [series], note, height=280)
+    axes = Axis(f"{boundary.factor}{unit}"), Axis("seeds with which it holds", range=(-0.1 * seeds, 1.1 * seeds))
+    return Chart(f"Where it stops to hold: {boundary.factor}", *axes, [series], note, height=280)
 
 
 def _warnings(driven: Sequence[CampaignRun], boundaries: Sequence[Boundary]) -> list[Warned]:

@@ -111,9 +111,11 @@ class ProofStudy(Study[ProofPlan, Proven]):
         """Drive everything that the store of the place does not have."""
         place, proof = replace(self._place, jobs=jobs), self._proof
         driven = drive_all(plan.drawn, place, bar, "driving runs")
-        asked = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
-        mapped = drive_all([run for runs in asked for run in runs], place, bar, "driving maps")
-        maps = [drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), asked, strict=True)]
+        map_definitions = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
+        mapped = drive_all([run for runs in map_definitions for run in runs], place, bar, "driving maps")
+        maps = [
+            drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), map_definitions, strict=True)
+        ]
         tried: dict[str, CampaignRun] = {one.key: one for one in mapped}
 
         def drive(runs: list[Definition]) -> list[CampaignRun]:
@@ -164,6 +166,6 @@ def told_of(config: str) -> Mapping[str, Value]:
     return {"model": config} if is_shipped(config) else {"config": config, "model": load_config(config).model}
 
 
-def _boundary_row(one: Boundary) -> dict[str, object]:
-    tried = {f"{value:g}": count for value, count in one.values.items()}
-    return {"factor": one.factor, "held": one.held, "failed": one.failed, "tried": tried}
+def _boundary_row(boundary: Boundary) -> dict[str, object]:
+    tried = {f"{value:g}": count for value, count in boundary.values.items()}
+    return {"factor": boundary.factor, "held": boundary.held, "failed": boundary.failed, "tried": tried}

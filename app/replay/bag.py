@@ -231,8 +231,10 @@ def _from_topics(reader: Reader, path: Path, topics: Topics, sample_time: float,
         topics, by_odom = topics.model_copy(update={"pose": topics.odometry}), True
         approximated.append(f"Poses are those of the odometry ({name}), as the node takes them by default.")
     decoders = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES if by_odom else _STATED}
-    asked = {role: topic for role in decoders if (topic := getattr(topics, role)) is not None}
-    rows = {role: read_topic(reader, path, topic, decoders[role], topics.definitions) for role, topic in asked.items()}
+    topic_names = {role: topic for role in decoders if (topic := getattr(topics, role)) is not None}
+    rows = {
+        role: read_topic(reader, path, topic, decoders[role], topics.definitions) for role, topic in topic_names.items()
+    }
     late = {row.topic: 1e-9 * (row.received - row.stamped) if row.has_stamps else np.zeros(1) for row in rows.values()}
     by_stamp = topics.clock == "stamp"
     findings = []
@@ -243,7 +245,7 @@ def _from_topics(reader: Reader, path: Path, topics: Topics, sample_time: float,
     readings = {}
     for role, field in _FIELDS.items():
         if role in rows:
-            readings[field] = _readings(rows[role], asked[role], origin, field, findings, by_stamp=by_stamp)
+            readings[field] = _readings(rows[role], topic_names[role], origin, field, findings, by_stamp=by_stamp)
     if stand_in:
         readings["pose"] = by_odometry(readings, path.name)
     commands = rows["command"]

@@ -133,7 +133,7 @@ class ReplayStudy(Study[ReplayPlan, ReplayResult]):
 
     Parameters
     ----------
-    asked
+    request
         What was asked for.
     scratch
         Folder for what has to lie in files while it runs.
@@ -142,21 +142,23 @@ class ReplayStudy(Study[ReplayPlan, ReplayResult]):
     name: ClassVar[str] = "replay"
     title: ClassVar[str] = "A recorded drive, replayed"
 
-    def __init__(self, asked: ReplayRequest, scratch: Path) -> None:
-        self._asked, self._scratch = asked, scratch
+    def __init__(self, request: ReplayRequest, scratch: Path) -> None:
+        self._request, self._scratch = request, scratch
 
     def plan(self) -> ReplayPlan:
         """Read the log and say what to ask of it; raises ConfigError or ValueError if something cannot be used."""
-        asked = self._asked
+        request = self._request
         given = self._given_config()
         sample_time = (given or load_config("ssm")).sample_time
-        trusted = asked.trusted if given is None else None
-        recording = read_recording(asked.log, asked.mapping, sample_time, self._scratch, asked.pose, trusted, given)
-        recording = up_to(recording, asked.end)
+        trusted = request.trusted if given is None else None
+        recording = read_recording(
+            request.log, request.mapping, sample_time, self._scratch, request.pose, trusted, given
+        )
+        recording = up_to(recording, request.end)
         config = given or recording.config
         if config is None:
             raise ConfigError(
-                f"{asked.log}: the log does not hold the configuration of its controller; give --config or --model"
+                f"{request.log}: the log does not hold the configuration of its controller; give --config or --model"
             )
         if given is None:
             config = replace_values(config, dict(self._overrides))
@@ -164,39 +166,39 @@ class ReplayStudy(Study[ReplayPlan, ReplayResult]):
         recording = from_mid_drive(recording, (config.limits.v_slew, config.limits.omega_slew), config.sample_time)
         references, words = self._references(recording, config)
         time = recording.time
-        counted = (time >= (-np.inf if asked.begin is None else asked.begin)) & np.isfinite(time)
+        counted = (time >= (-np.inf if request.begin is None else request.begin)) & np.isfinite(time)
         if not counted.any():
-            raise ConfigError(f"--from {asked.begin:g}: the log ends at {time[-1]:.2f} s; give an earlier time")
-        beside = None if asked.beside is None else read_commands(asked.beside, time)
-        other = None if asked.against is None else load_config(asked.against)
+            raise ConfigError(f"--from {request.begin:g}: the log ends at {time[-1]:.2f} s; give an earlier time")
+        beside = None if request.beside is None else read_commands(request.beside, time)
+        other = None if request.against is None else load_config(request.against)
         if other is not None:
             _check_sample_time(recording, other)
         return ReplayPlan(recording, config, given is None, references, words, other, beside, counted)
 
     def _given_config(self) -> ControllerConfig | None:
         """The configuration that was named; None where the log's own counts."""
-        asked = self._asked
-        if asked.config is None and asked.model is None:
+        request = self._request
+        if request.config is None and request.model is None:
             return None
-        file = None if asked.config is None else str(asked.config)
-        return controller_config(chosen_model(asked.model, asked.config), file, self._overrides)
+        file = None if request.config is None else str(request.config)
+        return controller_config(chosen_model(request.model, request.config), file, self._overrides)
 
     @property
     def _overrides(self) -> Overrides:
         """Values by dotted key that were given in place of those of the configuration."""
-        asked = self._asked
-        overrides = () if asked.sample_time is None else (("sample_time", asked.sample_time),)
-        return (*single_settings(asked.settings), *overrides)
+        request = self._request
+        overrides = () if request.sample_time is None else (("sample_time", request.sample_time),)
+        return (*single_settings(request.settings), *overrides)
 
     def _references(self, recording: Recording, config: ControllerConfig) -> tuple[tuple[Reference, ...], str]:
         """What is tracked from each start on, and where it comes from."""
-        asked = self._asked
+        request = self._request
         starts = [tick.start for tick in recording.ticks if tick.start is not None]
-        if asked.trajectory is not None:
-            reference: Reference = load_trajectory(asked.trajectory, config)
-            if asked.start_at_robot:
+        if request.trajectory is not None:
+            reference: Reference = load_trajectory(request.trajectory, config)
+            if request.start_at_robot:
                 reference = starting_at(reference, _first_pose(recording))
-            return (reference,) * len(starts), f"The reference is the trajectory '{asked.trajectory}'."
+            return (reference,) * len(starts), f"The reference is the trajectory '{request.trajectory}'."
         if len(recording.references) == len(starts):
             return recording.references, "The reference is the one in the log."
         return driven_paths(recording), DRIVEN
@@ -233,9 +235,9 @@ class ReplayStudy(Study[ReplayPlan, ReplayResult]):
     ) -> dict[tuple[str, str], Difference]:
         commands = {RECORDED: plan.recording.command, REPLAYED: replayed.command}
         if against is not None:
-            commands[str(self._asked.against)] = against.command
+            commands[str(self._request.against)] = against.command
         if plan.beside is not None:
-            commands[str(self._asked.beside)] = plan.beside
+            commands[str(self._request.beside)] = plan.beside
         names = list(commands)
         time, counted = plan.recording.time, plan.counted
         return {
@@ -252,7 +254,7 @@ class ReplayStudy(Study[ReplayPlan, ReplayResult]):
         time = recording.time[counted]
         settings = plan.config
         replays = {REPLAYED: replayed} | (
-            {} if results.against is None else {str(self._asked.against): results.against}
+            {} if results.against is None else {str(self._request.against): results.against}
         )
         modes = {RECORDED: [tick.mode for tick in recording.ticks]}
         paths = {RECORDED: [tick.solver_path for tick in recording.ticks]}
@@ -277,7 +279,7 @@ class ReplayStudy(Study[ReplayPlan, ReplayResult]):
         ]
         return Report(
             counted=f"{len(time)} ticks",
-            meta={"log": str(self._asked.log), "config": settings},
+            meta={"log": str(self._request.log), "config": settings},
             content=content(results),
             facts=facts,
             tables=[table for table in tables if table.rows],
@@ -349,11 +351,11 @@ def _first_pose(recording: Recording) -> FloatArray:
 # What `diffdrive-mpc replay` does: the study, what it found in words, and replay.csv.
 
 
-def replay_into(asked: ReplayRequest, out: Path) -> None:
+def replay_into(request: ReplayRequest, out: Path) -> None:
     """Replay a log into the folder `out`, and say what was found; raises as `carry_out` does."""
     check_not_read(out / NAME, f"--out {out / NAME}")
     with tempfile.TemporaryDirectory() as folder:
-        results = carry_out(ReplayStudy(asked, Path(folder)), out)
+        results = carry_out(ReplayStudy(request, Path(folder)), out)
         recording = results.plan.recording
         write_replay(recording, results.replayed, results.other, out / NAME)
     console = output_console()

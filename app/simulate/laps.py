@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.app.run_log import holds_plans, repeating, run_log
-from diffdrive_mpc.app.simulate.single import asked_case, draw_figures
+from diffdrive_mpc.app.simulate.single import case_from_options, draw_figures
 from diffdrive_mpc.app.simulate.single_page import laps_page
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
@@ -93,7 +93,7 @@ def simulate_laps(
 
     Arguments and errors are those of `simulate_one`.
     """
-    case = asked_case(values, config=config, settings=settings, scaled=scaled)
+    case = case_from_options(values, config=config, settings=settings, scaled=scaled)
     if case.controller in PEERS:
         raise ConfigError(f"--laps: the controller '{case.controller}' does not learn from laps; mpc does")
     with ExitStack() as stack:

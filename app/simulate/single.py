@@ -75,7 +75,7 @@ def simulate_one(
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.
     """
-    case = asked_case(values, config=config, settings=settings, scaled=scaled)
+    case = case_from_options(values, config=config, settings=settings, scaled=scaled)
     controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
@@ -109,7 +109,7 @@ def simulate_one(
     report(RunOutcome(case, run), out, details=details)
 
 
-def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
+def case_from_options(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
     """The case that was typed; arguments and errors are those of `simulate_one`."""
     name, model = values["controller"], values["model"]
     if name in PEERS and (settings or config is not None or model is not None):

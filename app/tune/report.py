@@ -189,8 +189,8 @@ def _front(searched: Searched) -> Table:
     )
 
 
-def _score(one: TunePoint) -> tuple[str, str, str]:
-    return number(one.error, 3), number(one.effort, 3), number(one.value, 3)
+def _score(point: TunePoint) -> tuple[str, str, str]:
+    return number(point.error, 3), number(point.effort, 3), number(point.value, 3)
 
 
 def _value(value: Value) -> str:

@@ -96,7 +96,7 @@ class Searched:
     @property
     def best(self) -> TunePoint:
         """The usable point with the least objective; the defaults where there is none."""
-        return min(self.usable, key=lambda one: (one.value, one.number), default=self.points[0])
+        return min(self.usable, key=lambda row: (row.value, row.number), default=self.points[0])
 
     @property
     def usable(self) -> list[TunePoint]:
@@ -106,7 +106,7 @@ class Searched:
     @property
     def front(self) -> list[TunePoint]:
         """Usable points that no other is better than in error and effort, the least error first."""
-        ordered = sorted(self.usable, key=lambda one: (one.error, one.effort, one.number))
+        ordered = sorted(self.usable, key=lambda row: (row.error, row.effort, row.number))
         return [one for k, one in enumerate(ordered) if all(one.effort < other.effort for other in ordered[:k])]
 
 
@@ -128,7 +128,7 @@ def importance_of(points: Sequence[TunePoint], distributions: Mapping[str, objec
     )
     evaluator = optuna.importance.PedAnovaImportanceEvaluator(target_quantile=max(_TOP, _LEAST_TOP / len(known)))
     importance = optuna.importance.get_param_importances(study, evaluator=evaluator)
-    return {name: float(value) for name, value in sorted(importance.items(), key=lambda one: -one[1])}
+    return {name: float(value) for name, value in sorted(importance.items(), key=lambda row: -row[1])}
 
 
 _WORKER, _GROUP, _SCORE = "worker", "group", "score"
@@ -231,13 +231,13 @@ class ConfigurationSearch:
         self, points: Sequence[Mapping[str, Value]], runs: Sequence[Definition], bar: ProgressBar, text: str
     ) -> list[list[CampaignRun]]:
         """Drive `runs` with the values of each point; what differs from the defaults is replaced in them."""
-        asked = []
+        candidates = []
         for values in points:
             other = {f"config.{key}": value for key, value in values.items() if value != self.usual[key]}
-            asked.append([run.changed(other) if other else run for run in runs])
-        driven = drive_all([run for mine in asked for run in mine], self._place, bar, text)
+            candidates.append([run.changed(other) if other else run for run in runs])
+        driven = drive_all([run for mine in candidates for run in mine], self._place, bar, text)
         by_run = {run.definition: run for run in driven}
-        return [[by_run[run] for run in mine] for mine in asked]
+        return [[by_run[run] for run in mine] for mine in candidates]
 
     def step_time(self, values: Mapping[str, Value]) -> dict[str, float]:
         """By which share of its limit the step time of a point is beyond it; empty without a limit."""
@@ -316,25 +316,27 @@ class ConfigurationSearch:
                 skip_if_finished=True,
             )
 
-    def _take(self, one: Judged, fidelity: int, driven: Sequence[CampaignRun], usual: Sequence[CampaignRun]) -> None:
+    def _take(
+        self, judged_point: Judged, fidelity: int, driven: Sequence[CampaignRun], usual: Sequence[CampaignRun]
+    ) -> None:
         """Take what came of a point with one fidelity, and decide whether it goes on."""
-        one.violations |= broken(driven, usual, self._terms)
+        judged_point.violations |= broken(driven, usual, self._terms)
         for name, constraint in self._plan.constraints.items():
             if not constraint.runs:
-                one.violations[name] = exceeded(constraint, driven, usual, name)
-        if one.violations["not_driven"] > 0.0:
+                judged_point.violations[name] = exceeded(constraint, driven, usual, name)
+        if judged_point.violations["not_driven"] > 0.0:
             return
         scored = score(self._terms, table_of(self._terms, driven), table_of(self._terms, usual))
-        one.scores.append((float(scored.value), float(scored.error), float(scored.effort)))
-        if in_words(one.violations) or fidelity == len(self._fidelities) - 1:
+        judged_point.scores.append((float(scored.value), float(scored.error), float(scored.effort)))
+        if in_words(judged_point.violations) or fidelity == len(self._fidelities) - 1:
             return
         choice = f"pruned after fidelity {fidelity + 1}"
-        if choice not in one.trial.user_attrs:
+        if choice not in judged_point.trial.user_attrs:
             # Successive halving counts a resource, which grows by its factor.
-            one.trial.report(one.scores[-1][0], self._plan.keep**fidelity)
-            one.trial.set_user_attr(choice, one.trial.should_prune())
+            judged_point.trial.report(judged_point.scores[-1][0], self._plan.keep**fidelity)
+            judged_point.trial.set_user_attr(choice, judged_point.trial.should_prune())
         # The defaults are what everything else is held against.
-        one.pruned = one.trial.user_attrs[choice] and one.trial.number > 0
+        judged_point.pruned = judged_point.trial.user_attrs[choice] and judged_point.trial.number > 0
 
     def _values(self, params: Mapping[str, Value]) -> Values:
         return values_of(params, self.usual)

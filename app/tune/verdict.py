@@ -120,15 +120,15 @@ def judge(plan: TunePlan, search: ConfigurationSearch, chosen: TunePoint, bar: P
         usual_violations[name] = exceeded(constraint, of.usual, of.usual, name)
     return TuneVerdict(
         len(runs),
-        _estimate(terms, ours, theirs, lambda one: 1.0 - one.value),
-        _estimate(terms, ours, theirs, lambda one: one.error),
-        _estimate(terms, ours, theirs, lambda one: one.effort),
+        _estimate(terms, ours, theirs, lambda row: 1.0 - row.value),
+        _estimate(terms, ours, theirs, lambda row: row.error),
+        _estimate(terms, ours, theirs, lambda row: row.effort),
         [
             TermFigure(
                 term,
                 float(term.of(theirs[k])),
                 float(term.of(ours[k])),
-                _estimate([replace(term, weight=1.0)], ours[k : k + 1], theirs[k : k + 1], lambda one: one.value),
+                _estimate([replace(term, weight=1.0)], ours[k : k + 1], theirs[k : k + 1], lambda row: row.value),
             )
             for k, term in enumerate(terms)
         ],
@@ -160,8 +160,8 @@ def _put_back(
         if not all(np.isfinite(table).all() for table in (usual, mine, changed)):
             return BootstrapEstimate(np.nan, np.nan, np.nan)
 
-        def difference(one: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
-            return of(score(terms, one, theirs)) - of(score(terms, ours, theirs))
+        def difference(first: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
+            return of(score(terms, first, theirs)) - of(score(terms, ours, theirs))
 
         return BootstrapEstimate.of_same_runs((changed, mine, usual), difference)
 
@@ -170,10 +170,10 @@ def _put_back(
             key,
             chosen.values[key],
             search.usual[key],
-            rise(table, lambda one: one.value),
-            rise(table, lambda one: one.error),
-            rise(table, lambda one: one.effort),
+            rise(table, lambda row: row.value),
+            rise(table, lambda row: row.error),
+            rise(table, lambda row: row.effort),
         )
         for key, table in zip(other, back, strict=True)
     ]
-    return sorted(changes, key=lambda one: -one.rise.value)
+    return sorted(changes, key=lambda row: -row.rise.value)

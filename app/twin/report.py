@@ -127,8 +127,8 @@ def numbers(twin: FittedTwin) -> dict[str, Any]:
             "drift": [dict(zip(keys, (d.horizon, d.position_rmse, d.heading_rmse), strict=True)) for d in one.drift],
         }
 
-    def told(one: FittedParameter) -> dict[str, Any]:
-        return {name: value for name, value in asdict(one).items() if name != "words"}
+    def told(parameter: FittedParameter) -> dict[str, Any]:
+        return {name: value for name, value in asdict(parameter).items() if name != "words"}
 
     return {
         "name": twin.name,

@@ -62,11 +62,11 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
     if len(results.speed):
         axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
         made["speed.png"] = _against(
-            "Error against speed", axis, results.speed, lambda one: one.top_speed or 0.0, names
+            "Error against speed", axis, results.speed, lambda row: row.top_speed or 0.0, names
         )
     if len(results.dead_time):
         title, axis = "Error against an unknown dead time", "dead time beyond the configured one [ms]"
-        made["dead-time.png"] = _against(title, axis, results.dead_time, lambda one: 1e3 * sample * one.late, names)
+        made["dead-time.png"] = _against(title, axis, results.dead_time, lambda row: 1e3 * sample * row.late, names)
     if len(results.horizon):
         made["horizon.png"] = _horizons(results.horizon, sample, names)
     return made
@@ -164,7 +164,7 @@ def _against(title: str, axis: str, rows: DataFrame, key: Callable[[Case], float
     for metric in ("position", "lateral"):
         series = []
         for name, own in by(at, "driver").items():
-            seeds = own.groupby(["at", "seed"])[f"{metric}_rmse_m"].apply(lambda one: 1e3 * one.mean(skipna=False))
+            seeds = own.groupby(["at", "seed"])[f"{metric}_rmse_m"].apply(lambda row: 1e3 * row.mean(skipna=False))
             value = [1e3 * mean(part, f"{metric}_rmse_m") for _, part in own.groupby("at")]
             several = seeds.notna().all() and len(by(own, "seed")) > 1
             low, high = (list(seeds.groupby("at").agg(end)) if several else () for end in ("min", "max"))

@@ -93,29 +93,29 @@ def read_options(
     """
     default = default_settings()
     given = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
-    asked: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
-    if "controllers" not in asked and (config is not None or settings or "models" in asked):
-        asked["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
-    if sweeps and (quick or config or settings or scaled or set(asked) - {"controllers", "models", "seeds"}):
+    options: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
+    if "controllers" not in options and (config is not None or settings or "models" in options):
+        options["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
+    if sweeps and (quick or config or settings or scaled or set(options) - {"controllers", "models", "seeds"}):
         raise ConfigError(
             "--sweeps: beside it give --controllers, --models, --seeds and --horizons alone, or leave it out"
         )
-    chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **asked})
+    chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options})
     if not chosen.ours:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
             name = chosen.values("controllers")[0]
             raise ConfigError(f"the controller '{name}' takes no --models, --config, --set or --horizons")
-        asked["horizons"] = ()
+        options["horizons"] = ()
     elif horizons is not None:
-        asked["horizons"] = _horizons(horizons, settings)
+        options["horizons"] = _horizons(horizons, settings)
     elif sweeps:
-        asked["horizons"] = HORIZONS
+        options["horizons"] = HORIZONS
     if config is not None:
-        asked = {"config": str(config), "models": (chosen_model(None, config),)} | asked
-    asked["beyond"] = sweeps
+        options = {"config": str(config), "models": (chosen_model(None, config),)} | options
+    options["beyond"] = sweeps
     if quick:
-        asked.setdefault("seeds", default.values("seeds")[:1])
-    return chosen.model_copy(update=asked)
+        options.setdefault("seeds", default.values("seeds")[:1])
+    return chosen.model_copy(update=options)
 
 
 def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:

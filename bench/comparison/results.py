@@ -165,15 +165,15 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
     timing
         How the machine was while all was timed.
     """
-    asked: dict[str, object] = {dimension.several: labelled(settings, dimension.several) for dimension in DIMENSIONS}
+    options: dict[str, object] = {dimension.several: labelled(settings, dimension.several) for dimension in DIMENSIONS}
     if not settings.ours:
-        asked["models"] = []
+        options["models"] = []
     return {
         "step_times": TIMING,
         "timing": asdict(timing),
         "statistics": STATISTICS,
         "thresholds": metric_settings().model_dump(),
-        "experiment": asked | {"horizons": settings.horizons},
+        "experiment": options | {"horizons": settings.horizons},
         "configuration": {
             "file": None if settings.config is None else Path(settings.config).stem,
             "set": _swept(settings),

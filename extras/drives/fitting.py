@@ -143,7 +143,7 @@ def _fit_channel(kind: Kind, row: int, runs: Sequence[SampledExperiment]) -> tup
 
     first = _plain_delay(runs)
     tried = [solved(first, np.array([start[name] for name in names])) for start in starts]
-    known[first] = min(tried, key=lambda one: one[0])
+    known[first] = min(tried, key=lambda row: row[0])
     best = first
     while True:  # until neither neighbour is better
         for dead in (best - 1, best + 1):
@@ -187,7 +187,7 @@ def _share_integral_time(
         _least(residuals, [*own[0], *own[1], "integral_time"], np.array([*begin, values[row]["integral_time"]]), _CLOSE)
         for row in (0, 1)
     ]
-    return apart(min(tried, key=lambda one: one[0])[1])
+    return apart(min(tried, key=lambda row: row[0])[1])
 
 
 def _least(

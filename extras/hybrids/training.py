@@ -223,8 +223,8 @@ def _compiled() -> Callable[..., Any]:
             says = network(jnp, z, inward, outward) * gate(jnp, z, shape, full, least)
             return A @ x + drive + scale[: len(x)] * says, weight @ (C @ x - output) ** 2
 
-        def error(one: Segments) -> Any:  # noqa: ANN401
-            return jnp.sum(jax.lax.scan(advance, one.starts, one[1:])[1])
+        def error(segments: Segments) -> Any:  # noqa: ANN401
+            return jnp.sum(jax.lax.scan(advance, segments.starts, segments[1:])[1])
 
         return jnp.sum(jax.vmap(error)(given)) + decay * (jnp.sum(inward**2) + jnp.sum(outward**2))
 

@@ -19,41 +19,41 @@ _WIDEST = 50.0
 _OUTLINES = 12
 
 
-def draw_paths(asked: PlanRequest, plans: Plans, path: Path) -> None:
+def draw_paths(request: PlanRequest, plans: Plans, path: Path) -> None:
     """The chosen way by commanded radius, the robot along it, the others dashed."""
-    chosen = plans[asked.minimise]
+    chosen = plans[request.minimise]
     with new_figure(path, 6.4, 5.2) as figure:
         axes = figure.subplots()
-        if asked.world is not None:
-            draw_world(axes, asked.world)
+        if request.world is not None:
+            draw_world(axes, request.world)
         for k, (name, plan) in enumerate(plans.items()):
-            if name != asked.minimise:
+            if name != request.minimise:
                 label = f"{name}: {plan.energy:.0f} J, {plan.length:.1f} m"
                 axes.plot(plan.poses[:, 0], plan.poses[:, 1], "--", color=colour(k + 1), label=label)
         lines = _coloured(axes, chosen.poses, chosen.commands, chosen.sharpest)
-        axes.plot([], [], color=colour(0), label=f"{asked.minimise}: {chosen.energy:.0f} J, {chosen.length:.1f} m")
-        corners = outline(asked.costs.vehicle).corners
+        axes.plot([], [], color=colour(0), label=f"{request.minimise}: {chosen.energy:.0f} J, {chosen.length:.1f} m")
+        corners = outline(request.costs.vehicle).corners
         for x, y, theta in chosen.poses[np.linspace(0, len(chosen.poses) - 1, _OUTLINES).astype(int)].tolist():
             c, s = np.cos(theta), np.sin(theta)
             placed = corners @ np.array([[c, s], [-s, c]]) + (x, y)
             axes.add_patch(Polygon(placed, fill=False, edgecolor=REFERENCE_COLOUR, linewidth=0.6))
-        if len(asked.via):
-            axes.plot(*asked.via.T, "x", color=REFERENCE_COLOUR, label="via")
+        if len(request.via):
+            axes.plot(*request.via.T, "x", color=REFERENCE_COLOUR, label="via")
         figure.colorbar(lines, ax=axes, label="commanded radius [m]", shrink=0.8)
         axes.set(
-            xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"Least {asked.minimise} on '{asked.costs.name}'"
+            xlabel="x [m]", ylabel="y [m]", aspect="equal", title=f"Least {request.minimise} on '{request.costs.name}'"
         )
         axes.margins(0.08)
         axes.legend(loc="best")
 
 
-def draw_power(asked: PlanRequest, plans: Plans, path: Path) -> None:
+def draw_power(request: PlanRequest, plans: Plans, path: Path) -> None:
     """Predicted power of every plan over time."""
     with new_figure(path, 6.4, 3.2) as figure:
         axes = figure.subplots()
         for k, (name, plan) in enumerate(plans.items()):
             times = plan.sample_time * np.arange(len(plan.power))
-            style = "-" if name == asked.minimise else line_style(k + 1)
+            style = "-" if name == request.minimise else line_style(k + 1)
             axes.plot(times, plan.power, style, color=colour(k), label=f"{name}, {plan.energy:.0f} J")
         axes.set(xlabel="time [s]", ylabel="power [W]", ylim=(min(0.0, axes.get_ylim()[0]), None))
         axes.legend()

@@ -83,12 +83,12 @@ class PlanStudy(Study[PlanRequest, Plans]):
     name = "plan"
     title = "A reference that costs little"
 
-    def __init__(self, asked: PlanRequest) -> None:
-        self._asked, self._seconds = asked, 0.0
+    def __init__(self, request: PlanRequest) -> None:
+        self._request, self._seconds = request, 0.0
 
     def plan(self) -> PlanRequest:
         """The same; what cannot be planned is told by `run`, before anything is written."""
-        return self._asked
+        return self._request
 
     def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
         """Plan; raises PlanError where there is no way."""
@@ -113,7 +113,7 @@ class PlanStudy(Study[PlanRequest, Plans]):
         """Tables, figures and the trajectory."""
         from diffdrive_mpc.extras.planner import figures  # noqa: PLC0415 - matplotlib
 
-        asked, chosen = self._asked, results[self._asked.minimise]
+        asked, chosen = self._request, results[self._request.minimise]
         return Report(
             counted=f"{len(results)} plans",
             meta={
@@ -161,10 +161,10 @@ def saving(results: Plans) -> float:
     return 1 - results["energy"].energy / results["distance"].energy
 
 
-def _warnings(asked: PlanRequest, results: Plans) -> list[Warned]:
+def _warnings(request: PlanRequest, results: Plans) -> list[Warned]:
     """Where nothing is drawn at rest a long way costs no more for its time."""
     own, shortest = results["energy"].length, results["distance"].length
-    if asked.minimise != "energy" or asked.costs.drive.idle_power > 0 or own < _LONG * shortest:
+    if request.minimise != "energy" or request.costs.drive.idle_power > 0 or own < _LONG * shortest:
         return []
     return [
         Warned(
@@ -190,11 +190,11 @@ def _table(results: Plans, minimise: Objective) -> Table:
         "Plans",
         ("optimal in",),
         {
-            "energy [J]": lambda one: number(one.energy, 1),
-            "time [s]": lambda one: number(one.duration, 1),
-            "length [m]": lambda one: number(one.length, 2),
-            "sharpest turn [m]": lambda one: number(_sharpest(one), 2),
-            "found by": lambda one: one.status,
+            "energy [J]": lambda row: number(row.energy, 1),
+            "time [s]": lambda row: number(row.duration, 1),
+            "length [m]": lambda row: number(row.length, 2),
+            "sharpest turn [m]": lambda row: number(_sharpest(row), 2),
+            "found by": lambda row: row.status,
         },
         [((f"{name}, written" if name == minimise else name,), result) for name, result in results.items()],
     )
@@ -207,8 +207,8 @@ def _sharpest(plan: Plan) -> float:
     return float((v[moving] / np.maximum(omega[moving], 1e-6)).min())
 
 
-def _radius(asked: PlanRequest) -> str:
-    least = asked.costs.least_radius(asked.speed)
+def _radius(request: PlanRequest) -> str:
+    least = request.costs.least_radius(request.speed)
     return "none" if least == 0 else f"{least:.2f} m"
 
 

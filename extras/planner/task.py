@@ -107,7 +107,7 @@ class Task:
         best = next((one for one in equal if one.minimise == minimise), equal[0])
         if best.minimise != minimise:
             with suppress(PlanError):
-                best = min(best, self._polished(minimise, shapes[best.minimise]), key=lambda one: one.amount(minimise))
+                best = min(best, self._polished(minimise, shapes[best.minimise]), key=lambda row: row.amount(minimise))
         return best.of(minimise, shapes.get(minimise, best.search))
 
     def _search(self, objective: Objective, free: tuple[ClearanceMap, float] | None) -> PlanSearch:

@@ -66,6 +66,6 @@ class World(StrictModel):
         return Shapes(tuple(there), np.array(discs, dtype=float).reshape(-1, 3))
 
 
-def stands(one: StandingObstacle, time: float) -> bool:
+def stands(obstacle: StandingObstacle, time: float) -> bool:
     """Whether an obstacle is still there at `time` [s]."""
-    return one.until is None or time < one.until
+    return obstacle.until is None or time < obstacle.until

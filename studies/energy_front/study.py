@@ -186,7 +186,7 @@ class EnergyFrontStudy(Study[list[Case], list[FrontRun]]):
         from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
 
         by_place = fronts(results)
-        best = max((_best(points, 2.0) for points in by_place.values()), key=lambda one: one.saved.value)
+        best = max((_best(points, 2.0) for points in by_place.values()), key=lambda row: row.saved.value)
         brief = Table.of(
             "Saved within an error",
             ("floor", "path"),
@@ -205,12 +205,12 @@ class EnergyFrontStudy(Study[list[Case], list[FrontRun]]):
             "Energy against error",
             ("floor", "path"),
             {
-                "weight [1/W]": lambda one: f"{one.weight:g}",
-                "energy [J]": lambda one: number(one.energy.value, 1),
-                "saved [%]": lambda one: _interval(one.saved, 100.0, 1),
-                "position RMSE [mm]": lambda one: _interval(one.error, 1e3, 1),
-                "across the path, RMSE [mm]": lambda one: number(1e3 * one.lateral.value, 1),
-                "arrived": lambda one: f"{one.completed} of {one.of}",
+                "weight [1/W]": lambda row: f"{row.weight:g}",
+                "energy [J]": lambda row: number(row.energy.value, 1),
+                "saved [%]": lambda row: _interval(row.saved, 100.0, 1),
+                "position RMSE [mm]": lambda row: _interval(row.error, 1e3, 1),
+                "across the path, RMSE [mm]": lambda row: number(1e3 * row.lateral.value, 1),
+                "arrived": lambda row: f"{row.completed} of {row.of}",
             },
             [((floor, path), point) for (floor, path), points in by_place.items() for point in points],
             "Energy: from the battery, by the true torques of the motors and the robot's drive constants. Saved: over "
@@ -240,7 +240,7 @@ def _best(points: Sequence[FrontPoint], factor: float) -> FrontPoint:
     """The one that saves most of those that arrived always with no more than `factor` times the error of no weight."""
     most = factor * points[0].error.value
     good = [point for point in points if point.completed == point.of and point.error.value <= most]
-    return max(good or points[:1], key=lambda one: one.saved.value)
+    return max(good or points[:1], key=lambda row: row.saved.value)
 
 
 def _saved_at(points: Sequence[FrontPoint], factor: float) -> str:

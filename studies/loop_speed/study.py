@@ -103,10 +103,10 @@ class LoopSpeedStudy(Study[list[Case], list[LoopCost]]):
         names = ("model", "trajectory")
         entries = [((result.case.model, result.case.trajectory), result) for result in results]
         speeds: dict[str, Callable[[LoopCost], str]] = {
-            "whole [x]": lambda one: number(one.driven / one.whole, 0),
-            "loop [x]": lambda one: number(one.driven / one.loop, 0),
-            "plant [x]": lambda one: number(one.driven / one.plant, 0),
-            "controller [x]": lambda one: number(one.driven / one.controller, 0),
+            "whole [x]": lambda row: number(row.driven / row.whole, 0),
+            "loop [x]": lambda row: number(row.driven / row.loop, 0),
+            "plant [x]": lambda row: number(row.driven / row.plant, 0),
+            "controller [x]": lambda row: number(row.driven / row.controller, 0),
         }
         parts: dict[str, Callable[[LoopCost], str]] = {
             f"{name} [us]": _per_tick(name) for name in ("whole", "plant", "controller", "rest", "metrics")
@@ -124,7 +124,7 @@ class LoopSpeedStudy(Study[list[Case], list[LoopCost]]):
 
 
 def _per_tick(part: str) -> Callable[[LoopCost], str]:
-    return lambda one: number(1e6 * getattr(one, part) / one.ticks, 0)
+    return lambda row: number(1e6 * getattr(row, part) / row.ticks, 0)
 
 
 def _named(case: Case) -> dict[str, object]:
@@ -157,6 +157,8 @@ def _timed(work: Callable[[], T]) -> tuple[T, float]:
     return result, time.process_time() - began
 
 
-def _least(one: LoopCost, other: LoopCost) -> LoopCost:
-    times = {name: min(getattr(one, name), getattr(other, name)) for name in ("loop", "metrics", "controller", "plant")}
-    return replace(one, **times)
+def _least(cost: LoopCost, other: LoopCost) -> LoopCost:
+    times = {
+        name: min(getattr(cost, name), getattr(other, name)) for name in ("loop", "metrics", "controller", "plant")
+    }
+    return replace(cost, **times)

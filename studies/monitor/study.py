@@ -129,10 +129,10 @@ def _each(drive: Callable[[int, Rules], MonitorTrial], seeds: Sequence[int], rul
     return [drive(seed, rules) for seed in seeds]
 
 
-def _is_caught(held: FaultBounds, one: MonitorTrial) -> bool:
+def _is_caught(held: FaultBounds, trial: MonitorTrial) -> bool:
     """In time, and before harm."""
-    in_time = bool(one.rule) and one.after <= held.stated
-    return in_time and (not held.stoppable or (one.farthest <= HARM and one.at_rest))
+    in_time = bool(trial.rule) and trial.after <= held.stated
+    return in_time and (not held.stoppable or (trial.farthest <= HARM and trial.at_rest))
 
 
 def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[str, ...]:
@@ -173,6 +173,6 @@ def _alarm_table(alarms: Sequence[MonitorTrial]) -> Table:
     return Table("Alarms", ("drive", "words", "seed", "at [s]", "farthest [m]"), tuple(rows), text_columns=2)
 
 
-def _plain_trial(one: MonitorTrial) -> dict[str, object]:
-    kept = {name: value for name, value in vars(one).items() if name != "case"}
-    return plain(one.case.as_row() | kept)  # type: ignore[no-any-return]
+def _plain_trial(trial: MonitorTrial) -> dict[str, object]:
+    kept = {name: value for name, value in vars(trial).items() if name != "case"}
+    return plain(trial.case.as_row() | kept)  # type: ignore[no-any-return]

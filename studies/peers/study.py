@@ -57,7 +57,7 @@ class GainSearch:
     @property
     def best(self) -> tuple[Values, float]:
         """The setting with the least objective; of equals the first."""
-        return min(self.tried, key=lambda one: one[1])
+        return min(self.tried, key=lambda row: row[1])
 
     def scan(self, count: int, seed: int) -> None:
         """Try the middle of the ranges and `count` - 1 points of a scrambled Sobol sequence."""
@@ -260,17 +260,17 @@ def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
     return Table("Tuning", columns, tuple(rows), 1, note)
 
 
-def _proof(one: TunedPeer) -> Table:
-    factors = sorted({it.factor for it in one.neighbours})
-    fields = law_kind(one.peer).gains.model_fields
+def _proof(peer: TunedPeer) -> Table:
+    factors = sorted({it.factor for it in peer.neighbours})
+    fields = law_kind(peer.peer).gains.model_fields
     columns = ("gain", "what it acts on", "value", *(f"x {factor:g} [mm]" for factor in factors))
     rows = []
-    for name, value in one.gains.items():
-        at = {it.factor: it for it in one.neighbours if it.gain == name}
+    for name, value in peer.gains.items():
+        at = {it.factor: it for it in peer.neighbours if it.gain == name}
         cells = [f"{1e3 * at[f].worse.mean():+.2f} ± {1e3 * at[f].spread:.2f}" for f in factors]
         rows.append((name, str(fields[name].description), f"{value:g}", *cells))
-    note = f"Change of the mean position RMSE of {1e3 * one.rmse:.2f} mm, ± its standard error over the runs."
-    return Table(f"Neighbours of {one.peer}", columns, tuple(rows), 2, note)
+    note = f"Change of the mean position RMSE of {1e3 * peer.rmse:.2f} mm, ± its standard error over the runs."
+    return Table(f"Neighbours of {peer.peer}", columns, tuple(rows), 2, note)
 
 
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:

@@ -192,7 +192,7 @@ def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
 def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
     """The nine networks, the paper's figures beside ours."""
     lines = []
-    for row in sorted(rows, key=lambda one: one.row):
+    for row in sorted(rows, key=lambda row: row.row):
         scores = published.networks[row.row]
         what = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
         numbers = f"{scores.window}, {scores.batch}, {scores.validation_every}, {scores.patience}"

@@ -169,7 +169,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         timed = "cost" in self._only
         bar.begin("running", len(plan) + 2 * self.settings.cost.runs * timed)
         done = run_tasks(plan, jobs, bar.advance)
-        driven = sorted((one for one in done if isinstance(one, DriveModelsResult)), key=lambda one: -one.repetition)
+        driven = sorted((one for one in done if isinstance(one, DriveModelsResult)), key=lambda row: -row.repetition)
         tracked, published = "virtual_track" in self._only, load_published()
         return ReproduceResults(
             ssm=tuple(result for result in done if isinstance(result, SsmResult)),

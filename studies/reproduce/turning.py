@@ -145,8 +145,8 @@ def turning_table(result: TurningResult) -> Table:
     )
 
 
-def _name(one: SteadyTurns) -> str:
-    return "shear law, vinyl" if one.source == LAW else f"robot on '{one.source}'"
+def _name(turns: SteadyTurns) -> str:
+    return "shear law, vinyl" if turns.source == LAW else f"robot on '{turns.source}'"
 
 
 def turning_findings(result: TurningResult, published: Published) -> list[PaperFinding]:
@@ -193,9 +193,9 @@ def turning_findings(result: TurningResult, published: Published) -> list[PaperF
     return findings
 
 
-def _falls(one: SteadyTurns, rise: float) -> bool:
+def _falls(turns: SteadyTurns, rise: float) -> bool:
     """Whether the outer torque never rises by more than this share of the largest towards wider turns."""
-    outer = one.torque[:, 0]
+    outer = turns.torque[:, 0]
     return bool((outer - np.minimum.accumulate(outer)).max() <= rise * outer.max())
 
 

@@ -101,7 +101,7 @@ def _message_table(rows: DataFrame) -> Table:
     messages = loudest[(loudest["ended"] != "") | (loudest["message"] != "")]
     entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
     note = "The most frequent message of the run with most of them, and the share of ticks at which anything was said."
-    columns = {"ticks [%]": lambda one: number(one.message_percent, 0)}
+    columns = {"ticks [%]": lambda row: number(row.message_percent, 0)}
     return Table.of("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
 
 

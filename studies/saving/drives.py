@@ -63,48 +63,48 @@ class PlanDrive(NamedTuple):
 
 
 def drive_closed(
-    asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0, *, beside: float = 0.0
+    settings: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0, *, beside: float = 0.0
 ) -> PlanDrive:
     """Drive a plan with the controller, always the same one, from the same start and with the same noise.
 
     `beside` is drawn by others than the motors until the robot stands [W].
     """
-    config = load_config(asked.configuration)
-    plant = plant_of(asked.robot, surface, payload, seed=asked.seed)
-    run = simulate(Controller(config), plant, plan.trajectory, extra_time=asked.standing.wait)
+    config = load_config(settings.configuration)
+    plant = plant_of(settings.robot, surface, payload, seed=settings.seed)
+    run = simulate(Controller(config), plant, plan.trajectory, extra_time=settings.standing.wait)
     rows = (run.true_pose, run.true_twist, run.motor_torque, run.motor_power, run.motor_square)
-    return _judged(asked, plan, rows, run.sample_time, run.ended, beside)
+    return _judged(settings, plan, rows, run.sample_time, run.ended, beside)
 
 
-def drive_open(asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0) -> PlanDrive:
+def drive_open(settings: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0) -> PlanDrive:
     """Send the commands of a plan and nothing else, as P4 does; then stand still for a while."""
-    plant = plant_of(asked.robot, surface, payload, seed=asked.seed)
-    ticks = np.arange(0.0, plan.duration + asked.standing.wait, plant.sample_time)
+    plant = plant_of(settings.robot, surface, payload, seed=settings.seed)
+    ticks = np.arange(0.0, plan.duration + settings.standing.wait, plant.sample_time)
     at = np.minimum((ticks / plan.sample_time).astype(int), len(plan.commands))
     commands = np.vstack([plan.commands, np.zeros(2)])[at]
     drive = drive_open_loop(plant, commands, plan.trajectory.sample([0.0]).pose[0])
     rows = (drive.true_pose, drive.true_twist, drive.motor_torque, drive.motor_power, drive.motor_square)
-    return _judged(asked, plan, rows, plant.sample_time, "")
+    return _judged(settings, plan, rows, plant.sample_time, "")
 
 
-def standing_from(twist: FloatArray, asked: Standstill) -> int:
+def standing_from(twist: FloatArray, standstill: Standstill) -> int:
     """First row of (n, 3) forward, lateral speed and yaw rate from which on the robot stands for good; n for never."""
-    moving = (np.abs(twist[:, :2]).max(axis=1) > asked.speed) | (np.abs(twist[:, 2]) > asked.yaw_rate)
+    moving = (np.abs(twist[:, :2]).max(axis=1) > standstill.speed) | (np.abs(twist[:, 2]) > standstill.yaw_rate)
     last = np.flatnonzero(moving)
     return int(last[-1]) + 1 if last.size else 0
 
 
 def _judged(
-    asked: SavingStudySettings,
+    settings: SavingStudySettings,
     plan: Plan,
     rows: tuple[FloatArray, ...],
     sample_time: float,
     ended: str,
     beside: float = 0.0,
 ) -> PlanDrive:
-    constants, limit = load_drive_constants(asked.robot), 0.5 * load_vehicle(asked.robot).torque_limit
+    constants, limit = load_drive_constants(settings.robot), 0.5 * load_vehicle(settings.robot).torque_limit
     pose, twist, torque, power, square = rows
-    count = standing_from(twist, asked.standing)
+    count = standing_from(twist, settings.standing)
     stands = count < len(pose) and not ended
     goal = plan.trajectory.sample([plan.trajectory.duration]).pose[0]
     end = pose[min(count, len(pose) - 1)]

@@ -133,8 +133,8 @@ def _paths_of(plan: Planned) -> list[tuple[str, FloatArray]]:
 
 
 def _words(plan: Planned) -> str:
-    def energy(name: str, one: PlanDrive) -> str:
-        return f"{name} {one.measured:.0f} J ({100 * one.error:+.1f} %)"
+    def energy(name: str, drive: PlanDrive) -> str:
+        return f"{name} {drive.measured:.0f} J ({100 * drive.error:+.1f} %)"
 
     touched = [name for name, gap in zip(("open loop", "controller"), plan.gaps, strict=True) if gap < 0]
     lines = [

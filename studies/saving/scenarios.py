@@ -57,67 +57,74 @@ class ScenarioOutcome(NamedTuple):
         return f"{self.title.partition(':')[0].rpartition(' ')[2]}, '{self.asked.surface}'"
 
 
-def measure_nominal(study: SavingStudySettings, asked: PaperScenario) -> ScenarioOutcome:
+def measure_nominal(study: SavingStudySettings, scenario: PaperScenario) -> ScenarioOutcome:
     """Scenario 1: without slip, and with that of the floor; the power model is the floor's both times."""
-    own = load_turn_costs(study.costs_of(asked.surface))
+    own = load_turn_costs(study.costs_of(scenario.surface))
     nominal = _with_slip(own, SlipCoefficients(), "no slip")
     plans = (
-        _planned(study, asked, nominal, "no slip"),
-        _planned(study, asked, own, f"slip of '{asked.surface}'"),
-    )
-    return ScenarioOutcome(f"Scenario 1: on '{asked.surface}', without slip and with it", "20 and 21", asked, plans)
-
-
-def measure_foreign(study: SavingStudySettings, asked: PaperScenario) -> ScenarioOutcome:
-    """Scenario 2: with the slip of another floor, and of its own; the power model is the floor's both times."""
-    own, other = load_turn_costs(study.costs_of(asked.surface)), load_turn_costs(study.costs_of(asked.law))
-    foreign = _with_slip(own, other.slip, f"slip of {asked.law}")
-    plans = (
-        _planned(study, asked, foreign, f"slip of '{asked.law}'"),
-        _planned(study, asked, own, f"slip of '{asked.surface}'"),
+        _planned(study, scenario, nominal, "no slip"),
+        _planned(study, scenario, own, f"slip of '{scenario.surface}'"),
     )
     return ScenarioOutcome(
-        f"Scenario 2: on '{asked.surface}', with the slip of '{asked.law}' and its own", "22 and 23", asked, plans
+        f"Scenario 1: on '{scenario.surface}', without slip and with it", "20 and 21", scenario, plans
     )
 
 
-def measure_loaded(study: SavingStudySettings, asked: PaperScenario) -> ScenarioOutcome:
-    """Scenario 3: a payload; torques as learned without one, and of the terrain that these were mapped to."""
-    own = load_turn_costs(study.costs_of(asked.surface))
+def measure_foreign(study: SavingStudySettings, scenario: PaperScenario) -> ScenarioOutcome:
+    """Scenario 2: with the slip of another floor, and of its own; the power model is the floor's both times."""
+    own, other = load_turn_costs(study.costs_of(scenario.surface)), load_turn_costs(study.costs_of(scenario.law))
+    foreign = _with_slip(own, other.slip, f"slip of {scenario.law}")
     plans = (
-        _planned(study, asked, own, "torques as learned without payload"),
-        _planned(study, asked, loaded_costs(study, asked, own), "torques of the terrain they were mapped to"),
+        _planned(study, scenario, foreign, f"slip of '{scenario.law}'"),
+        _planned(study, scenario, own, f"slip of '{scenario.surface}'"),
     )
-    title = f"Scenario 3: {asked.payload:g} kg on '{asked.surface}', learned without"
-    return ScenarioOutcome(title, "24", asked, plans)
+    return ScenarioOutcome(
+        f"Scenario 2: on '{scenario.surface}', with the slip of '{scenario.law}' and its own",
+        "22 and 23",
+        scenario,
+        plans,
+    )
 
 
-def loaded_costs(study: SavingStudySettings, asked: PaperScenario, own: TurnCosts) -> TurnCosts:
+def measure_loaded(study: SavingStudySettings, scenario: PaperScenario) -> ScenarioOutcome:
+    """Scenario 3: a payload; torques as learned without one, and of the terrain that these were mapped to."""
+    own = load_turn_costs(study.costs_of(scenario.surface))
+    plans = (
+        _planned(study, scenario, own, "torques as learned without payload"),
+        _planned(study, scenario, loaded_costs(study, scenario, own), "torques of the terrain they were mapped to"),
+    )
+    title = f"Scenario 3: {scenario.payload:g} kg on '{scenario.surface}', learned without"
+    return ScenarioOutcome(title, "24", scenario, plans)
+
+
+def loaded_costs(study: SavingStudySettings, scenario: PaperScenario, own: TurnCosts) -> TurnCosts:
     """Turn costs under a payload, from a diagnostic drive without one: equation 24, then the shear law.
 
     The slip is that of the floor without payload. At the torque limit a turn asks for no more than the motors have.
     """
     torque = load_torque_study()
     vehicle = own.vehicle
-    plant = plant_of(study.robot, asked.surface, seed=torque.seed)
+    plant = plant_of(study.robot, scenario.surface, seed=torque.seed)
     drive = diagnostic_drive(plant, torque.diagnostic)
     curves = TorqueCurves.from_prior(vehicle, load_terrain(torque.prior))
     curves.learn_drive(drive.command, *sides(drive.motor_torque), plant.sample_time)
     speed = own.curve.speed
-    ground = map_back(torque, vehicle, curves, speed).on(Terrain(description=asked.surface))
-    heavy = vehicle.carrying(asked.payload)
+    ground = map_back(torque, vehicle, curves, speed).on(Terrain(description=scenario.surface))
+    heavy = vehicle.carrying(scenario.payload)
     radii = np.array([one for one in own.curve.radius if one > 0.51 * (vehicle.command_track or vehicle.track)])
     torques = side_torques(heavy, ground, radii, speed)
     limit = vehicle.torque_limit
     outer, inner = (tuple(np.clip(side, -limit, limit).tolist()) for side in (torques.outer, torques.inner))
     curve = own.curve.model_copy(update={"radius": tuple(radii.tolist()), "outer": outer, "inner": inner})
     return TurnCosts(
-        name=f"{own.name}, {asked.payload:g} kg",
+        name=f"{own.name}, {scenario.payload:g} kg",
         vehicle=heavy,
         drive=own.drive,
         slip=own.slip,
         curve=curve,
-        provenance=f"terrain of '{asked.surface}', mapped from a drive without payload, under {asked.payload:g} kg",
+        provenance=(
+            f"terrain of '{scenario.surface}', mapped from a drive without payload, under {scenario.payload:g} kg"
+        ),
     )
 
 
@@ -154,23 +161,25 @@ def pose_of(place: Place) -> Pose:
     return place[0], place[1], math.radians(place[2])
 
 
-def check_scenario(study: SavingStudySettings, asked: PaperScenario) -> None:
+def check_scenario(study: SavingStudySettings, scenario: PaperScenario) -> None:
     """Raise ConfigError where a name of it does not exist, or the goal or the start lies in a post."""
-    for name in (asked.surface, *((asked.law,) if asked.law else ())):
+    for name in (scenario.surface, *((scenario.law,) if scenario.law else ())):
         load_turn_costs(study.costs_of(name))
     outline = plant_outline(f"mujoco:{study.robot}")
     for what in ("start", "goal"):
-        if gap_to_posts(np.array([pose_of(getattr(asked, what))]), asked.posts, outline) <= 0:
-            raise ConfigError(f"scenario on '{asked.surface}': a post stands where the robot's {what} is; move it")
+        if gap_to_posts(np.array([pose_of(getattr(scenario, what))]), scenario.posts, outline) <= 0:
+            raise ConfigError(f"scenario on '{scenario.surface}': a post stands where the robot's {what} is; move it")
 
 
-def _planned(study: SavingStudySettings, asked: PaperScenario, costs: TurnCosts, by: str) -> Planned:
-    start, goal = pose_of(asked.start), pose_of(asked.goal)
-    around = Surroundings(discs=[MovingDisc(*post) for post in asked.posts])
+def _planned(study: SavingStudySettings, scenario: PaperScenario, costs: TurnCosts, by: str) -> Planned:
+    start, goal = pose_of(scenario.start), pose_of(scenario.goal)
+    around = Surroundings(discs=[MovingDisc(*post) for post in scenario.posts])
     plans = plan_each(costs, start, goal, speed=study.speed, obstacles=around, settings=study.planning.settings)
     cheapest, shortest = plans["energy"], plans["distance"]
-    opened = drive_open(study, cheapest, asked.surface, asked.payload)
-    closed = drive_closed(study, cheapest, asked.surface, asked.payload)
+    opened = drive_open(study, cheapest, scenario.surface, scenario.payload)
+    closed = drive_closed(study, cheapest, scenario.surface, scenario.payload)
     outline = plant_outline(f"mujoco:{study.robot}")
-    gaps = tuple(gap_to_posts(one.path, asked.posts, outline) for one in (opened, closed))
-    return Planned(by, opened, closed, drive_closed(study, shortest, asked.surface, asked.payload), (gaps[0], gaps[1]))
+    gaps = tuple(gap_to_posts(one.path, scenario.posts, outline) for one in (opened, closed))
+    return Planned(
+        by, opened, closed, drive_closed(study, shortest, scenario.surface, scenario.payload), (gaps[0], gaps[1])
+    )

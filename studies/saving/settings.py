@@ -133,7 +133,7 @@ class Pair(NamedTuple):
         return float(np.hypot(self.goal[0] - self.start[0], self.goal[1] - self.start[1]))
 
 
-def draw_pairs(asked: DrawnTasks, count: int, seed: int) -> list[Pair]:
+def draw_pairs(settings: DrawnTasks, count: int, seed: int) -> list[Pair]:
     """So many pairs from a seed: distance, where the goal lies, and where the robot is to look there.
 
     A Latin hypercube: each of the three is spread evenly over its range, one pair to each of `count` slices, so that
@@ -141,7 +141,7 @@ def draw_pairs(asked: DrawnTasks, count: int, seed: int) -> list[Pair]:
     the origin and look along x.
     """
     unit = qmc.LatinHypercube(d=3, seed=np.random.default_rng(seed)).random(count)
-    low, high = np.array([[asked.distance[0], -np.pi, -np.pi], [asked.distance[1], np.pi, np.pi]])
+    low, high = np.array([[settings.distance[0], -np.pi, -np.pi], [settings.distance[1], np.pi, np.pi]])
     rows = low + unit * (high - low)
     return [
         Pair((0.0, 0.0, 0.0), (float(far * np.cos(bearing)), float(far * np.sin(bearing)), float(heading)))

@@ -141,18 +141,18 @@ def _tables(results: SavingResults, computer: float) -> list[Table]:
         "Saving",
         ("floor",),
         {
-            "pairs": lambda one: str(one[1].pairs),
-            "mean [%]": lambda one: _percent(one[1].mean.value),
-            "95 % interval [%]": lambda one: _interval(one[1].mean),
-            "least [%]": lambda one: _percent(one[1].least),
-            "most [%]": lambda one: _percent(one[1].most),
-            "took more": lambda one: str(one[1].worse),
-            "of all energy [%]": lambda one: _percent(one[1].total),
-            "by the plans [%]": lambda one: _percent(one[1].predicted),
-            "longer way [%]": lambda one: _percent(
-                _longer([(each.drives.get("energy"), each.drives.get("distance")) for each in one[0]])
+            "pairs": lambda row: str(row[1].pairs),
+            "mean [%]": lambda row: _percent(row[1].mean.value),
+            "95 % interval [%]": lambda row: _interval(row[1].mean),
+            "least [%]": lambda row: _percent(row[1].least),
+            "most [%]": lambda row: _percent(row[1].most),
+            "took more": lambda row: str(row[1].worse),
+            "of all energy [%]": lambda row: _percent(row[1].total),
+            "by the plans [%]": lambda row: _percent(row[1].predicted),
+            "longer way [%]": lambda row: _percent(
+                _longer([(each.drives.get("energy"), each.drives.get("distance")) for each in row[0]])
             ),
-            f"beside {computer:g} W [%]": lambda one: _percent(_beside(one[0], computer)),
+            f"beside {computer:g} W [%]": lambda row: _percent(_beside(row[0], computer)),
         },
         saved,
         note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did. Beside: mean "
@@ -162,11 +162,11 @@ def _tables(results: SavingResults, computer: float) -> list[Table]:
         "Saving with a computer",
         ("floor",),
         {
-            "pairs": lambda one: str(len(_savings_fed(one, computer))),
-            "mean [%]": lambda one: _percent(_fed(one, computer).value),
-            "95 % interval [%]": lambda one: _interval(_fed(one, computer)),
-            "took more": lambda one: str(int(np.count_nonzero(_savings_fed(one, computer) < 0))),
-            "longer way [%]": lambda one: _percent(_longer([(each.fed, each.drives.get("distance")) for each in one])),
+            "pairs": lambda row: str(len(_savings_fed(row, computer))),
+            "mean [%]": lambda row: _percent(_fed(row, computer).value),
+            "95 % interval [%]": lambda row: _interval(_fed(row, computer)),
+            "took more": lambda row: str(int(np.count_nonzero(_savings_fed(row, computer) < 0))),
+            "longer way [%]": lambda row: _percent(_longer([(each.fed, each.drives.get("distance")) for each in row])),
         },
         floors_by_name,
         note=f"Energy-optimal against distance-optimal for a robot whose computer draws {computer:g} W as long as it "
@@ -177,10 +177,10 @@ def _tables(results: SavingResults, computer: float) -> list[Table]:
         "Against time-optimal",
         ("floor",),
         {
-            "pairs": lambda one: str(one.pairs),
-            "mean [%]": lambda one: _percent(one.mean.value),
-            "95 % interval [%]": lambda one: _interval(one.mean),
-            "by the plans [%]": lambda one: _percent(one.predicted),
+            "pairs": lambda row: str(row.pairs),
+            "mean [%]": lambda row: _percent(row.mean.value),
+            "95 % interval [%]": lambda row: _interval(row.mean),
+            "by the plans [%]": lambda row: _percent(row.predicted),
         },
         over_time,
         note="Energy-optimal against time-optimal.",
@@ -226,16 +226,16 @@ def _tables(results: SavingResults, computer: float) -> list[Table]:
         "Scenarios",
         ("scenario", "plan"),
         {
-            "predicted [J]": lambda one: number(one.open.predicted, 1),
-            "open loop [J]": lambda one: number(one.open.measured, 1),
-            "off [%]": lambda one: _percent(one.open.error),
-            "ends off [m]": lambda one: number(one.open.position, 2),
-            "cone [m]": lambda one: number(one.gaps[0], 2),
-            "controller [J]": lambda one: number(one.closed.measured, 1),
-            "its prediction off [%]": lambda one: _percent(one.closed.error),
-            "it ends off [m]": lambda one: number(one.closed.position, 3),
-            "its cone [m]": lambda one: number(one.gaps[1], 2),
-            "saved [%]": lambda one: _percent(one.saving),
+            "predicted [J]": lambda row: number(row.open.predicted, 1),
+            "open loop [J]": lambda row: number(row.open.measured, 1),
+            "off [%]": lambda row: _percent(row.open.error),
+            "ends off [m]": lambda row: number(row.open.position, 2),
+            "cone [m]": lambda row: number(row.gaps[0], 2),
+            "controller [J]": lambda row: number(row.closed.measured, 1),
+            "its prediction off [%]": lambda row: _percent(row.closed.error),
+            "it ends off [m]": lambda row: number(row.closed.position, 3),
+            "its cone [m]": lambda row: number(row.gaps[1], 2),
+            "saved [%]": lambda row: _percent(row.saving),
         },
         [((scenario.short, plan.by), plan) for scenario in results.scenarios for plan in scenario.plans],
         note="Cone: from the robot's outline to the nearest one; below zero it ran over it. Saved: against the "
@@ -295,9 +295,9 @@ def _content(results: SavingResults, computer: float) -> dict[str, Any]:
     return {"floors": floors, "scenarios": scenarios, "pairs": pairs}
 
 
-def _plain(one: PlanDrive) -> dict[str, Any]:
-    return {name: value for name, value in one._asdict().items() if name not in ("planned", "path")} | {
-        "error": one.error
+def _plain(drive: PlanDrive) -> dict[str, Any]:
+    return {name: value for name, value in drive._asdict().items() if name not in ("planned", "path")} | {
+        "error": drive.error
     }
 
 

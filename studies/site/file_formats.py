@@ -76,10 +76,10 @@ def _allowed(field: Schema, schema: Schema) -> str:
     return " or ".join(dict.fromkeys(filter(None, (_text_of(choice) for choice in _alternatives(field, schema)))))
 
 
-def _text_of(one: Schema) -> str:
-    values = one.get("enum", [one["const"]] if "const" in one else [])
-    bounds = ", ".join(f"{sign} {one[name]:g}" for name, sign in _BOUNDS.items() if name in one)
-    return ", ".join(map(str, values)) or bounds or {"array": "list", "object": "group"}.get(one.get("type", ""), "")
+def _text_of(schema: Schema) -> str:
+    values = schema.get("enum", [schema["const"]] if "const" in schema else [])
+    bounds = ", ".join(f"{sign} {schema[name]:g}" for name, sign in _BOUNDS.items() if name in schema)
+    return ", ".join(map(str, values)) or bounds or {"array": "list", "object": "group"}.get(schema.get("type", ""), "")
 
 
 def _default(field: Schema) -> str:

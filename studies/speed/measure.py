@@ -181,26 +181,26 @@ def _build(
     return subject, subject.build(asdict(problem.stages), chosen.settings, core)
 
 
-def _typical(one: _Running) -> float:
-    return float(np.median([step.whole for step in one.drive.steps]))
+def _typical(subject: _Running) -> float:
+    return float(np.median([step.whole for step in subject.drive.steps]))
 
 
-def _gaps(one: _Running, converged: Subject, every: int) -> FloatArray:
+def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
     """(n, 2) |command - converged command| at every so many ticks."""
     gaps: list[FloatArray] = []
-    for k in range(0, len(one.drive.ticks), every):
-        data = one.drive.peer_data[k]
+    for k in range(0, len(subject.drive.ticks), every):
+        data = subject.drive.peer_data[k]
         converged.reset(data)
         (step,), _ = converged.run([data])
         if step.solved:
-            gaps.append(np.abs(np.subtract(one.drive.steps[k].command, step.command)))
+            gaps.append(np.abs(np.subtract(subject.drive.steps[k].command, step.command)))
     return np.array(gaps or [np.full(2, np.nan)])
 
 
-def _measured(one: _Running, gaps: FloatArray) -> SpeedRecord:
-    drive, problem = one.drive, one.problem
-    assert one.times is not None
-    whole, inside = np.moveaxis(one.times.kept, -1, 0)
+def _measured(subject: _Running, gaps: FloatArray) -> SpeedRecord:
+    drive, problem = subject.drive, subject.problem
+    assert subject.times is not None
+    whole, inside = np.moveaxis(subject.times.kept, -1, 0)
     iterations = [step.iterations for step in drive.steps]
     command = np.array(drive.command)
     cost = closed_loop_cost(
@@ -208,7 +208,7 @@ def _measured(one: _Running, gaps: FloatArray) -> SpeedRecord:
     )
     memory = drive.subject.memory()
     return SpeedRecord(
-        solver=one.name,
+        solver=subject.name,
         model=problem.name,
         horizon=problem.horizon,
         iterations_p50=float(np.median(iterations)),
@@ -221,11 +221,11 @@ def _measured(one: _Running, gaps: FloatArray) -> SpeedRecord:
         active_share=_active_share(command, problem.config),
         unsolved=sum(not step.solved for step in drive.steps),
         samples=int(np.isfinite(whole).sum()),
-        clean_share=one.times.share,
+        clean_share=subject.times.share,
         ticks=len(command),
-        build_s=one.built["build_s"],
+        build_s=subject.built["build_s"],
         memory_bytes=memory,
-        memory_growth_bytes=memory - one.built["before_bytes"],
+        memory_growth_bytes=memory - subject.built["before_bytes"],
         whole=whole,
         **time_statistics(whole, inside),
     )

@@ -83,9 +83,11 @@ def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sens
     )
 
 
-def diagnostic_drive(plant: MujocoPlant, asked: Diagnostic) -> OpenLoopDrive:
+def diagnostic_drive(plant: MujocoPlant, settings: Diagnostic) -> OpenLoopDrive:
     """The spiral of P4: each radius held, to the left and to the right, the speeds in turn."""
-    return drive_open_loop(plant, diagnostic_commands(asked.radii, asked.speeds, round(asked.hold / plant.sample_time)))
+    return drive_open_loop(
+        plant, diagnostic_commands(settings.radii, settings.speeds, round(settings.hold / plant.sample_time))
+    )
 
 
 def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: int, rest: int = 0) -> FloatArray:
@@ -96,7 +98,7 @@ def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: i
     return np.concatenate([still, rows, still])
 
 
-def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked: Measured, track: float) -> Steady:
+def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, settings: Measured, track: float) -> Steady:
     """Steady turns of these radii, each to both sides from rest.
 
     Parameters
@@ -107,12 +109,12 @@ def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked
         (n,) [m].
     speed
         [m/s].
-    asked
+    settings
         How long each settles and is measured.
     track
         By which the base makes wheel speeds of commands [m].
     """
-    before, after = (round(time / plant.sample_time) for time in (asked.settling, asked.hold))
+    before, after = (round(time / plant.sample_time) for time in (settings.settling, settings.hold))
     turns = []
     for radius in radii:
         both = []
@@ -132,7 +134,7 @@ def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked
 
 
 def own_least_radius(
-    plant: MujocoPlant, speed: float, asked: Measured, limit: float, track: float
+    plant: MujocoPlant, speed: float, settings: Measured, limit: float, track: float
 ) -> tuple[float, float]:
     """The robot's own least radius [m], by bisection: by torque, and by the turn that is no longer kept.
 
@@ -142,7 +144,7 @@ def own_least_radius(
 
     def bisected(fails: int) -> float:
         def failed(radius: float) -> bool:
-            turn = steady_turns(plant, [radius], speed, asked, track)
+            turn = steady_turns(plant, [radius], speed, settings, track)
             return bool((turn.outer[0] > LIMIT_SHARE * limit, turn.kept[0] < KEPT_SHARE)[fails])
 
         low, high = sharpest, _WIDEST
@@ -156,18 +158,18 @@ def own_least_radius(
     return bisected(0), bisected(1)
 
 
-def unseen_commands(asked: Unseen, seed: int, sample_time: float, least: float) -> FloatArray:
+def unseen_commands(settings: Unseen, seed: int, sample_time: float, least: float) -> FloatArray:
     """(n, 2) turns drawn from `seed`, none sharper than 1.2 times the `least` radius [m] at its own speed."""
     rng = np.random.default_rng(seed)
-    count, rows = round(asked.hold / sample_time), []
-    for _ in range(asked.turns):
-        speed = rng.uniform(*asked.speeds)
-        low = max(asked.radii[0], 1.2 * least)
-        radius = math.exp(rng.uniform(math.log(low), math.log(max(asked.radii[1], 2 * low)))) * rng.choice([-1, 1])
+    count, rows = round(settings.hold / sample_time), []
+    for _ in range(settings.turns):
+        speed = rng.uniform(*settings.speeds)
+        low = max(settings.radii[0], 1.2 * least)
+        radius = math.exp(rng.uniform(math.log(low), math.log(max(settings.radii[1], 2 * low)))) * rng.choice([-1, 1])
         rows.append([speed, speed / radius])
-    levels, since = np.array([[0.0, 0.0], *rows]), np.tile((np.arange(count) + 1) * sample_time, asked.turns)
+    levels, since = np.array([[0.0, 0.0], *rows]), np.tile((np.arange(count) + 1) * sample_time, settings.turns)
     # Gently from each to the next, as who saves energy drives.
-    share = np.minimum(since / asked.ramp, 1.0)[:, None] if asked.ramp else np.ones((len(since), 1))
+    share = np.minimum(since / settings.ramp, 1.0)[:, None] if settings.ramp else np.ones((len(since), 1))
     before, after = (np.repeat(part, count, axis=0) for part in (levels[:-1], levels[1:]))
     return np.asarray(before + share * (after - before))
 

@@ -139,11 +139,11 @@ def _tables(results: TorqueResults, speed: float) -> list[Table]:
         "Torque learned",
         ("floor",),
         {
-            "prior, RMSE [%]": lambda one: number(100 * max(rms_error(one.prior, one.steady[speed], speed)), 1),
-            "learned [%]": lambda one: number(100 * max(rms_error(one.learned, one.steady[speed], speed)), 1),
-            "by radius alone [%]": lambda one: number(100 * one.learned_by_radius, 1),
-            f"below {100 * CLOSE:g} % after [s]": lambda one: number(one.close_after, 0),
-            "units": lambda one: "{} + {}".format(*one.learned.units),
+            "prior, RMSE [%]": lambda row: number(100 * max(rms_error(row.prior, row.steady[speed], speed)), 1),
+            "learned [%]": lambda row: number(100 * max(rms_error(row.learned, row.steady[speed], speed)), 1),
+            "by radius alone [%]": lambda row: number(100 * row.learned_by_radius, 1),
+            f"below {100 * CLOSE:g} % after [s]": lambda row: number(row.close_after, 0),
+            "units": lambda row: "{} + {}".format(*row.learned.units),
         },
         floors,
     )
@@ -151,12 +151,12 @@ def _tables(results: TorqueResults, speed: float) -> list[Table]:
         "Least radius",
         ("floor",),
         {
-            "own, by torque [m]": lambda one: radius_text(one.own_radius[0]),
-            "own, not kept [m]": lambda one: radius_text(one.own_radius[1]),
-            "model [m]": lambda one: radius_text(one.model_radius),
-            "off [%]": lambda one: _off(one.model_radius, one.own_radius[0]),
-            "learned [m]": lambda one: radius_text(one.learned_radius),
-            "learned off [%]": lambda one: _off(one.learned_radius, one.own_radius[0]),
+            "own, by torque [m]": lambda row: radius_text(row.own_radius[0]),
+            "own, not kept [m]": lambda row: radius_text(row.own_radius[1]),
+            "model [m]": lambda row: radius_text(row.model_radius),
+            "off [%]": lambda row: _off(row.model_radius, row.own_radius[0]),
+            "learned [m]": lambda row: radius_text(row.learned_radius),
+            "learned off [%]": lambda row: _off(row.learned_radius, row.own_radius[0]),
         },
         floors,
         note="Model: shear law fitted to steady turns at radii held out from the curve.",
@@ -165,10 +165,10 @@ def _tables(results: TorqueResults, speed: float) -> list[Table]:
         "Terrain found",
         ("floor", "from"),
         {
-            "mu": lambda one: number(one.shear.mu_outer, 3),
-            "K [mm]": lambda one: number(1e3 * one.shear.modulus, 3),
-            "RMS [N m]": lambda one: number(one.rms, 3),
-            "not told": lambda one: ", ".join(one.untold) or "-",
+            "mu": lambda row: number(row.shear.mu_outer, 3),
+            "K [mm]": lambda row: number(1e3 * row.shear.modulus, 3),
+            "RMS [N m]": lambda row: number(row.rms, 3),
+            "not told": lambda row: ", ".join(row.untold) or "-",
         },
         [
             ((floor.surface, source), estimate)
@@ -192,10 +192,10 @@ def _tables(results: TorqueResults, speed: float) -> list[Table]:
         "Payload",
         ("payload [kg]",),
         {
-            "terrain, outer RMSE [%]": lambda one: number(100 * _payload_error(one, 0, one.predicted), 1),
-            "inner [%]": lambda one: number(100 * _payload_error(one, 1, one.predicted), 1),
-            "curves as learned, outer [%]": lambda one: number(100 * _payload_error(one, 0, one.learned), 1),
-            "inner, as learned [%]": lambda one: number(100 * _payload_error(one, 1, one.learned), 1),
+            "terrain, outer RMSE [%]": lambda row: number(100 * _payload_error(row, 0, row.predicted), 1),
+            "inner [%]": lambda row: number(100 * _payload_error(row, 1, row.predicted), 1),
+            "curves as learned, outer [%]": lambda row: number(100 * _payload_error(row, 0, row.learned), 1),
+            "inner, as learned [%]": lambda row: number(100 * _payload_error(row, 1, row.learned), 1),
         },
         [((f"{payload.payload:g}",), payload) for payload in results.payloads],
         note="From the diagnostic drive without payload: the terrain that its curves were mapped to, and the curves.",
@@ -241,9 +241,9 @@ def _content(results: TorqueResults, speed: float) -> dict[str, object]:
     return {"floors": rows, "payloads": payloads, "turns": turns}
 
 
-def _payload_error(one: PayloadOutcome, side: int, estimate: FloatArray) -> float:
+def _payload_error(outcome: PayloadOutcome, side: int, estimate: FloatArray) -> float:
     """RMSE over the RMS of the measured curve [-]."""
-    true = (one.steady.outer, one.steady.inner)[side]
+    true = (outcome.steady.outer, outcome.steady.inner)[side]
     return float(np.sqrt(np.mean((estimate[:, side] - true) ** 2) / np.mean(true**2)))
 
 

@@ -118,8 +118,8 @@ def _contacts(rows: DataFrame) -> Table:
     hit = rows[rows["collided"].astype(bool)].sort_values("passage_contact_speed_m_s", ascending=False, kind="stable")
     shown = list(hit.head(_HARDEST).itertuples())
     columns: dict[str, Callable[[object], str]] = {
-        "seed": lambda one: str(one.seed),  # type: ignore[attr-defined]
-        "speed [m/s]": lambda one: number(one.passage_contact_speed_m_s, 2),  # type: ignore[attr-defined]
+        "seed": lambda row: str(row.seed),  # type: ignore[attr-defined]
+        "speed [m/s]": lambda row: number(row.passage_contact_speed_m_s, 2),  # type: ignore[attr-defined]
     }
     entries = [((one.driver, one.world, one.surface, one.plant, one.ended), one) for one in shown]
     note = f"The hardest {len(shown)} of {len(hit)}."

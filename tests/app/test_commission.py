@@ -120,9 +120,9 @@ def test_a_person_drives(commissioned, tmp_path):
     """The same logs, taken as those of a person: the command asks for one, then for the next."""
     _, out, _ = commissioned
     mine = CommissionRequest(Room(5.0, 4.0), jobs=1).quick()
-    assert commission(mine, tmp_path, one=True)
+    assert commission(mine, tmp_path, one_step=True)
     with pytest.raises(NeedsAPersonError, match=r"drive .*excite-slow/drive.yaml on the robot"):
-        commission(mine, tmp_path, one=True)
+        commission(mine, tmp_path, one_step=True)
     log = tmp_path / "my_log.csv"
     shutil.copy2(out / "record-slow" / "log.csv", log)
     with_log = replace(mine, logs=(log,))
