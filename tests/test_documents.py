@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
+from quick_settings import quick_settings
 from studies.cli import app as studies_app
 from studies.documents.documents import SHOWN, with_report
 
@@ -93,7 +94,9 @@ def command(words, folder):
 
 
 def invoked(program, words, name):
-    result = CliRunner().invoke(program, words, prog_name=name)
+    # That a command runs is shown as well by a short search of a drive, of a hybrid, of a twin.
+    with quick_settings():
+        result = CliRunner().invoke(program, words, prog_name=name)
     assert result.exit_code == 0, f"{words}: {result.output}\n{result.exception!r}"
 
 

@@ -6,7 +6,7 @@ import difflib
 import math
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,14 +15,14 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
-from diffdrive_mpc.sim.disturbances.scenario import beside, load_scenario
+from diffdrive_mpc.sim.disturbances.scenario import Scenario, beside, load_scenario
 from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
-from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.surface import Surface, load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
-from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -93,83 +93,113 @@ def make_plant(
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
-    seed, given_model = int(seed), None if isinstance(name, (str, Path)) else _checked_model(name)
-    name = str(name) if given_model is None else f"{_MODEL_PREFIX}{given_model.name}"
-    floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
-    happening = load_scenario(scenario).draw(seed)
+    model = None if isinstance(name, (str, Path)) else _checked_model(name)
+    name = str(name) if model is None else f"{_MODEL_PREFIX}{model.name}"
     drawn = drawn_robot(name)
+    disturbances = load_scenario(scenario).draw(int(seed))
     if drawn is not None:
-        happening = beside(happening, drawn.scenario)
-    around = _world(world, seed)
+        disturbances = beside(disturbances, drawn.scenario)
+    setting = _Setting(
+        name, surface, load_surface(surface), sensors, load_sensor_set(sensors), scenario, disturbances, int(seed)
+    )
+    around = _world(world, setting.seed)
     if drawn is not None or name == PHYSICS or name.startswith(f"{PHYSICS}:"):
-        if floor.friction is None:
-            raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
         if extra_dead_time:
             raise ConfigError(
                 "extra_dead_time is for 'model:' plants; 'mujoco:PATH' has twin.link.dead_time in its robot file"
             )
-        from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
-
-        _, colon, file = name.partition(":")
-        build = drawn.build if drawn else load_simulated_robot(file) if colon else None
-        own_floor = build.friction if build and surface == DEFAULT else None
-        robot = MujocoPlant(
-            own_floor or floor.friction,
-            build.sensors if build and sensors == DEFAULT else sensor_set,
-            seed,
-            robot=build.robot if build else None,
-            twin=build.twin if build else None,
-            firmware=build.firmware if build else None,
-            base=build.base if build else None,
-            drive=build.drive if build else None,
-            battery=build.battery if build else None,
-            scenario=happening if happening.physical else None,
-            sideways=floor.sideways,
-            sample_time=sample_time,
-            world=around,
-        )
-        whole: Plant = robot
-        if happening.kinds:
-            whole = DisturbedPlant(robot, happening, build.robot if build else load_robot(), lambda: robot.crossed)
-        scene = robot.chassis.scene
-        if scene is None:
-            return whole
-        from diffdrive_mpc.sim.plants.world_plant import WorldPlant  # noqa: PLC0415 - most plants are in no world
-
-        return WorldPlant(whole, scene, seed)
+        return _physics_plant(setting, around, sample_time)
     if name.startswith(_MODEL_PREFIX):
-        from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
-        from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
-
         if around is not None:
             raise ConfigError(f"world '{world}' needs a plant with a body to touch it: '{name}' has none; use 'mujoco'")
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
-        effects, model = BaseEffects(), given_model
-        if model is None:
-            file, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
-            extra_dead_time += named_dead_time
-            effects, model = load_base_effects(file), load_model(file)
-        if happening.physical:
-            raise ConfigError(
-                f"scenario '{scenario}' needs a plant with mass, wheels and motors ({', '.join(happening.physical)}): "
-                f"'{name}' has none; use 'mujoco'"
-            )
-        plant = ModelPlant(
-            model,
-            floor.slip,
-            sensor_set,
-            seed,
-            extra_dead_time=extra_dead_time,
-            effects=effects,
-            robot=_model_robot(sample_time, limits),
-        )
-        return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
+        return _model_plant(setting, model, extra_dead_time, _model_robot(sample_time, limits))
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
         "file), 'drawn:SEED' (a robot of the market) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the "
         f"path of a model file), with more dead time 'model:NAME+SECONDS'{_near_plant(name)}"
     )
+
+
+class _Setting(NamedTuple):
+    """What plants of both kinds are made in: names as given, for messages and defaults, beside what they name."""
+
+    name: str
+    surface_name: str | Path
+    surface: Surface
+    sensors_name: str | Path
+    sensors: SensorSet
+    scenario_name: str | Path
+    disturbances: Scenario
+    seed: int
+
+
+def _physics_plant(setting: _Setting, world: World | None, sample_time: float | None) -> Plant:
+    """A robot in MuJoCo, with the disturbances of the setting, in a world where there is one."""
+    surface, disturbances = setting.surface, setting.disturbances
+    if surface.friction is None:
+        raise ConfigError(
+            f"surface '{setting.surface_name}' has no friction: it is for 'model:' plants; wheels need it to push"
+        )
+    from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+
+    build = _build(setting.name)
+    own_friction = build.friction if build and setting.surface_name == DEFAULT else None
+    robot = MujocoPlant(
+        own_friction or surface.friction,
+        build.sensors if build and setting.sensors_name == DEFAULT else setting.sensors,
+        setting.seed,
+        robot=build.robot if build else None,
+        twin=build.twin if build else None,
+        firmware=build.firmware if build else None,
+        base=build.base if build else None,
+        drive=build.drive if build else None,
+        battery=build.battery if build else None,
+        scenario=disturbances if disturbances.physical else None,
+        sideways=surface.sideways,
+        sample_time=sample_time,
+        world=world,
+    )
+    plant: Plant = robot
+    if disturbances.kinds:
+        plant = DisturbedPlant(robot, disturbances, build.robot if build else load_robot(), lambda: robot.crossed)
+    scene = robot.chassis.scene
+    if scene is None:
+        return plant
+    from diffdrive_mpc.sim.plants.world_plant import WorldPlant  # noqa: PLC0415 - most plants are in no world
+
+    return WorldPlant(plant, scene, setting.seed)
+
+
+def _model_plant(
+    setting: _Setting, model: VelocityModel | NonlinearModel | None, extra_dead_time: float, robot: Robot
+) -> Plant:
+    """A robot that moves as a velocity model says: `model`, or the one that the setting's name says."""
+    from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
+    from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
+
+    effects = BaseEffects()
+    if model is None:
+        file, named_dead_time = _split(setting.name.removeprefix(_MODEL_PREFIX))
+        extra_dead_time += named_dead_time
+        effects, model = load_base_effects(file), load_model(file)
+    disturbances = setting.disturbances
+    if disturbances.physical:
+        raise ConfigError(
+            f"scenario '{setting.scenario_name}' needs a plant with mass, wheels and motors "
+            f"({', '.join(disturbances.physical)}): '{setting.name}' has none; use 'mujoco'"
+        )
+    plant = ModelPlant(
+        model,
+        setting.surface.slip,
+        setting.sensors,
+        setting.seed,
+        extra_dead_time=extra_dead_time,
+        effects=effects,
+        robot=robot,
+    )
+    return DisturbedPlant(plant, disturbances, load_robot()) if disturbances.kinds else plant
 
 
 def _near_plant(name: str) -> str:
