@@ -42,6 +42,17 @@ def test_what_is_not_needed_is_not_loaded(what):
     assert not unwanted & set(loaded)
 
 
+def test_a_simulation_loads_no_more_of_us_than_it_is_allowed():
+    """Modules with something in them: a folder's empty `__init__` is none."""
+    code = COMMAND.format(["simulate", "--trajectory", "circle"])
+    files = (
+        "[m.__file__ for n, m in sys.modules.items() if n.startswith('diffdrive_mpc') and getattr(m, '__file__', 0)]"
+    )
+    loaded = json.loads(run("-c", f"{code}\nimport json; print(json.dumps({files}))").splitlines()[-1])
+    ours = [name for name in loaded if len(Path(name).read_text(encoding="utf-8").splitlines()) > 3]
+    assert 100 < len(ours) <= 140
+
+
 def test_a_robot_needs_neither_mujoco_nor_matplotlib():
     blocked = f"import sys; sys.modules.update(dict.fromkeys({sorted(REPORTS | {'mujoco', 'rclpy', 'rich'})}))\n"
     drive = "from diffdrive_mpc import make_plant, simulate, load_trajectory, Controller, load_config\n"

@@ -286,7 +286,7 @@ def simulate(
     if trust_terms and from_run is None:
         raise ValueError("--trust-terms: files of a run file's folder; give --from-run, too, or leave it out")
     if from_run is not None:
-        from diffdrive_mpc.app.simulate.single import simulate_again  # noqa: PLC0415 - --help does without it
+        from diffdrive_mpc.app.simulate.from_run import simulate_again  # noqa: PLC0415 - --help does without it
 
         changed = {name: value for name, value in values.items() if value != DEFAULTS[name]}
         if changed or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffdrive_mpc.app.run_file import compared, load_run
 from diffdrive_mpc.app.run_log import holds_plans, run_log
-from diffdrive_mpc.bench.campaign.drive import drive_whole
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots
 from diffdrive_mpc.bench.peers import PEERS
@@ -24,7 +22,6 @@ from diffdrive_mpc.bench.run_row import RunOutcome, who_drives
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.trust import only_trusted
 from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.run import NO_SOLVER
@@ -228,48 +225,3 @@ def draw_figures(outcome: RunOutcome, folder: Path) -> None:
     title = f"{who_drives(outcome.case)}, {outcome.case.labels['trajectory']}"
     draw_case(outcome.run, f"{title}, seed {outcome.case.seed}", folder / f"{file_name(title)}.png")
     draw_charts([step_time_chart(frame([outcome.row]))], folder / f"{file_name(title)}-step-time.png")
-
-
-# Drive the run of a file again, as `simulate` does, and hold its figures against those of the file.
-
-
-def simulate_again(
-    file: Path,
-    out: Path | None = None,
-    log: Path | None = None,
-    trusted: Sequence[Path] = (),
-    *,
-    details: bool = False,
-) -> bool:
-    """Drive the run of `file`, print a summary or with `details` its tables, write figures and log where asked.
-
-    Returns whether its figures are the same.
-
-    Raises ConfigError or ValueError if the file, or one that it names, cannot be used, or lies in none of the folders
-    `trusted` and does not ship.
-    """
-    with only_trusted(file, trusted):
-        return _drive_again(file, out, log, details)
-
-
-def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) -> bool:
-    stored = load_run(file)
-    definition = stored.definition
-    with ExitStack() as stack:
-        write_log = stack.enter_context(run_log(log))
-        folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
-        began = time.perf_counter()
-        with ProgressBar("simulating") as bar:
-            run, row = drive_whole(definition, bar.at, keep_plans=folder is not None or holds_plans(log))
-        if run is not None:
-            write_log(run, definition.case, ["--from-run", str(file)])
-        if run is not None and folder is not None:
-            draw(RunOutcome(definition.case, run), folder, time.perf_counter() - began)
-    console = output_console()
-    if run is not None:
-        report(RunOutcome(definition.case, run), out, details=details)
-    else:
-        console.print(f"not completed: {row['error']}", markup=False, highlight=False)
-    same, sentence = compared(stored, row)
-    console.print(f"{file}: {sentence}", markup=False, highlight=False)
-    return same
