@@ -31,11 +31,11 @@ def controller(machine: Machine) -> MachineFinding:  # noqa: ARG001 - every look
         from diffdrive_mpc.models.interface import Measurement, Stamped  # noqa: PLC0415 - what is broken is to be said
         from diffdrive_mpc.mpc import Controller, load_config, load_trajectory  # noqa: PLC0415
 
-        one = Controller(load_config("ssm"))
-        one.start(load_trajectory("circle"), 0.0)
+        controller = Controller(load_config("ssm"))
+        controller.start(load_trajectory("circle"), 0.0)
         at_rest = Measurement(pose=Stamped((0.0, 0.0, 0.0), 0.0), yaw_rate=Stamped(0.0, 0.0))
-        one.step(0.0, at_rest)
-        step = one.step(one.config.sample_time, Measurement())
+        controller.step(0.0, at_rest)
+        step = controller.step(controller.config.sample_time, Measurement())
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         return MachineFinding("controller", "missing", f"does not run: {reason}", "see the rows below", needed=True)
@@ -106,7 +106,9 @@ def _writable(folder: Path) -> bool:
 def dependencies(machine: Machine) -> MachineFinding:
     """Versions of what the controller needs, against their ranges."""
     wanted = [Requirement(text) for text in machine.requirements()]
-    core_ones = [one for one in wanted if one.marker is None or "extra" not in str(one.marker)]
+    core_ones = [
+        requirement for requirement in wanted if requirement.marker is None or "extra" not in str(requirement.marker)
+    ]
     if not core_ones:
         return MachineFinding("dependencies", "unknown", "this is no installed package", "pip install it, or make test")
     faults = list(_faults(core_ones, machine))
@@ -118,20 +120,24 @@ def dependencies(machine: Machine) -> MachineFinding:
 
 
 def _faults(wanted: list[Requirement], machine: Machine) -> Iterator[str]:
-    for one in wanted:
-        there = machine.installed(one.name)
+    for requirement in wanted:
+        there = machine.installed(requirement.name)
         if there is None:
-            yield f"{one.name} is not installed"
-        elif not one.specifier.contains(Version(there), prereleases=True):
-            yield f"{one.name} {there} is not {one.specifier}"
+            yield f"{requirement.name} is not installed"
+        elif not requirement.specifier.contains(Version(there), prereleases=True):
+            yield f"{requirement.name} {there} is not {requirement.specifier}"
 
 
 def extras(machine: Machine) -> Iterator[MachineFinding]:
     """What optional packages are there."""
     wanted = [Requirement(text) for text in machine.requirements()]
     for extra, purpose in _PURPOSE.items():
-        own = [one for one in wanted if one.marker and re.search(rf'extra == "{extra}"', str(one.marker))]
-        own = [one for one in own if one.name != "diffdrive-mpc"]
+        own = [
+            requirement
+            for requirement in wanted
+            if requirement.marker and re.search(rf'extra == "{extra}"', str(requirement.marker))
+        ]
+        own = [requirement for requirement in own if requirement.name != "diffdrive-mpc"]
         faults = list(_faults(own, machine))
         if not own:
             continue
@@ -140,15 +146,18 @@ def extras(machine: Machine) -> Iterator[MachineFinding]:
             yield MachineFinding(f"extra {extra}", "missing", "; ".join(faults), means)
         else:
             yield MachineFinding(
-                f"extra {extra}", "ok", ", ".join(f"{one.name} {machine.installed(one.name)}" for one in own), ""
+                f"extra {extra}",
+                "ok",
+                ", ".join(f"{requirement.name} {machine.installed(requirement.name)}" for requirement in own),
+                "",
             )
 
 
 def blas_threads(machine: Machine) -> MachineFinding:
     """Threads of NumPy's linear algebra."""
     settings = [f"{name}={machine.variable(name)}" for name in _THREADS if machine.variable(name)]
-    one = any(machine.variable(name) == "1" for name in _THREADS)
-    if one:
+    is_single = any(machine.variable(name) == "1" for name in _THREADS)
+    if is_single:
         return MachineFinding("BLAS threads", "ok", ", ".join(settings), "one thread: matrices are small")
     means = "the controller's core uses none; studies limit them: export OMP_NUM_THREADS=1 for your own scripts"
     return MachineFinding("BLAS threads", "ok", ", ".join(settings) or "not limited", means)

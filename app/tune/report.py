@@ -117,9 +117,9 @@ def _verdict(verdict: TuneVerdict) -> Table:
         )
         for figure in verdict.figures
     ]
-    for name, one in (("error", verdict.error), ("effort", verdict.effort)):
-        if math.isfinite(one.value):
-            rows.append((name, "", "1", number(one.value, 3), _change(one), _interval(one)))
+    for name, side in (("error", verdict.error), ("effort", verdict.effort)):
+        if math.isfinite(side.value):
+            rows.append((name, "", "1", number(side.value, 3), _change(side), _interval(side)))
     gain = verdict.gain
     whole = BootstrapEstimate(1.0 - gain.value, 1.0 - gain.high, 1.0 - gain.low)
     rows.append(("objective", "", "1", number(whole.value, 3), _change(whole), _interval(whole)))
@@ -177,7 +177,7 @@ def _put_back(verdict: TuneVerdict) -> Table:
 
 def _front(searched: Searched) -> Table:
     named = {searched.best.number: "chosen", 0: "defaults"}
-    rows = [(str(one.number), named.get(one.number, ""), *_score(one)) for one in searched.front[:_LISTED]]
+    rows = [(str(point.number), named.get(point.number, ""), *_score(point)) for point in searched.front[:_LISTED]]
     more = len(searched.front) - len(rows)
     note = "Usable points that no other beats in both error and effort, on the runs of the last fidelity."
     return Table(
@@ -241,9 +241,11 @@ def _key_figures(searched: Searched, verdict: TuneVerdict) -> list[KeyFigure]:
         "good" if verdict.improved else "",
     )
     changes = [
-        KeyFigure(name, f"{100 * (one.value - 1.0):+.1f} %", f"95 %: {_percent(one.low)} to {_percent(one.high)}")
-        for name, one in named.items()
-        if math.isfinite(one.value)
+        KeyFigure(
+            name, f"{100 * (figure.value - 1.0):+.1f} %", f"95 %: {_percent(figure.low)} to {_percent(figure.high)}"
+        )
+        for name, figure in named.items()
+        if math.isfinite(figure.value)
     ]
     return [better, *changes, KeyFigure("points tried", str(len(searched.points)), f"{len(searched.usable)} usable")]
 
@@ -280,20 +282,20 @@ def search_chart(searched: Searched) -> Chart:
     series = []
     for fidelity in sorted({point.fidelity for point in searched.points if point.fidelity}):
         some = [point for point in searched.points if point.fidelity == fidelity]
-        numbers, values = [float(one.number) for one in some], [rounded(one.value) for one in some]
+        numbers, values = [float(point.number) for point in some], [rounded(point.value) for point in some]
         series.append(
-            Series(f"fidelity {fidelity}", numbers, values, fidelity, "points", text=[_told(one) for one in some])
+            Series(f"fidelity {fidelity}", numbers, values, fidelity, "points", text=[_told(point) for point in some])
         )
-    best = np.minimum.accumulate([one.value for one in searched.usable])
+    best = np.minimum.accumulate([point.value for point in searched.usable])
     so_far = Series(
-        "best so far", [float(one.number) for one in searched.usable], [rounded(one) for one in best], 0, "line"
+        "best so far", [float(point.number) for point in searched.usable], [rounded(point) for point in best], 0, "line"
     )
     axes = Axis("point"), Axis("objective, over that of the defaults", "log")
     return Chart("How the search went", *axes, [*series, so_far], "Each point at the last fidelity it was driven with.")
 
 
 def _importance(searched: Searched) -> Chart:
-    names, shares = list(searched.importance), [round(100 * one, 1) for one in searched.importance.values()]
+    names, shares = list(searched.importance), [round(100 * share, 1) for share in searched.importance.values()]
     note = "How much each decides whether a point is among the best tenth, over the range that was searched."
     axes = Axis("parameter", "category"), Axis("importance [%]")
     return Chart("Which parameters matter", *axes, [Series("importance", names, shares, 0, "bars")], note)

@@ -107,7 +107,7 @@ class Searched:
     def front(self) -> list[TunePoint]:
         """Usable points that no other is better than in error and effort, the least error first."""
         ordered = sorted(self.usable, key=lambda row: (row.error, row.effort, row.number))
-        return [one for k, one in enumerate(ordered) if all(one.effort < other.effort for other in ordered[:k])]
+        return [point for k, point in enumerate(ordered) if all(point.effort < other.effort for other in ordered[:k])]
 
 
 def importance_of(points: Sequence[TunePoint], distributions: Mapping[str, object]) -> dict[str, float]:
@@ -122,8 +122,8 @@ def importance_of(points: Sequence[TunePoint], distributions: Mapping[str, objec
     study = optuna.create_study()
     study.add_trials(
         [
-            optuna.trial.create_trial(params=one.values, distributions=dict(distributions), value=one.first)
-            for one in known
+            optuna.trial.create_trial(params=point.values, distributions=dict(distributions), value=point.first)
+            for point in known
         ]
     )
     evaluator = optuna.importance.PedAnovaImportanceEvaluator(target_quantile=max(_TOP, _LEAST_TOP / len(known)))
@@ -190,7 +190,7 @@ class ConfigurationSearch:
         for end in ("low", "high"):
             load_config(
                 str(factors.get("config", factors["model"])),
-                {key: getattr(one, end) for key, one in self._distributions.items()},
+                {key: getattr(distribution, end) for key, distribution in self._distributions.items()},
             )
         self._fidelities = [
             RunSet(self._runs(plan.tuning, fidelity.runs, fidelity.factors)) for fidelity in plan.fidelities
@@ -205,7 +205,9 @@ class ConfigurationSearch:
     def constraint_sets(self, of: TuneRuns) -> dict[str, RunSet]:
         """The runs of each constraint that has its own, not driven yet."""
         listed = {name: constraint for name, constraint in self._plan.constraints.items() if constraint.runs}
-        return {name: RunSet(self._runs(of, one.runs, one.factors)) for name, one in listed.items()}
+        return {
+            name: RunSet(self._runs(of, constraint.runs, constraint.factors)) for name, constraint in listed.items()
+        }
 
     def run(self, bar: ProgressBar) -> Searched:
         """Ask, drive and tell until the study has its points.
@@ -214,7 +216,7 @@ class ConfigurationSearch:
         Optuna, StudyFailedError if runs could not be driven.
         """
         self._fidelities = [self.with_usual(fidelity, bar) for fidelity in self._fidelities]
-        self._own = {name: self.with_usual(one, bar) for name, one in self._own.items()}
+        self._own = {name: self.with_usual(run_set, bar) for name, run_set in self._own.items()}
         for fidelity in self._fidelities:
             check_usual(self._terms, table_of(self._terms, fidelity.usual))
         study = self._study = open_study(self._name(), self._place.folder, self._storage, self._plan.keep)
@@ -259,20 +261,20 @@ class ConfigurationSearch:
         """Of the study: another one for every plan, configuration, plant and version of the product."""
         sets = [*self._fidelities, *self._own.values()]
         plan = self._plan.model_dump(mode="json", exclude={"factors", "description", "verdict", "points"})
-        text = json.dumps([plan, self.usual, [key_of(run) for one in sets for run in one.runs]], sort_keys=True)
+        text = json.dumps([plan, self.usual, [key_of(run) for run_set in sets for run in run_set.runs]], sort_keys=True)
         return f"tune {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
     def _next(self, study: Any) -> list[Any]:  # noqa: ANN401 - has no types
         """The points to judge now: what is left of a group that was interrupted, or a new one; none in the end."""
         trials = study.get_trials(deepcopy=False)
         mine = [trial for trial in trials if trial.user_attrs.get(_WORKER) == self._worker]
-        left = [one for one in mine if not one.state.is_finished()]
+        left = [trial for trial in mine if not trial.state.is_finished()]
         if not trials:
             study.enqueue_trial(dict(self.usual))
         size = 1 if not trials else min(self._plan.at_once, self._plan.points - len(trials))
         group = left[0].user_attrs[_GROUP] if left else [len(mine), size]
-        begun = sum(one.user_attrs[_GROUP] == group for one in mine)
-        batch = [needs_optuna().trial.Trial(study, one._trial_id) for one in left]
+        begun = sum(trial.user_attrs[_GROUP] == group for trial in mine)
+        batch = [needs_optuna().trial.Trial(study, trial._trial_id) for trial in left]
         for k in range(group[1] - begun):
             seeds = (self._plan.search_seed, self._worker, len(mine) + k)
             study.sampler = sampler(*seeds)
@@ -287,21 +289,21 @@ class ConfigurationSearch:
     def _judge(self, study: Any, batch: Sequence[Any], bar: ProgressBar) -> None:  # noqa: ANN401
         """Drive points fidelity by fidelity, prune, and tell in the end."""
         judged = [Judged(trial, self._values(trial.params)) for trial in batch]
-        for one in judged:
-            one.violations |= self.step_time(one.values)
+        for candidate in judged:
+            candidate.violations |= self.step_time(candidate.values)
         for k, of in enumerate(self._fidelities):
             left = [point for point in judged if point.goes_on]
             text = f"points {batch[0].number} to {batch[-1].number} of {self._plan.points}, fidelity {k + 1}"
-            results = self.drive([one.values for one in left], of.runs, bar, text)
-            for one, driven in zip(left, results, strict=True):
-                self._take(one, k, driven, of.usual)
+            results = self.drive([candidate.values for candidate in left], of.runs, bar, text)
+            for candidate, driven in zip(left, results, strict=True):
+                self._take(candidate, k, driven, of.usual)
         left = [point for point in judged if point.goes_on]
         for name, of in self._own.items():
-            results = self.drive([one.values for one in left], of.runs, bar, f"constraint {name}")
-            for one, driven in zip(left, results, strict=True):
-                one.violations |= broken(driven, of.usual, self._terms)
-                one.violations[name] = exceeded(self._plan.constraints[name], driven, of.usual, name)
-            left = [one for one in left if one.goes_on]
+            results = self.drive([candidate.values for candidate in left], of.runs, bar, f"constraint {name}")
+            for candidate, driven in zip(left, results, strict=True):
+                candidate.violations |= broken(driven, of.usual, self._terms)
+                candidate.violations[name] = exceeded(self._plan.constraints[name], driven, of.usual, name)
+            left = [candidate for candidate in left if candidate.goes_on]
         state = needs_optuna().trial.TrialState
         for point in judged:
             for name, value in point.violations.items():

@@ -131,10 +131,10 @@ def fronts(driven: Sequence[FrontRun]) -> Fronts:
     by_place: Fronts = {}
     for floor, path in dict.fromkeys((run.surface, run.trajectory) for run in driven):
         there = [run for run in driven if (run.surface, run.trajectory) == (floor, path)]
-        without = {one.seed: one.energy for one in there if one.weight == 0.0}
+        without = {run.seed: run.energy for run in there if run.weight == 0.0}
         by_place[floor, path] = []
-        for weight in sorted({one.weight for one in there}):
-            here = [one for one in there if one.weight == weight]
+        for weight in sorted({run.weight for run in there}):
+            here = [run for run in there if run.weight == weight]
 
             def over(values: Sequence[float] | FloatArray) -> BootstrapEstimate:
                 return BootstrapEstimate.of_runs(np.asarray(values, dtype=float), mean)
@@ -142,11 +142,11 @@ def fronts(driven: Sequence[FrontRun]) -> Fronts:
             by_place[floor, path].append(
                 FrontPoint(
                     weight,
-                    over([one.energy for one in here]),
-                    over([one.error for one in here]),
-                    over([one.lateral for one in here]),
-                    over([1.0 - one.energy / without[one.seed] for one in here]),
-                    sum(one.completed for one in here),
+                    over([run.energy for run in here]),
+                    over([run.error for run in here]),
+                    over([run.lateral for run in here]),
+                    over([1.0 - run.energy / without[run.seed] for run in here]),
+                    sum(run.completed for run in here),
                     len(here),
                 )
             )

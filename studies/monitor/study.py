@@ -34,12 +34,12 @@ class MonitorStudyResult:
     @property
     def hours(self) -> float:
         """Of nominal driving [h]."""
-        return sum(one.driven for one in self.nominal) / 3600.0
+        return sum(trial.driven for trial in self.nominal) / 3600.0
 
     @property
     def alarms(self) -> list[MonitorTrial]:
         """Nominal drives that were stopped."""
-        return [one for one in self.nominal if one.rule]
+        return [trial for trial in self.nominal if trial.rule]
 
 
 class MonitorStudy(Study[list[partial[list[MonitorTrial]]], MonitorStudyResult]):
@@ -85,9 +85,9 @@ class MonitorStudy(Study[list[partial[list[MonitorTrial]]], MonitorStudyResult])
     def run(self, plan: list[partial[list[MonitorTrial]]], jobs: int, bar: ProgressBar) -> MonitorStudyResult:
         """Drive them all."""
         bar.begin("driving", len(plan))
-        done = [one for some in run_tasks(plan, jobs, bar.advance) for one in some]
-        faulty = {name: [one for one in done if one.fault == name] for name in FAULTS}
-        return MonitorStudyResult(faulty, [one for one in done if not one.fault])
+        done = [trial for some in run_tasks(plan, jobs, bar.advance) for trial in some]
+        faulty = {name: [trial for trial in done if trial.fault == name] for name in FAULTS}
+        return MonitorStudyResult(faulty, [trial for trial in done if not trial.fault])
 
     def report(self, results: MonitorStudyResult, seconds: float) -> Report:
         """A row for each fault, and what the nominal drives were."""
@@ -101,7 +101,7 @@ class MonitorStudy(Study[list[partial[list[MonitorTrial]]], MonitorStudyResult])
         tables = [table, _nominal_table(results)]
         if results.alarms:
             tables.append(_alarm_table(results.alarms))
-        caught = sum(_is_caught(FAULTS[one.fault], one) for some in results.faulty.values() for one in some)
+        caught = sum(_is_caught(FAULTS[trial.fault], trial) for some in results.faulty.values() for trial in some)
         faulty = sum(map(len, results.faulty.values()))
         facts = [
             f"{len(FAULTS)} faults on {self._seeds} drives each: {caught} of {faulty} caught in time.",
@@ -109,7 +109,7 @@ class MonitorStudy(Study[list[partial[list[MonitorTrial]]], MonitorStudyResult])
             f"Seeds of faults from {self._first[0]} on, of nominal drives from {self._first[1]} on.",
             f"Rules `{self._rules}`, in {seconds:.0f} s.",
         ]
-        trials = [*(one for some in results.faulty.values() for one in some), *results.nominal]
+        trials = [*(trial for some in results.faulty.values() for trial in some), *results.nominal]
         content: dict[str, object] = {"trials": [_plain_trial(trial) for trial in trials]}
         meta: dict[str, object] = {"rules": self._rules, "first_seed": self._first}
         return Report(f"{len(trials)} drives", meta, content, facts, tables)
@@ -118,7 +118,7 @@ class MonitorStudy(Study[list[partial[list[MonitorTrial]]], MonitorStudyResult])
 def complaint(results: MonitorStudyResult) -> str:
     """What is not as it should be; empty where everything is."""
     late = Counter(
-        one.fault for some in results.faulty.values() for one in some if not _is_caught(FAULTS[one.fault], one)
+        trial.fault for some in results.faulty.values() for trial in some if not _is_caught(FAULTS[trial.fault], trial)
     )
     missed = ", ".join(f"{name} ({many})" for name, many in late.items())
     alarms = f"{len(results.alarms)} nominal drives alarmed" if results.alarms else ""
@@ -155,11 +155,13 @@ def _nominal_table(results: MonitorStudyResult) -> Table:
     """Hours and alarms by controller, place and sensors."""
     rows = []
     for name in ("controller", "model", "surface", "scenario", "sensors"):
-        for value in sorted({getattr(one.case, name) for one in results.nominal}):
-            some = [one for one in results.nominal if getattr(one.case, name) == value]
-            hours = sum(one.driven for one in some) / 3600.0
-            farthest = max(one.farthest for one in some)
-            rows.append((name, value, number(hours, 2), str(sum(bool(one.rule) for one in some)), number(farthest, 2)))
+        for value in sorted({getattr(trial.case, name) for trial in results.nominal}):
+            some = [trial for trial in results.nominal if getattr(trial.case, name) == value]
+            hours = sum(trial.driven for trial in some) / 3600.0
+            farthest = max(trial.farthest for trial in some)
+            rows.append(
+                (name, value, number(hours, 2), str(sum(bool(trial.rule) for trial in some)), number(farthest, 2))
+            )
     columns = ("what", "which", "driven [h]", "alarms", "farthest [m]")
     return Table("Nominal driving", columns, tuple(rows), text_columns=2)
 

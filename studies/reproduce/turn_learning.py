@@ -137,12 +137,12 @@ def learn_turns(study: TurningStudy, floor: str) -> LearnedTurns:
         driven = drive_open_loop(plant_of(asked.robot, floor, seed=asked.seed), commands)
         measured_power = true_power(driven, constants)
         by_learned, by_prior = (
-            predict_energy(vehicle, constants, one, commands, still.sample_time).power for one in (learned, prior)
+            predict_energy(vehicle, constants, curves, commands, still.sample_time).power for curves in (learned, prior)
         )
         ends = np.asarray(np.arange(1, len(commands) + 1) * still.sample_time)
         energies = [np.cumsum(power) * still.sample_time for power in (measured_power, by_learned, by_prior)]
         runs.append(EnergyRun(seed, ends, *energies))
-    after, before = (np.stack([one.outer(_RADII), one.inner(_RADII)], axis=-1) for one in (learned, prior))
+    after, before = (np.stack([curves.outer(_RADII), curves.inner(_RADII)], axis=-1) for curves in (learned, prior))
     return LearnedTurns(
         floor,
         vehicle.torque_limit,
@@ -180,8 +180,15 @@ def turn_learning_tables(floors: Sequence[LearnedTurns], published: Published) -
     """Least radii, energies of drives that were not learned from, and what learning costs."""
     printed = published.turning
     least = [
-        (f"P4, {name}", number(one.raw, 2), "-", number(one.network, 1), _percent(one.network / one.raw - 1), "-")
-        for name, one in printed.least_radius.items()
+        (
+            f"P4, {name}",
+            number(printed_radius.raw, 2),
+            "-",
+            number(printed_radius.network, 1),
+            _percent(printed_radius.network / printed_radius.raw - 1),
+            "-",
+        )
+        for name, printed_radius in printed.least_radius.items()
     ]
     least += [
         (
@@ -195,8 +202,8 @@ def turn_learning_tables(floors: Sequence[LearnedTurns], published: Published) -
         for floor in floors
     ]
     runs = [
-        (f"P4, {name}, mean", "-", "-", number(one.learned, 1), number(one.prior, 1))
-        for name, one in printed.energy_missed.items()
+        (f"P4, {name}, mean", "-", "-", number(printed_share.learned, 1), number(printed_share.prior, 1))
+        for name, printed_share in printed.energy_missed.items()
     ]
     for floor in floors:
         runs += [
@@ -263,10 +270,12 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
     """What P4 concludes from its curves and energies, one verdict for each floor."""
     printed, rules = published.turning, published.rules
     where, within = ", ".join(floor.floor for floor in floors), 100 * rules.turn_least_radius_off
-    radii = "; ".join(f"{one.network:g} m of {one.raw:g}" for one in printed.least_radius.values())
+    radii = "; ".join(
+        f"{printed_radius.network:g} m of {printed_radius.raw:g}" for printed_radius in printed.least_radius.values()
+    )
     ours = "; ".join(f"{_metres(floor.learned_least)} m of {_metres(floor.own)}" for floor in floors)
-    energies = ", ".join(f"{name} {one.learned:g} %" for name, one in printed.energy_missed.items())
-    without = ", ".join(f"{name} {one.prior:g} %" for name, one in printed.energy_missed.items())
+    energies = ", ".join(f"{name} {printed_share.learned:g} %" for name, printed_share in printed.energy_missed.items())
+    without = ", ".join(f"{name} {printed_share.prior:g} %" for name, printed_share in printed.energy_missed.items())
     means = [_means(floor) for floor in floors]
     shares = "; ".join(_percent(learned) for learned, _ in means) + " %"
     return [
