@@ -19,7 +19,7 @@ from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstima
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
-from diffdrive_mpc.models.structures.two_poles import TwoPolesParametrisation
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 TOLD = ("gain", "lag", "dead_time")
@@ -46,7 +46,7 @@ class DriveInformation:
         self._layouts, self._points = [], []
         for row, channel in enumerate(CHANNELS):
             biased = channel == "omega"
-            self._layouts.append(Layout(TwoPolesParametrisation(), 1, 1, offset=(biased,)))
+            self._layouts.append(Layout(TWO_POLES, 1, 1, offset=(biased,)))
             rest = [float(model.dead_time[row]), *([0.0] if biased else [])]
             self._points.append(np.array([*_nearest_two_poles(model, row), *rest]))
 

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.state_space import AnyArray, LinearSystem
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
 # Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
 _STEP = 6e-6

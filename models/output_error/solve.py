@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
-from diffdrive_mpc.models.output_error.parameters import Layout
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
@@ -68,6 +68,11 @@ class OutputErrorFit:
     trust: list[FloatArray]
     effective_samples: FloatArray
     condition: float
+
+    @property
+    def estimate(self) -> ParameterEstimate:
+        """The parameters by name, with their covariance."""
+        return ParameterEstimate(self.layout.names, self.parameters, self.covariance)
 
     @property
     def system(self) -> LinearSystem:

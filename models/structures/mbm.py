@@ -8,24 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments, wheel_experiments
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.output_error.state_space import AnyArray
+from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
-from diffdrive_mpc.models.structures.two_poles import (
-    IdentifiedChannel,
-    TwoPolesParametrisation,
-    identify_channel,
-    two_poles,
-    two_poles_parameters,
-)
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
@@ -55,14 +49,14 @@ class MotorsParametrisation:
     def names(self) -> tuple[str, ...]:
         """Three for each motor, then the firmware's track."""
         return (
-            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TwoPolesParametrisation().names),
+            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names),
             "log_track",
         )
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """(3 motors + 1,) bounds from the settings."""
-        low, high = TwoPolesParametrisation().bounds
+        low, high = TWO_POLES.bounds
         track = np.log(estimator_settings().track)
         count = len(self.sides)
         return np.append(np.tile(low, count), track[0]), np.append(np.tile(high, count), track[1])
@@ -73,9 +67,9 @@ class MotorsParametrisation:
         A = np.zeros((2 * count, 2 * count), dtype=parameters.dtype)
         B, C = np.zeros((2 * count, 2), dtype=parameters.dtype), np.zeros((count, 2 * count), dtype=parameters.dtype)
         track = np.exp(parameters[-1])
-        for i, side in enumerate(self.sides):
+        for i, (side, motor) in enumerate(zip(self.sides, parameters[:-1].reshape(count, -1), strict=True)):
             rows = slice(2 * i, 2 * i + 2)
-            A[rows, rows], into, C[i : i + 1, rows] = TwoPolesParametrisation().matrices(parameters[3 * i : 3 * i + 3])
+            A[rows, rows], into, C[i : i + 1, rows] = TWO_POLES.matrices(motor)
             B[rows] = into * np.array([1.0, 0.5 * side * track]) / self.radius
         return A, B, C
 
@@ -157,11 +151,11 @@ def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], rad
     """Forward motion gives a motor for all, turning the track."""
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
-    v = identify_channel(forward, "wheels", limit=False, robust=robust).parameters
-    omega = identify_channel(turning, "wheels' difference", limit=False, robust=robust).parameters
-    motor = two_poles_parameters(*(v.value(key) for key in TwoPoles.model_fields))
-    track = np.log(omega.value("gain") / v.value("gain"))
-    return np.concatenate([np.tile(motor, len(sides)), [track, v.value("dead_time")]])
+    v = identify_channel(forward, "wheels", limit=False, robust=robust)
+    omega = identify_channel(turning, "wheels' difference", limit=False, robust=robust)
+    motor = TWO_POLES.parameters(np.array(list(v.content.values())))
+    track = np.log(omega.content["gain"] / v.content["gain"])
+    return np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")]])
 
 
 def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
@@ -180,12 +174,11 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
     names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
 
     def physical(row: FloatArray) -> FloatArray:
-        each = [two_poles(row[3 * i : 3 * i + 3]) for i in range(motors)]
-        return np.concatenate([*each, np.exp(row[3 * motors : 3 * motors + 1]), row[3 * motors + 1 :]])
+        own, dead_time, *_ = fit.layout.split(row)
+        each = [TWO_POLES.values(motor) for motor in own[:-1].reshape(motors, -1)]
+        return np.concatenate([*each, np.exp(own[-1:]), dead_time])
 
-    return ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
-        (*names, "firmware_track", "dead_time"), physical
-    )
+    return fit.estimate.derived((*names, "firmware_track", "dead_time"), physical)
 
 
 def _yaw_gain(yaw: IdentifiedChannel) -> ParameterEstimate:

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
-from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
+from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import (
@@ -27,13 +27,13 @@ from diffdrive_mpc.models.output_error.state_space import (
     real_pole_names,
     spare_state,
 )
+from diffdrive_mpc.models.structures.channel import IdentifiedChannel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
 from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
-from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
@@ -207,9 +207,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         gain = -system.C @ np.linalg.solve(system.A, system.B)
         return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[own:]])
 
-    parameters = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
-        (*gains, *named_poles, *rest), meaningful
-    )
+    parameters = fit.estimate.derived((*gains, *named_poles, *rest), meaningful)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
     values = fit.parameters[own + dead_times + offsets :]
     delays = doubts.answer_delays(fit, CHANNELS, [0, 1])

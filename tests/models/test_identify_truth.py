@@ -10,11 +10,11 @@ from identification_parts import DT, noisy_drive, published_ssm, record, set_poi
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.statistics import effective_samples, long_run_covariance
+from diffdrive_mpc.models.structures.channel import identify_channel
 from diffdrive_mpc.models.structures.mbm import identify_mbm
 from diffdrive_mpc.models.structures.orders import compare_orders
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.structures.ssm import identify_ssm, identify_ssm_orders
-from diffdrive_mpc.models.structures.two_poles import identify_channel
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
 SM_TRUTH = {
