@@ -86,7 +86,7 @@ class Excitation:
             lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
         )
         rows = []
-        for name, *numbers in zip(shown.names, shown.values, shown.standard_deviation, strict=True):
+        for name, *numbers in shown.rows:
             channel, parameter = name.split(".")
             unit, scale, digits = ("-", 1.0, 4) if parameter == "gain" else ("ms", 1e3, 2)
             cells = (number(scale * float(one), digits) for one in numbers)

@@ -99,7 +99,7 @@ def simulation_charts(report: IdentificationReport, window: float | None = None)
     time = [round(float(one), 3) for one in (since_begin[rows] if window is None else since_begin)]
     made = []
     for i, channel in enumerate(CHANNELS):
-        measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)
+        measured = experiment.readings[:, i]
         lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
         series = [
             Series(name, time, [rounded(one) for one in values[rows]], style, "points" if style == 0 else "line")

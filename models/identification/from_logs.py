@@ -31,7 +31,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.slip import SURFACE_FILE, log_surface, surface_text
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.structures.identified import model_file, percent, write_model_file
+from diffdrive_mpc.models.structures.identified import model_file, percent, provenance, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
@@ -291,16 +291,13 @@ def identify_data(
 
 
 def _linear_content(report: IdentificationReport) -> ModelFile:
-    fitted, data = report.fitted, report.data
+    fitted = report.fitted
     return model_file(
         fitted.identified,
         name=report.name,
-        source=", ".join(data.logs),
-        records=[record.name for record in data.train],
-        date=report.day,
         train_fit_percent=fitted.train.fit_percent,
         validation_fit_percent=fitted.validation.fit_percent,
-        notes=f"validated on {data.held_out}",
+        **_origin(report),
     )
 
 
@@ -314,14 +311,18 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
         "warnings": [str(doubt) for doubt in report.doubts],
         "fit_percent": percent(fitted.train.fit_percent),
         "validation_fit_percent": percent(fitted.validation.fit_percent),
-        "provenance": {
-            "origin": "identified",
-            "source": ", ".join(data.logs),
-            "method": f"{predictor.method}; omega of the {data.yaw}",
-            "experiments": [record.name for record in data.train],
-            "date": report.day.isoformat(),
-            "notes": f"validated on {data.held_out}",
-        },
+        "provenance": provenance(f"{predictor.method}; omega of the {data.yaw}", **_origin(report)),
+    }
+
+
+def _origin(report: IdentificationReport) -> dict[str, Any]:
+    """What the provenance of a model file says of the logs."""
+    data = report.data
+    return {
+        "source": ", ".join(data.logs),
+        "records": [record.name for record in data.train],
+        "date": report.day,
+        "notes": f"validated on {data.held_out}",
     }
 
 

@@ -18,8 +18,6 @@ from diffdrive_mpc.models.logs.record import Topics, refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
 
-_SIGNALS = {"twist": "fresh_twist", "yaw_rate": "fresh_yaw_rate", "wheels": "fresh_twist"}
-
 
 class OptionError(ConfigError):
     """An option of `identify` cannot be used.
@@ -238,5 +236,5 @@ def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings
 
 
 def _readings(record: Record, name: str) -> int:
-    mask = getattr(record, _SIGNALS[name])
-    return 0 if getattr(record, name) is None or mask is None else int(mask.sum())
+    fresh = record.fresh(name)
+    return 0 if fresh is None else int(fresh.sum())

@@ -282,7 +282,7 @@ def _powers(
     powers, weights = [], []
     for fold, outputs in zip(measured, simulated, strict=True):
         for experiment, output in zip(fold, outputs, strict=True):
-            errors = np.where(experiment.counts, experiment.outputs - output, np.nan)
+            errors = experiment.readings - output
             span = max(1, round(length / experiment.dt))
             for first in range(0, len(errors), span):
                 block = errors[first : first + span]

@@ -112,13 +112,12 @@ def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
     seconds = perf_counter() - started
     yaw = fitted.identified.yaw
     simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
-    both = ((data.train, "training"), (data.validation, "validation"))
-    scores = [scored(outputs, records, yaw, name) for outputs, (records, name) in zip(simulated, both, strict=True)]
+    train, validation = scored(simulated, data, yaw)
     return replace(
         fitted,
         predictor=predictor,
-        train=scores[0],
-        validation=scores[1],
+        train=train,
+        validation=validation,
         simulated=tuple(simulated[1]),
         seconds=fitted.seconds + seconds,
     )

@@ -288,8 +288,8 @@ def _channels(values: FloatArray) -> dict[str, float]:
 
 def _parameters(estimate: ParameterEstimate) -> dict[str, dict[str, float | None]]:
     return {
-        name: {"value": float(value), "standard_deviation": float(deviation) if math.isfinite(deviation) else None}
-        for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+        name: {"value": value, "standard_deviation": deviation if math.isfinite(deviation) else None}
+        for name, value, deviation in estimate.rows
     }
 
 

@@ -127,6 +127,10 @@ class Record:
         """Time of the last sample [s]."""
         return self.start + self.dt * (len(self.command) - 1)
 
+    def fresh(self, name: str) -> BoolArray | None:
+        """(K,) which samples of a signal are readings of their own; None without the signal, or without such a mask."""
+        return getattr(self, _MASKS[name]) if name in _MASKS and getattr(self, name) is not None else None
+
     def part(self, first: int, stop: int) -> Record:
         """The samples from `first` up to, and without, `stop`, as a record of their own."""
         count = len(self.command)

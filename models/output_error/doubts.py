@@ -41,7 +41,7 @@ def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[in
 def late_answers(delays: ParameterEstimate) -> list[Doubt]:
     """A doubt for each of `delays`, named by channel or motor, whose standard deviation is large."""
     limits, verdicts = estimator_settings().warn, []
-    for name, value, deviation in zip(delays.names, delays.values, delays.standard_deviation, strict=True):
+    for name, value, deviation in delays.rows:
         if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
             words = f"dead time and lag, {value:.2g} s together, are badly known: standard deviation {deviation:.2g} s"
             doubt = Doubt("lag", words)
@@ -66,7 +66,7 @@ def badly_known(
     """
     limit = estimator_settings().warn.relative_deviation
     verdicts = []
-    for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True):
+    for name, value, deviation in estimate.rows:
         if deviation > limit * abs(value):
             large = (
                 f"standard deviation {deviation:.2g}" if deviation < abs(value) else "it could as well be twice that"

@@ -40,6 +40,11 @@ class ParameterEstimate:
         """(q,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
+    @property
+    def rows(self) -> list[tuple[str, float, float]]:
+        """Name, value and standard deviation of each parameter."""
+        return list(zip(self.names, self.values.tolist(), self.standard_deviation.tolist(), strict=True))
+
     def value(self, name: str) -> float:
         """One parameter; raises KeyError when there is none of that name."""
         return float(self.values[self._index(name)])

@@ -120,7 +120,7 @@ def fit_output_error(
         raise ValueError("no data: give at least one record in which the robot moves")
     pieces, experiments = experiments, joined(experiments)
     spread = output_spread(experiments)
-    noise = reading_noise([np.where(experiment.counts, experiment.outputs, np.nan) for experiment in experiments])
+    noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []

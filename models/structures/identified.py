@@ -193,14 +193,8 @@ def model_file(
     pydantic.ValidationError
         If a number is not finite.
     """
-    provenance = {
-        "origin": "identified",
-        "source": source,
-        "method": f"{identified.method}; omega of the {identified.yaw}",
-        "experiments": list(records),
-        "date": date.isoformat(),
-        "notes": notes,
-    }
+    method = f"{identified.method}; omega of the {identified.yaw}"
+    origin = provenance(method, source=source, records=records, date=date, notes=notes)
     more: dict[str, Any] = {
         "fit_percent": percent(train_fit_percent),
         "uncertainty": uncertainty(identified.parameters),
@@ -210,7 +204,21 @@ def model_file(
         more["validation_fit_percent"] = percent(validation_fit_percent)
     if identified.limits:
         more["limits"] = dict(identified.limits)
-    return identified.file(name, provenance, **more)
+    return identified.file(name, origin, **more)
+
+
+def provenance(
+    method: str, *, source: str, records: Sequence[str], date: datetime.date, notes: str = ""
+) -> dict[str, Any]:
+    """Where the numbers of an identified model come from, as its file says it; arguments as of `model_file`."""
+    return {
+        "origin": "identified",
+        "source": source,
+        "method": method,
+        "experiments": list(records),
+        "date": date.isoformat(),
+        "notes": notes,
+    }
 
 
 def write_model_file(path: Path, content: ModelFile) -> None:
