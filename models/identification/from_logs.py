@@ -189,24 +189,11 @@ def identify(
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """
-    listed = [logs] if isinstance(logs, (str, Path)) else logs
-    if not (isinstance(listed, Sequence) and all(isinstance(path, (str, Path)) for path in listed)):
-        raise wrong_type(
-            "logs", "paths of log files", logs, "write arrays to a CSV file, and name its columns in a mapping"
-        )
-    paths = [Path(path) for path in listed]
-    if not paths:
-        raise ConfigError("no logs: give at least one")
-    predictor = structure if structure in finders() else None
-    chosen = _structure(BESIDE if predictor else structure)
+    paths = _paths(logs)
+    chosen, predictor = _chosen(structure, effects=effects)
     wanted = _order(chosen, order)
     if validate and fit_share is not None:
         raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
-    if effects and (predictor or not chosen.takes_effects):
-        able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
-        raise OptionError("effects", f": they stand around an {able}, not an {structure}; choose that structure")
-    if predictor:
-        finders()[predictor]()  # refuses what is not installed before anything is read
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     if on_progress:
@@ -290,6 +277,17 @@ def identify_data(
     return identification
 
 
+def _paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:
+    listed = [logs] if isinstance(logs, (str, Path)) else logs
+    if not (isinstance(listed, Sequence) and all(isinstance(path, (str, Path)) for path in listed)):
+        raise wrong_type(
+            "logs", "paths of log files", logs, "write arrays to a CSV file, and name its columns in a mapping"
+        )
+    if not listed:
+        raise ConfigError("no logs: give at least one")
+    return [Path(path) for path in listed]
+
+
 def _linear_content(report: IdentificationReport) -> ModelFile:
     fitted = report.fitted
     return model_file(
@@ -326,10 +324,18 @@ def _origin(report: IdentificationReport) -> dict[str, Any]:
     }
 
 
-def _structure(name: str) -> Structure:
-    if name not in STRUCTURES:
+def _chosen(name: str, *, effects: bool) -> tuple[Structure, str | None]:
+    """The structure of a name, or the one beside a predictor and its name; what is not installed is refused here."""
+    predictor = name if name in finders() else None
+    if predictor is None and name not in STRUCTURES:
         raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders()))}")
-    return STRUCTURES[name]
+    chosen = STRUCTURES[BESIDE if predictor else name]
+    if effects and (predictor or not chosen.takes_effects):
+        able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
+        raise OptionError("effects", f": they stand around an {able}, not an {name}; choose that structure")
+    if predictor:
+        finders()[predictor]()
+    return chosen, predictor
 
 
 def _order(structure: Structure, order: int | str) -> int | None:

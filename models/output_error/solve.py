@@ -123,12 +123,10 @@ def fit_output_error(
     noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
-        fits = []
         ties = np.ones(len(experiments))
-        for layout, start in candidates:
-            weights = _weights(experiments, scale, noise)
-            fits.append((*_solve(layout, start, experiments, weights, ties, trial), weights))
-        layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
+        weights = _weights(experiments, scale, noise)
+        fits = [_solve(layout, start, experiments, weights, ties, trial) for layout, start in candidates]
+        layout, parameters, _ = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
             residuals = _residuals(layout, parameters, experiments, weights, ties)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]

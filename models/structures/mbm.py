@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
@@ -119,7 +120,6 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         for i, name in enumerate(_MOTORS)
     }
     dead_time = parameters.value("dead_time")
-    delays = doubts.answer_delays(fit, _MOTORS[: len(sides)], [0] * len(sides))
     return IdentifiedModel(
         schema=MbmFile,
         content={
@@ -135,15 +135,19 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         yaw="gyro",
         method=METHOD,
         fits=(fit, yaw.fit),
-        warnings=(
-            *doubts.at_bounds(fit, "motors"),
-            *(
-                doubt.of("motors")
-                for doubt in doubts.badly_known(parameters.part(_doubtful(parameters)), delays=delays)
-            ),
-            *(doubt.of("motors") for doubt in doubts.late_answers(delays)),
-            *doubts.hardly_identifiable(fit, "motors"),
-        ),
+        warnings=_warnings(fit, parameters, len(sides)),
+    )
+
+
+def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
+    delays = doubts.answer_delays(fit, _MOTORS[:motors], [0] * motors)
+    # An offset or a dead time near zero is no doubt about the model.
+    sized = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
+    unknown = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
+    return (
+        *doubts.at_bounds(fit, "motors"),
+        *(doubt.of("motors") for doubt in unknown),
+        *doubts.hardly_identifiable(fit, "motors"),
     )
 
 
@@ -197,11 +201,6 @@ def _with_effective_track(estimate: ParameterEstimate, motors: int) -> Parameter
 
     names = tuple("effective_track" if name == "omega.gain" else name for name in estimate.names)
     return estimate.derived(names, exchanged)
-
-
-def _doubtful(parameters: ParameterEstimate) -> list[str]:
-    """An offset or a dead time near zero is no doubt about the model."""
-    return [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
