@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figur
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.identification.report import IdentificationReport
+from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.robot import Positive

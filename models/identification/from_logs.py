@@ -13,7 +13,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.identification.configuration import (
+from diffdrive_mpc.models.identification.deliver.configuration import (
     CONFIG_FILE,
     MODEL_FILE,
     NODE_FILE,
@@ -22,13 +22,13 @@ from diffdrive_mpc.models.identification.configuration import (
     node_text,
     round_period,
 )
-from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
+from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.fit.poses import from_poses
+from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders, with_predictor
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surface, surface_text
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
-from diffdrive_mpc.models.identification.poses import from_poses
-from diffdrive_mpc.models.identification.predictor import Predictor, finders, with_predictor
-from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.identification.slip import SURFACE_FILE, log_surface, surface_text
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.identified import model_file, percent, provenance, write_model_file

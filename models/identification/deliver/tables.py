@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
-from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.poses import PoseResults
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.poses import PoseResults
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.orders import OrderChoice

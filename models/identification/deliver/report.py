@@ -14,13 +14,8 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.doubt import Doubt, lines
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
-from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.poses import PoseResults
-from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.identification.slip import SURFACE_FILE
-from diffdrive_mpc.models.identification.tables import (
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.identification.deliver.tables import (
     delay_table,
     drift_table,
     effect_table,
@@ -31,6 +26,11 @@ from diffdrive_mpc.models.identification.tables import (
     score_table,
     slip_table,
 )
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.poses import PoseResults
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.models.identification.fitting import Fitted
+    from diffdrive_mpc.models.identification.fit.fitting import Fitted
     from diffdrive_mpc.models.identification.log_data import LogData
 
 
@@ -105,7 +105,7 @@ def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
     ValueError
         If the records are too few.
     """
-    from diffdrive_mpc.models.identification.fitting import scored  # noqa: PLC0415 - it imports this module
+    from diffdrive_mpc.models.identification.fit.fitting import scored  # noqa: PLC0415 - it imports this module
 
     started = perf_counter()
     predictor = find(data, fitted)

@@ -10,8 +10,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
+from diffdrive_mpc.models.identification.fit.predictor import Predictor
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.predictor import Predictor
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
-from diffdrive_mpc.models.identification.noise import sensor_noise
+from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
