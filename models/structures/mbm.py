@@ -16,7 +16,7 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twis
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
+from diffdrive_mpc.models.structures.channel import identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -82,7 +82,7 @@ class MotorsParametrisation:
 _MOTORS = tuple(Motors.model_fields)
 
 
-def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool = True) -> IdentifiedModel:
+def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
     The effective track is the one for which the motors' steady turning rate becomes that of the gyro, whatever the two
@@ -95,8 +95,6 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         a side are equal.
     wheel_radius
         [m], as the robot's firmware has it.
-    robust
-        Whether single outliers are held back.
 
     Raises
     ------
@@ -109,12 +107,13 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         "omega",
         offset=True,
         limit=False,
-        robust=robust,
     )
     sides = _SIDES[: experiments[0].outputs.shape[1]]
     layout = Layout(MotorsParametrisation(sides, wheel_radius), 2, len(sides), shared_dead_time=True)
-    fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius, robust))], experiments, robust)
-    parameters = _with_effective_track(joined([_physical(fit, len(sides)), _yaw_gain(yaw)]), len(sides))
+    fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius))], experiments)
+    parameters = _with_effective_track(
+        joined([_physical(fit, len(sides)), yaw.parameters.part(["gain", "offset"]).renamed("omega")]), len(sides)
+    )
     motors = {
         name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
         for i, name in enumerate(_MOTORS)
@@ -151,12 +150,12 @@ def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -
     )
 
 
-def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], radius: float, robust: bool) -> FloatArray:
+def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], radius: float) -> FloatArray:
     """Forward motion gives a motor for all, turning the track."""
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
-    v = identify_channel(forward, "wheels", limit=False, robust=robust)
-    omega = identify_channel(turning, "wheels' difference", limit=False, robust=robust)
+    v = identify_channel(forward, "wheels", limit=False)
+    omega = identify_channel(turning, "wheels' difference", limit=False)
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
     track = np.log(omega.content["gain"] / v.content["gain"])
     return np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")]])
@@ -183,10 +182,6 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
         return np.concatenate([*each, np.exp(own[-1:]), dead_time])
 
     return fit.estimate.derived((*names, "firmware_track", "dead_time"), physical)
-
-
-def _yaw_gain(yaw: IdentifiedChannel) -> ParameterEstimate:
-    return yaw.parameters.part(["gain", "offset"]).renamed("omega")
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:

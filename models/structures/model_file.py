@@ -108,8 +108,8 @@ class ModelFile(ParameterFile):
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 2), C (2, n)."""
-        raise TypeError("ModelFile only holds what the structures share")
+        """Continuous A (n, n), B (n, 2), C (2, n); of a structure that says no more, its transfer functions'."""
+        return side_by_side(self.transfer_functions().values())
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
         """Those that the file states, by the name before the dot of their parameters; none by default."""
@@ -229,7 +229,7 @@ class MbmFile(ModelFile):
 
     def matrices(self) -> Matrices:
         """Continuous A (8, 8), B (8, 2), C (2, 8)."""
-        A, B, C = side_by_side(self.transfer_functions().values())
+        A, B, C = super().matrices()
         into = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
         out = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
         return A, B @ into, out @ C
@@ -251,10 +251,6 @@ class SmFile(ModelFile):
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
         """Of each channel."""
         return dict(self.channels)
-
-    def matrices(self) -> Matrices:
-        """Continuous A (4, 4), B (4, 2), C (2, 4)."""
-        return side_by_side(self.transfer_functions().values())
 
 
 class SsmFile(ModelFile):

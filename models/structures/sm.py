@@ -62,7 +62,11 @@ def identify_sm(
         },
         parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),
-        limits=channel_limits(channels),
+        limits={
+            name: float(rounded(fit.parameters.value("limit")))
+            for name, fit in fits.items()
+            if "limit" in fit.parameters.names
+        },
         yaw=yaw,
         method=METHOD.format(form.words),
         fits=tuple(fit.fit for fit in channels),
@@ -92,15 +96,6 @@ def identify_channels(
         for row, channel in enumerate(CHANNELS)
     )
     return v, omega
-
-
-def channel_limits(channels: Sequence[IdentifiedChannel]) -> dict[str, float]:
-    """Level of each channel that has one."""
-    return {
-        name: float(rounded(fit.parameters.value("limit")))
-        for name, fit in zip(CHANNELS, channels, strict=True)
-        if "limit" in fit.parameters.names
-    }
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:

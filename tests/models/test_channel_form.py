@@ -1,5 +1,6 @@
-"""A form of a channel is one object: with two poles and a zero, SM keeps limits, doubts, intervals, delays and files."""
+"""The form of a channel is one object: two poles and a zero in SM keep limits, doubts, intervals, delays and files."""
 
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from log_parts import MAPPING, write_csv, write_mapping
 from diffdrive_mpc.models import identify, load_model
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.structures import registry
-from diffdrive_mpc.models.structures.model_file import Finite, ModelFile, TwoPoles, build_model, side_by_side
+from diffdrive_mpc.models.structures.model_file import Finite, ModelFile, TwoPoles, build_model
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.structures.structure import Structure, StructureFit
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
@@ -52,9 +53,6 @@ class ZeroFile(ModelFile):
 
     def transfer_functions(self):
         return dict(self.channels)
-
-    def matrices(self):
-        return side_by_side(self.transfer_functions().values())
 
 
 class ZeroForm:
@@ -140,14 +138,7 @@ def test_what_a_short_loud_log_does_not_show_is_a_doubt(result):
     """Of the shape of the answer, and no doubt about a zero that may well be none."""
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
-    loud = record.__class__(
-        "loud",
-        0.0,
-        DT,
-        record.command,
-        record.twist + rng.normal(0.0, 0.5, record.twist.shape),
-        yaw_rate=record.yaw_rate,
-    )
+    loud = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))
     doubts = [doubt for doubt in identify_sm([loud], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.words]
     assert doubts
     assert not [doubt for doubt in doubts if "zero = " in doubt.words]

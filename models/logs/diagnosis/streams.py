@@ -217,6 +217,11 @@ class StreamResponse:
     correlation: FloatArray
     size: float
 
+    @property
+    def delay(self) -> float:
+        """Mean delay, dead time and both lags together [s]."""
+        return self.dead_time + 2 * self.lag
+
 
 def answer(
     streams: Streams,
