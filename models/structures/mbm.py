@@ -111,9 +111,8 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedMo
     sides = _SIDES[: experiments[0].outputs.shape[1]]
     layout = Layout(MotorsParametrisation(sides, wheel_radius), 2, len(sides), shared_dead_time=True)
     fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius))], experiments)
-    parameters = _with_effective_track(
-        joined([_physical(fit, len(sides)), yaw.parameters.part(["gain", "offset"]).renamed("omega")]), len(sides)
-    )
+    turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
+    parameters = _with_effective_track(joined([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
         name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
         for i, name in enumerate(_MOTORS)
