@@ -182,20 +182,16 @@ def pose_windows(
 
 
 def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: float) -> PoseWindows:
-    value, pose, fresh = getattr(record, name), record.pose, record.fresh_pose
-    if value is None or pose is None or fresh is None:
+    value, pose = getattr(record, name), record.pose
+    if value is None or pose is None:
         raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
     signal = np.asarray(value).reshape(len(value), -1)
     mean = 0.5 * (signal[1:] + signal[:-1])
     steps, lag = round(identification_settings().pose_window / record.dt), round(pose_lag / record.dt)
-    starts, k = [], max(lag, 0)
-    while k + steps < len(pose) and k + steps - lag < len(signal):
-        if fresh[k] and fresh[k + steps] and np.isfinite(mean[k - lag : k - lag + steps]).all():
-            starts.append(k)
-            k += steps
-        else:
-            k += 1
-    rows = np.array(starts, dtype=np.int64)
+    step = np.arange(len(pose)) - lag
+    known = (step >= 0) & (step < len(mean))
+    known[known] = np.isfinite(mean[step[known]]).all(axis=1)
+    rows = np.array(record.pose_windows(steps, known), dtype=np.int64)
     cut = mean[rows[:, None] - lag + np.arange(steps)]
     first, last = pose[rows], pose[rows + steps]
     moved = last - first
