@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.controllers import build_plant, controller_config, make
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.noise import TOLD, DriveInformation
+from diffdrive_mpc.models.identification.fit.noise import TOLD, DriveInformation
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import is_shipped, load_linear_model
@@ -86,7 +86,7 @@ class Excitation:
             lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
         )
         rows = []
-        for name, *numbers in zip(shown.names, shown.values, shown.standard_deviation, strict=True):
+        for name, *numbers in shown.rows:
             channel, parameter = name.split(".")
             unit, scale, digits = ("-", 1.0, 4) if parameter == "gain" else ("ms", 1e3, 2)
             cells = (number(scale * float(one), digits) for one in numbers)

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.plug_ins import plug_ins
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from diffdrive_mpc.models.identification.predictor import Finder
+    from diffdrive_mpc.models.identification.fit.predictor import Finder
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 
 

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from diffdrive_mpc.models.errors import wrong_type
 
 FloatArray = NDArray[np.float64]
+AnyArray = NDArray[Any]
+"""Real, or complex on the way to a derivative."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,8 @@ from diffdrive_mpc.bench.campaign.definition import stated
 from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.identification import Identification, identify
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, Setting
-from diffdrive_mpc.models.identification.slip import lateral_slip
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE, Setting
+from diffdrive_mpc.models.identification.fit.slip import lateral_slip
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import load_config

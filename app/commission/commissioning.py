@@ -29,7 +29,7 @@ from diffdrive_mpc.app.twin.report import PLANT
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import named_file

@@ -38,7 +38,7 @@ from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.table import Table, millis, number
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, choose_pace
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE, choose_pace
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import model_file, write_model_file

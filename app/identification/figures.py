@@ -13,10 +13,9 @@ from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figur
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.identification.report import IdentificationReport
+from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -100,7 +99,7 @@ def simulation_charts(report: IdentificationReport, window: float | None = None)
     time = [round(float(one), 3) for one in (since_begin[rows] if window is None else since_begin)]
     made = []
     for i, channel in enumerate(CHANNELS):
-        measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)
+        measured = experiment.readings[:, i]
         lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
         series = [
             Series(name, time, [rounded(one) for one in values[rows]], style, "points" if style == 0 else "line")
@@ -251,35 +250,13 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
 
 def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:
     """Real and imaginary part of each pole whose uncertainty is known, and their standard deviations [rad/s]."""
-    parameters = identified.parameters
     rows = []
-    for name in parameters.names:
-        pole, _, part = name.partition(".")
-        damping = name.replace("natural_frequency", "damping")
-        if damping != name and damping in parameters.names:
-            pair = parameters.part([name, damping])
-            rows += [_row(pair.derived(("real", "imag"), parts)) for parts in _POLES[bool(pair.values[1] < 1.0)]]
-        elif pole.startswith("pole_") and part == "real":
-            rows.append(_row(parameters.part([name, f"{pole}.imag"])))
-        elif pole.startswith("pole_") and not part:
-            rows.append((parameters.value(name), 0.0, parameters.deviation(name), 0.0))
+    for poles in identified.poles:
+        for name in poles.names:
+            pole, _, part = name.partition(".")
+            if part == "real":
+                imag = f"{pole}.imag"
+                rows.append((poles.value(name), poles.value(imag), poles.deviation(name), poles.deviation(imag)))
+            elif not part:
+                rows.append((poles.value(name), 0.0, poles.deviation(name), 0.0))
     return rows
-
-
-def _row(pole: ParameterEstimate) -> tuple[float, float, float, float]:
-    (real, imag), (real_deviation, imag_deviation) = pole.values, pole.standard_deviation
-    return float(real), float(imag), float(real_deviation), float(imag_deviation)
-
-
-def _root(damping: float) -> float:
-    return float(np.sqrt(abs(damping**2 - 1.0)))
-
-
-# From natural frequency and damping: both poles where they are real, the upper one of a pair that is complex.
-_POLES: dict[bool, list[Callable[[FloatArray], FloatArray]]] = {
-    False: [
-        lambda row: np.array([-row[0] * (row[1] - _root(row[1])), 0.0]),
-        lambda row: np.array([-row[0] * (row[1] + _root(row[1])), 0.0]),
-    ],
-    True: [lambda row: np.array([-row[0] * row[1], row[0] * _root(row[1])])],
-}

@@ -26,7 +26,7 @@ from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.identification import Identification
-from diffdrive_mpc.models.identification.report import IdentificationReport
+from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS

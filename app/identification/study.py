@@ -29,7 +29,7 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.table import number, rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log

@@ -12,8 +12,8 @@ from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
-from diffdrive_mpc.models.identification.configuration import node_arguments
-from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.deliver.configuration import node_arguments
+from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot

@@ -52,7 +52,7 @@ class Property:
     @classmethod
     def of(cls, case: Case) -> Property | None:
         """Drive the plant of `case` open loop; None for a model that is a function, which cannot be run freely."""
-        from diffdrive_mpc.models.identification.poses import pose_drift  # noqa: PLC0415 - loads slowly
+        from diffdrive_mpc.models.identification.fit.poses import pose_drift  # noqa: PLC0415 - loads slowly
 
         config = controller_config(case.model, case.config, case.overrides)
         model = Controller(config).model

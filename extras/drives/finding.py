@@ -24,9 +24,9 @@ from diffdrive_mpc.extras.drives.drive_model import (
 from diffdrive_mpc.extras.drives.fitting import DriveFit, channel_errors, fit_drive, numbers_at_bounds, parameter_names
 from diffdrive_mpc.extras.drives.settings import fit_settings
 from diffdrive_mpc.models.doubt import Doubt
-from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.predictor import Finder
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
-from diffdrive_mpc.models.identification.predictor import Finder
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
@@ -224,7 +224,7 @@ _KINDS = {"gain": "gain", "lag": "lag", "stiffness": "lag"}
 
 @dataclass(frozen=True)
 class FoundDrive:
-    """A drive as `identification.predictor.Predictor`.
+    """A drive as `identification.fit.predictor.Predictor`.
 
     Attributes
     ----------

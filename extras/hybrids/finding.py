@@ -21,7 +21,7 @@ from diffdrive_mpc.extras.hybrids.hybrid_model import (
 from diffdrive_mpc.extras.hybrids.training import TrainingRun, hybrid_settings, runs_of, silent, trained
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.doubt import Doubt
-from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
@@ -36,7 +36,7 @@ _NAME = "hybrid"
 
 @dataclass(frozen=True)
 class FoundHybrid:
-    """A hybrid as `identification.predictor.Predictor`.
+    """A hybrid as `identification.fit.predictor.Predictor`.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from diffdrive_mpc.extras.networks.network_model import (
 )
 from diffdrive_mpc.extras.networks.training import TrainingSettings, method, train, training_settings
 from diffdrive_mpc.models.doubt import Doubt
-from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
@@ -28,7 +28,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource, joined, part
 
 @dataclass(frozen=True)
 class TrainedNetwork:
-    """A network as `identification.predictor.Predictor`, and how it was trained in words."""
+    """A network as `identification.fit.predictor.Predictor`, and how it was trained in words."""
 
     network: Network
     method: str

@@ -13,7 +13,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.identification.configuration import (
+from diffdrive_mpc.models.identification.deliver.configuration import (
     CONFIG_FILE,
     MODEL_FILE,
     NODE_FILE,
@@ -22,16 +22,16 @@ from diffdrive_mpc.models.identification.configuration import (
     node_text,
     round_period,
 )
-from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
+from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.fit.poses import from_poses
+from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders, with_predictor
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surface, surface_text
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
-from diffdrive_mpc.models.identification.poses import from_poses
-from diffdrive_mpc.models.identification.predictor import Predictor, finders, with_predictor
-from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.identification.slip import SURFACE_FILE, log_surface, surface_text
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.structures.identified import model_file, percent, write_model_file
+from diffdrive_mpc.models.structures.identified import model_file, percent, provenance, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
@@ -189,24 +189,11 @@ def identify(
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """
-    listed = [logs] if isinstance(logs, (str, Path)) else logs
-    if not (isinstance(listed, Sequence) and all(isinstance(path, (str, Path)) for path in listed)):
-        raise wrong_type(
-            "logs", "paths of log files", logs, "write arrays to a CSV file, and name its columns in a mapping"
-        )
-    paths = [Path(path) for path in listed]
-    if not paths:
-        raise ConfigError("no logs: give at least one")
-    predictor = structure if structure in finders() else None
-    chosen = _structure(BESIDE if predictor else structure)
+    paths = _paths(logs)
+    chosen, predictor = _chosen(structure, effects=effects)
     wanted = _order(chosen, order)
     if validate and fit_share is not None:
         raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
-    if effects and (predictor or not chosen.takes_effects):
-        able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
-        raise OptionError("effects", f": they stand around an {able}, not an {structure}; choose that structure")
-    if predictor:
-        finders()[predictor]()  # refuses what is not installed before anything is read
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     if on_progress:
@@ -290,17 +277,25 @@ def identify_data(
     return identification
 
 
+def _paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:
+    listed = [logs] if isinstance(logs, (str, Path)) else logs
+    if not (isinstance(listed, Sequence) and all(isinstance(path, (str, Path)) for path in listed)):
+        raise wrong_type(
+            "logs", "paths of log files", logs, "write arrays to a CSV file, and name its columns in a mapping"
+        )
+    if not listed:
+        raise ConfigError("no logs: give at least one")
+    return [Path(path) for path in listed]
+
+
 def _linear_content(report: IdentificationReport) -> ModelFile:
-    fitted, data = report.fitted, report.data
+    fitted = report.fitted
     return model_file(
         fitted.identified,
         name=report.name,
-        source=", ".join(data.logs),
-        records=[record.name for record in data.train],
-        date=report.day,
         train_fit_percent=fitted.train.fit_percent,
         validation_fit_percent=fitted.validation.fit_percent,
-        notes=f"validated on {data.held_out}",
+        **_origin(report),
     )
 
 
@@ -314,21 +309,33 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
         "warnings": [str(doubt) for doubt in report.doubts],
         "fit_percent": percent(fitted.train.fit_percent),
         "validation_fit_percent": percent(fitted.validation.fit_percent),
-        "provenance": {
-            "origin": "identified",
-            "source": ", ".join(data.logs),
-            "method": f"{predictor.method}; omega of the {data.yaw}",
-            "experiments": [record.name for record in data.train],
-            "date": report.day.isoformat(),
-            "notes": f"validated on {data.held_out}",
-        },
+        "provenance": provenance(f"{predictor.method}; omega of the {data.yaw}", **_origin(report)),
     }
 
 
-def _structure(name: str) -> Structure:
-    if name not in STRUCTURES:
+def _origin(report: IdentificationReport) -> dict[str, Any]:
+    """What the provenance of a model file says of the logs."""
+    data = report.data
+    return {
+        "source": ", ".join(data.logs),
+        "records": [record.name for record in data.train],
+        "date": report.day,
+        "notes": f"validated on {data.held_out}",
+    }
+
+
+def _chosen(name: str, *, effects: bool) -> tuple[Structure, str | None]:
+    """The structure of a name, or the one beside a predictor and its name; what is not installed is refused here."""
+    predictor = name if name in finders() else None
+    if predictor is None and name not in STRUCTURES:
         raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders()))}")
-    return STRUCTURES[name]
+    chosen = STRUCTURES[BESIDE if predictor else name]
+    if effects and (predictor or not chosen.takes_effects):
+        able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
+        raise OptionError("effects", f": they stand around an {able}, not an {name}; choose that structure")
+    if predictor:
+        finders()[predictor]()
+    return chosen, predictor
 
 
 def _order(structure: Structure, order: int | str) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,8 +17,6 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.logs.record import Topics, refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
-
-_SIGNALS = {"twist": "fresh_twist", "yaw_rate": "fresh_yaw_rate", "wheels": "fresh_twist"}
 
 
 class OptionError(ConfigError):
@@ -117,57 +115,33 @@ def read_data(
         If a log cannot be read, would give a wrong model, has no sample time of a controller, or a signal is missing
         from all of them.
     """
-    low, high = identification_settings().shares
-    if not low <= fit_share <= high:
-        raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
-    twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
-    if twice:
-        raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tried on what it was made from")
+    _check_selection(logs, validate, fit_share)
     geometry = None if mapping is None else load_mapping(mapping).wheels
-    read: list[Log] = []
-    for path in (*logs, *validate):
-        log = read_log(path, mapping, read[0].records[0].dt if read else None)
-        if on_log:
-            on_log(log)
-        on_findings([finding for finding in log.findings if force or finding.severity != "error"])
+
+    def admit(findings: Sequence[Finding]) -> None:
+        on_findings([finding for finding in findings if force or finding.severity != "error"])
         if not force:
-            log.require_sound()
-        read.append(log)
+            refuse([finding for finding in findings if finding.severity == "error"])
+
+    read = _read_alike((*logs, *validate), mapping, on_log or (lambda _: None), admit)
     fitted, tried = read[: len(logs)], read[len(logs) :]
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "encoders"
-    needed = ("twist", *(["yaw_rate"] if yaw == "gyro" else []), *(["wheels"] if wheels else []))
-    if tried:
-        train = [record for log in fitted for record in log.records]
-        validation = [record for log in tried for record in log.records]
-        held_out = f"logs of their own: {', '.join(log.name for log in tried)}"
-    else:
-        halves = [divide(log.records, fit_share) for log in fitted]
-        train = [record for first, _ in halves for record in first]
-        validation = [record for _, last in halves for record in last]
-        held_out = f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
-    warnings: list[Doubt] = []
-    spare = [
-        Finding(
-            "subset", "note", use, f"{most_rows} of {rows} rows are used, the parts in which the commands change most"
-        )
-        for use, records in (("identification", train), ("validation", validation))
-        if most_rows is not None and (rows := sum(len(record.command) for record in records)) > most_rows
-    ]
-    on_findings(spare)
+    needed = ("twist", *(["yaw_rate"] if has_gyro else []), *(["wheels"] if wheels else []))
+    train, validation, held_out = _divided(fitted, tried, fit_share)
+    spare: list[Finding] = []
     if most_rows is not None:
+        spare = _spare({"identification": train, "validation": validation}, most_rows)
         train, validation = most_informative(train, most_rows), most_informative(validation, most_rows)
-    usable = (
-        _usable(train, needed, "to identify from", warnings),
-        _usable(validation, needed, "to validate on", warnings),
-    )
+    on_findings(spare)
+    warnings: list[Doubt] = []
+    train_used = _usable(train, needed, "to identify from", warnings)
+    validation_used = _usable(validation, needed, "to validate on", warnings)
     together = compare_logs(fitted)
-    on_findings([finding for finding in together if force or finding.severity != "error"])
-    if not force:
-        refuse([finding for finding in together if finding.severity == "error"])
+    admit(together)
     data = LogData(
-        train=usable[0],
-        validation=usable[1],
+        train=train_used,
+        validation=validation_used,
         logs=tuple(log.name for log in fitted),
         held_out=held_out,
         yaw=yaw,
@@ -178,6 +152,48 @@ def read_data(
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])
     return data
+
+
+def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: float) -> None:
+    low, high = identification_settings().shares
+    if not low <= fit_share <= high:
+        raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
+    twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
+    if twice:
+        raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tried on what it was made from")
+
+
+def _read_alike(
+    paths: Sequence[Path],
+    mapping: str | Path | None,
+    on_log: Callable[[Log], None],
+    admit: Callable[[Sequence[Finding]], None],
+) -> list[Log]:
+    """The logs, all at the sample time of the first; `admit` refuses what speaks against one."""
+    read: list[Log] = []
+    for path in paths:
+        log = read_log(path, mapping, read[0].records[0].dt if read else None)
+        on_log(log)
+        admit(log.findings)
+        read.append(log)
+    return read
+
+
+def _divided(fitted: Sequence[Log], tried: Sequence[Log], fit_share: float) -> tuple[list[Record], list[Record], str]:
+    """Records to identify from, records held out, and what these are in words."""
+    if tried:
+        train, validation = ([record for log in logs for record in log.records] for logs in (fitted, tried))
+        return train, validation, f"logs of their own: {', '.join(log.name for log in tried)}"
+    halves = [divide(log.records, fit_share) for log in fitted]
+    train, validation = ([record for parts in part for record in parts] for part in zip(*halves, strict=True))
+    return train, validation, f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
+
+
+def _spare(parts: Mapping[str, Sequence[Record]], most: int) -> list[Finding]:
+    """A note for each part that has more than `most` rows."""
+    counts = {use: sum(len(record.command) for record in records) for use, records in parts.items()}
+    words = "{} of {} rows are used, the parts in which the commands change most"
+    return [Finding("subset", "note", use, words.format(most, rows)) for use, rows in counts.items() if rows > most]
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
@@ -238,5 +254,5 @@ def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings
 
 
 def _readings(record: Record, name: str) -> int:
-    mask = getattr(record, _SIGNALS[name])
-    return 0 if getattr(record, name) is None or mask is None else int(mask.sum())
+    fresh = record.fresh(name)
+    return 0 if fresh is None else int(fresh.sum())

@@ -11,10 +11,10 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.function_structure import function_structures
-from diffdrive_mpc.models.identification.fitting import Fitted, fit
+from diffdrive_mpc.models.identification.fit.fitting import Fitted, fit
+from diffdrive_mpc.models.identification.fit.poses import from_poses
+from diffdrive_mpc.models.identification.fit.predictor import finders, with_predictor
 from diffdrive_mpc.models.identification.log_data import LogData, divide
-from diffdrive_mpc.models.identification.poses import from_poses
-from diffdrive_mpc.models.identification.predictor import finders, with_predictor
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
@@ -282,7 +282,7 @@ def _powers(
     powers, weights = [], []
     for fold, outputs in zip(measured, simulated, strict=True):
         for experiment, output in zip(fold, outputs, strict=True):
-            errors = np.where(experiment.counts, experiment.outputs - output, np.nan)
+            errors = experiment.readings - output
             span = max(1, round(length / experiment.dt))
             for first in range(0, len(errors), span):
                 block = errors[first : first + span]

@@ -74,19 +74,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
         topics = topics.named(there)
-        requested: dict[str, Topic] = {
-            role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None
-        }
-        if not set(requested) & set(_FIELDS):
-            raise ConfigError(
-                f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
-                f"{', '.join(sorted(there)) or 'none'}"
-            )
-        for role, topic in requested.items():
-            if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
-                raise ConfigError(
-                    f"{path}: topic '{topic.topic}': give {_WIDTHS[role]} 'fields', not {len(topic.fields)}"
-                )
+        requested = _requested(path, topics, there)
         readers = dict(_DECODERS)
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
@@ -119,6 +107,20 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
     kinds = {role: (of.topic, of.kind) for role, of in rows.items()}
     return RawLog(path.name, stretches, tuple(findings), float(sample_time), kinds)
+
+
+def _requested(path: Path, topics: Topics, there: set[str]) -> dict[str, Topic]:
+    """Topics of command and sensors by role; raises ConfigError without a sensor, or for a wrong count of fields."""
+    requested: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
+    if not set(requested) & set(_FIELDS):
+        raise ConfigError(
+            f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
+            f"{', '.join(sorted(there)) or 'none'}"
+        )
+    for role, topic in requested.items():
+        if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
+            raise ConfigError(f"{path}: topic '{topic.topic}': give {_WIDTHS[role]} 'fields', not {len(topic.fields)}")
+    return requested
 
 
 def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str, Signal]:

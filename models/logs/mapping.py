@@ -82,53 +82,53 @@ class TimeColumn(Column):
     unit: TimeUnit = "s"
 
 
-class LengthColumn(Column):
+class _SignedColumn(Column):
+    """A column whose numbers may run the other way."""
+
+    unit: str
+    sign: Sign = 1
+
+
+class LengthColumn(_SignedColumn):
     """A column of positions."""
 
     unit: LengthUnit = "m"
-    sign: Sign = 1
 
 
-class AngleColumn(Column):
+class AngleColumn(_SignedColumn):
     """A column of headings, wrapped or not."""
 
     unit: AngleUnit = "rad"
-    sign: Sign = 1
 
 
-class SpeedColumn(Column):
+class SpeedColumn(_SignedColumn):
     """A column of forward speeds."""
 
     unit: SpeedUnit = "m/s"
-    sign: Sign = 1
 
 
-class RateColumn(Column):
+class RateColumn(_SignedColumn):
     """A column of yaw rates, counter-clockwise positive after `sign`."""
 
     unit: RateUnit = "rad/s"
-    sign: Sign = 1
 
 
-class WheelColumn(Column):
+class WheelColumn(_SignedColumn):
     """A column of one wheel, or one side: its speed, forward positive after `sign`, or its running count of ticks."""
 
     unit: WheelUnit = "rad/s"
-    sign: Sign = 1
 
 
-class VoltageColumn(Column):
+class VoltageColumn(_SignedColumn):
     """A column of voltages."""
 
     unit: VoltageUnit = "V"
-    sign: Sign = 1
 
 
-class CurrentColumn(Column):
+class CurrentColumn(_SignedColumn):
     """A column of currents; positive after `sign` where it drives the robot forward, or leaves the battery."""
 
     unit: CurrentUnit = "A"
-    sign: Sign = 1
 
 
 SignalColumn = LengthColumn | AngleColumn | SpeedColumn | RateColumn | WheelColumn | VoltageColumn | CurrentColumn

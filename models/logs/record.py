@@ -127,6 +127,20 @@ class Record:
         """Time of the last sample [s]."""
         return self.start + self.dt * (len(self.command) - 1)
 
+    def fresh(self, name: str) -> BoolArray | None:
+        """(K,) which samples of a signal are readings of their own; None without the signal, or without such a mask."""
+        return getattr(self, _MASKS[name]) if name in _MASKS and getattr(self, name) is not None else None
+
+    def pose_windows(self, steps: int, known: BoolArray) -> list[int]:
+        """First samples of windows of `steps` steps, a fresh pose at both ends, `known` (K,) between; none overlap."""
+        starts, k = [], 0
+        while self.fresh_pose is not None and k + steps < len(self.fresh_pose):
+            usable = self.fresh_pose[k] and self.fresh_pose[k + steps] and known[k : k + steps].all()
+            if usable:
+                starts.append(k)
+            k += steps if usable else 1
+        return starts
+
     def part(self, first: int, stop: int) -> Record:
         """The samples from `first` up to, and without, `stop`, as a record of their own."""
         count = len(self.command)

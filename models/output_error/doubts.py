@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -18,16 +18,12 @@ _AT_BOUND = 1e-3
 _CERTAIN = 2.0
 # Poles that differ by more than this factor are distinct: the fast one is only badly known, which is reported, too.
 _FAR_APART = 4.0
-_SHAPE = ("natural_frequency", "damping")
 _KINDS = {
     "gain": "gain",
     "limit": "limit",
     "firmware_track": "track",
     "effective_track": "track",
     "dead_time": "dead time",
-    "log_gain": "gain",
-    "log_lag": "lag",
-    "log_short": "second lag",
 }
 """Kind of doubt by what a parameter is."""
 
@@ -39,13 +35,13 @@ def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[in
         system = fit.layout.system(parameters)
         return mean_delay(system.A, system.B, system.C, system.dead_time, inputs)
 
-    return ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(names, delays)
+    return fit.estimate.derived(names, delays)
 
 
 def late_answers(delays: ParameterEstimate) -> list[Doubt]:
     """A doubt for each of `delays`, named by channel or motor, whose standard deviation is large."""
     limits, verdicts = estimator_settings().warn, []
-    for name, value, deviation in zip(delays.names, delays.values, delays.standard_deviation, strict=True):
+    for name, value, deviation in delays.rows:
         if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
             words = f"dead time and lag, {value:.2g} s together, are badly known: standard deviation {deviation:.2g} s"
             doubt = Doubt("lag", words)
@@ -70,7 +66,7 @@ def badly_known(
     """
     limit = estimator_settings().warn.relative_deviation
     verdicts = []
-    for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True):
+    for name, value, deviation in estimate.rows:
         if deviation > limit * abs(value):
             large = (
                 f"standard deviation {deviation:.2g}" if deviation < abs(value) else "it could as well be twice that"
@@ -82,15 +78,18 @@ def badly_known(
 
 def _kind(name: str, delays: ParameterEstimate | None) -> str:
     group, _, last = name.rpartition(".")
-    if last in _SHAPE or "pole" in last:
-        # A pole without a channel is one of all.
-        known = delays is not None and not late_answers(delays.part([group]) if group in delays.names else delays)
+    if last in _KINDS:
+        return _KINDS[last]
+    of_one = delays is not None and group in delays.names
+    if of_one or "pole" in last:
+        # Whatever else a transfer function has shapes its answer. A pole without a channel is one of all.
+        known = delays is not None and not late_answers(delays.part([group]) if of_one else delays)
         return "divided lag" if known else "lag"
-    return _KINDS.get(last, "gain" if group == "gain" else "effect")
+    return "gain" if group == "gain" else "effect"
 
 
-def at_bounds(fit: OutputErrorFit, label: str) -> list[Doubt]:
-    """A doubt for each parameter that ended at a bound of the search."""
+def at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, str] | None = None) -> list[Doubt]:
+    """A doubt for each parameter that ended at a bound of the search; `kinds` are theirs by name, else "effect"."""
     low, high = fit.layout.bounds
     verdicts = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
@@ -101,9 +100,8 @@ def at_bounds(fit: OutputErrorFit, label: str) -> list[Doubt]:
             side = "lower" if value - lower < upper - value else "upper"
             shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
             words = f"{shown} lies at the {side} bound of the search, {bound:.3g}: the data do not determine it"
-            kind = next((kind for part, kind in _KINDS.items() if name.endswith(part)), None)
-            kind = kind or ("dead time" if name.startswith("dead_time") else "effect")
-            verdicts.append(Doubt(kind, words).of(label))
+            other = "dead time" if name.startswith("dead_time") else "effect"
+            verdicts.append(Doubt((kinds or {}).get(name, other), words).of(label))
     return verdicts
 
 

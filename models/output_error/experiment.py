@@ -69,6 +69,11 @@ class SampledExperiment:
         return len(self.inputs)
 
     @property
+    def readings(self) -> FloatArray:
+        """(K, p) the outputs, NaN where there is no reading."""
+        return np.where(self.counts, self.outputs, np.nan)
+
+    @property
     def first_readings(self) -> FloatArray:
         """(p,) the first reading of each output."""
         return np.array([self.outputs[np.argmax(counts), row] for row, counts in enumerate(self.counts.T)])
@@ -117,9 +122,9 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
     """
     experiments = []
     for record in records:
-        twist, fresh_twist = _signal(record, "twist", "fresh_twist")
+        twist, fresh_twist = _signal(record, "twist")
         if yaw == "gyro":
-            omega, fresh_omega = _signal(record, "yaw_rate", "fresh_yaw_rate")
+            omega, fresh_omega = _signal(record, "yaw_rate")
         else:
             omega, fresh_omega = twist[:, 1], fresh_twist
         outputs, counts = np.column_stack([twist[:, 0], omega]), np.column_stack([fresh_twist, fresh_omega])
@@ -138,7 +143,7 @@ def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
     name = "wheel_speeds" if all(record.wheel_speeds is not None for record in records) else "wheels"
     experiments = []
     for record in records:
-        speeds, fresh = _signal(record, name, "fresh_twist")
+        speeds, fresh = _signal(record, name)
         counts = np.tile(fresh[:, None], (1, speeds.shape[1]))
         experiments.append(SampledExperiment(record.name, record.dt, record.command, speeds, counts))
     return _chained(experiments, records)
@@ -168,8 +173,8 @@ def _chained(experiments: Sequence[SampledExperiment], records: Sequence[Record]
     return chained
 
 
-def _signal(record: Record, name: str, mask: str) -> tuple[FloatArray, BoolArray]:
-    value, fresh = getattr(record, name), getattr(record, mask)
-    if value is None:
+def _signal(record: Record, name: str) -> tuple[FloatArray, BoolArray]:
+    value, fresh = getattr(record, name), record.fresh(name)
+    if fresh is None:
         raise ValueError(f"record '{record.name}': no {name}, which this model is identified from: map its column")
     return value, np.asarray(fresh & np.isfinite(value).reshape(len(value), -1).all(axis=1))

@@ -91,10 +91,7 @@ def hold_out(fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robu
     powers, parameters = [], []
     for rest, block in blocks(experiments):
         refit = fit_output_error([(fit.layout, fit.parameters)], cut(experiments, rest), robust, scale=fit.scale)
-        errors = [
-            np.where(one.counts, one.outputs - simulate_experiment(refit.system, one), np.nan)
-            for one in cut(experiments, block)
-        ]
+        errors = [part.readings - simulate_experiment(refit.system, part) for part in cut(experiments, block)]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         parameters.append(refit.parameters)
     return HeldOut(np.array(powers), np.array(parameters))

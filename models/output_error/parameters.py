@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.state_space import AnyArray, LinearSystem
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
 # Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
 _STEP = 6e-6
@@ -39,6 +39,11 @@ class ParameterEstimate:
     def standard_deviation(self) -> FloatArray:
         """(q,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def rows(self) -> list[tuple[str, float, float]]:
+        """Name, value and standard deviation of each parameter."""
+        return list(zip(self.names, self.values.tolist(), self.standard_deviation.tolist(), strict=True))
 
     def value(self, name: str) -> float:
         """One parameter; raises KeyError when there is none of that name."""

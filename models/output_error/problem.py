@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.state_space import (
-    AnyArray,
     LinearSystem,
     SampledSystem,
     StateResponse,

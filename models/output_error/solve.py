@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
-from diffdrive_mpc.models.output_error.parameters import Layout
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
@@ -70,6 +71,11 @@ class OutputErrorFit:
     condition: float
 
     @property
+    def estimate(self) -> ParameterEstimate:
+        """The parameters by name, with their covariance."""
+        return ParameterEstimate(self.layout.names, self.parameters, self.covariance)
+
+    @property
     def system(self) -> LinearSystem:
         """The estimated system."""
         return self.layout.system(self.parameters)
@@ -115,27 +121,24 @@ def fit_output_error(
         raise ValueError("no data: give at least one record in which the robot moves")
     pieces, experiments = experiments, joined(experiments)
     spread = output_spread(experiments)
-    noise = reading_noise([np.where(experiment.counts, experiment.outputs, np.nan) for experiment in experiments])
+    noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
-        fits = []
-        ties = np.ones(len(experiments))
-        for layout, start in candidates:
-            weights = _weights(experiments, scale, noise)
-            fits.append((*_solve(layout, start, experiments, weights, ties, trial), weights))
-        layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
+        data = _Data(experiments, _weights(experiments, scale, noise), np.ones(len(experiments)))
+        fits = [_solve(layout, start, data, trial) for layout, start in candidates]
+        layout, parameters, _ = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
-            residuals = _residuals(layout, parameters, experiments, weights, ties)
+            residuals = data.residuals(layout, parameters)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
-            weights = _weights(experiments, scale, noise, trust)
-            ties = _ties(layout, parameters, experiments, weights, ties)
-            before = _cost(layout, parameters, experiments, weights, ties)
-            layout, parameters, cost = _solve(layout, parameters, experiments, weights, ties, _EVALUATIONS)
+            data = data._replace(weights=_weights(experiments, scale, noise, trust))
+            data = data._replace(ties=_ties(layout, parameters, data))
+            before = data.cost(layout, parameters)
+            layout, parameters, cost = _solve(layout, parameters, data, _EVALUATIONS)
             if before - cost < _SETTLED * cost:
                 break
-        residuals = _residuals(layout, parameters, experiments, weights, ties)
-        covariance = _covariance(layout, parameters, experiments, weights, ties)
+        residuals = data.residuals(layout, parameters)
+        covariance = _covariance(layout, parameters, data)
     return OutputErrorFit(
         layout,
         parameters,
@@ -148,20 +151,39 @@ def fit_output_error(
     )
 
 
-def _solve(
-    layout: Layout,
-    start: FloatArray,
-    experiments: Sequence[SampledExperiment],
-    weights: list[FloatArray],
-    ties: FloatArray,
-    evaluations: int,
-) -> tuple[Layout, FloatArray, float]:
+class _Data(NamedTuple):
+    """Experiments, and how much of them counts."""
+
+    experiments: Sequence[SampledExperiment]
+    weights: list[FloatArray]
+    """For each experiment (K, p) factors of the residuals."""
+    ties: FloatArray
+    """(experiments,) factors of the prior of each past."""
+
+    def problem(self, layout: Layout, near: FloatArray) -> OutputErrorProblem:
+        """The problem with the prior of the pasts that the system `near` (q,) gives."""
+        prior = past_prior(layout.system(near), self.experiments, estimator_settings().start_deviation)
+        return OutputErrorProblem(layout, self.experiments, self.weights, [tie * prior for tie in self.ties])
+
+    def cost(self, layout: Layout, parameters: FloatArray) -> float:
+        return 0.5 * float(np.sum(self.problem(layout, parameters).residuals(parameters) ** 2))
+
+    def residuals(self, layout: Layout, parameters: FloatArray) -> list[FloatArray]:
+        """For each experiment (K, p) measured minus simulated, NaN where it does not count."""
+        simulated = self.problem(layout, parameters).simulations(parameters)
+        return [
+            np.where(weight > 0, experiment.outputs - outputs, np.nan)
+            for experiment, outputs, weight in zip(self.experiments, simulated, self.weights, strict=True)
+        ]
+
+
+def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
     parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([own, start[len(own) :]])
-    problem = _problem(layout, start, experiments, weights, ties)
+    problem = data.problem(layout, start)
     low, high = layout.bounds
     result = least_squares(
         problem.residuals,
@@ -177,53 +199,11 @@ def _solve(
     return layout, np.asarray(result.x), float(result.cost)
 
 
-def _problem(
-    layout: Layout,
-    near: FloatArray,
-    experiments: Sequence[SampledExperiment],
-    weights: list[FloatArray],
-    ties: FloatArray,
-) -> OutputErrorProblem:
-    """The problem with the prior of the pasts that the system `near` gives, for each experiment so strong."""
-    prior = past_prior(layout.system(near), experiments, estimator_settings().start_deviation)
-    return OutputErrorProblem(layout, experiments, weights, [tie * prior for tie in ties])
-
-
-def _ties(
-    layout: Layout,
-    parameters: FloatArray,
-    experiments: Sequence[SampledExperiment],
-    weights: list[FloatArray],
-    ties: FloatArray,
-) -> FloatArray:
+def _ties(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
     """(experiments,) factors of the prior of each past: 1, and less where readings clearly speak against it (Huber)."""
-    residuals = _problem(layout, parameters, experiments, weights, ties).residuals(parameters)
-    size = np.linalg.norm(residuals[sum(map(np.size, weights)) :].reshape(len(ties), -1), axis=1) / ties
+    residuals = data.problem(layout, parameters).residuals(parameters)
+    size = np.linalg.norm(residuals[sum(map(np.size, data.weights)) :].reshape(len(data.ties), -1), axis=1) / data.ties
     return np.asarray(np.sqrt(_TIED / np.maximum(size, _TIED)))
-
-
-def _cost(
-    layout: Layout,
-    parameters: FloatArray,
-    experiments: Sequence[SampledExperiment],
-    weights: list[FloatArray],
-    ties: FloatArray,
-) -> float:
-    return 0.5 * float(np.sum(_problem(layout, parameters, experiments, weights, ties).residuals(parameters) ** 2))
-
-
-def _residuals(
-    layout: Layout,
-    parameters: FloatArray,
-    experiments: Sequence[SampledExperiment],
-    weights: list[FloatArray],
-    ties: FloatArray,
-) -> list[FloatArray]:
-    simulated = _problem(layout, parameters, experiments, weights, ties).simulations(parameters)
-    return [
-        np.where(weight > 0, experiment.outputs - outputs, np.nan)
-        for experiment, outputs, weight in zip(experiments, simulated, weights, strict=True)
-    ]
 
 
 def _weights(
@@ -246,17 +226,11 @@ def _weights(
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
-def _covariance(
-    layout: Layout,
-    parameters: FloatArray,
-    experiments: Sequence[SampledExperiment],
-    weights: list[FloatArray],
-    ties: FloatArray,
-) -> Sandwich:
-    problem, rows = _problem(layout, parameters, experiments, weights, ties), sum(map(np.size, weights))
+def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich:
+    problem, rows = data.problem(layout, parameters), sum(map(np.size, data.weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
-    error = np.where(np.concatenate(weights) > 0, error.reshape(-1, layout.outputs), np.nan)
-    cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
+    error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
+    cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
     return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))
 
 

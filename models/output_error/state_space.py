@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 
 # A continuous linear system with dead time: how it is sampled, and its states under any drive.
 
-
-AnyArray = NDArray[Any]
-"""Real, or complex on the way to a derivative."""
 
 _WHOLE = 1e-9
 

@@ -126,14 +126,13 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(shaped)))
 
 
-def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None) -> FloatArray:
+def long_run_covariance(scores: Sequence[FloatArray]) -> FloatArray:
     """(q, q) covariance of the scores' (K, q) sum, Bartlett weights.
 
     Nothing is correlated across experiments. The window is chosen from the scores' first autocorrelation (Andrews' rule
-    for Bartlett weights) unless given.
+    for Bartlett weights).
     """
-    if window is None:
-        window = _window(scores)
+    window = _window(scores)
     total = np.zeros((scores[0].shape[1],) * 2)
     for row in scores:
         total += row.T @ row

@@ -184,18 +184,19 @@ def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "
 
 def score(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> Validation:
     """Hold simulated outputs (K, 2), one array for each experiment, against its readings; raises as `validate`."""
-    errors = [
-        np.where(experiment.counts, experiment.outputs - outputs, np.nan)
-        for experiment, outputs in zip(experiments, simulated, strict=True)
-    ]
+    errors = [experiment.readings - outputs for experiment, outputs in zip(experiments, simulated, strict=True)]
+    rmse = np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0))
+    return Validation(fit_percents(simulated, experiments), rmse, check_residuals(errors, experiments))
+
+
+def fit_percents(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> FloatArray:
+    """(p,) pooled FIT [%] of simulated outputs (K, p), one array for each experiment; raises as `fit_percent`."""
     fits = []
-    for row in (0, 1):
+    for row in range(experiments[0].outputs.shape[1]):
         rows = [experiment.counts[:, row] for experiment in experiments]
         measured = [experiment.outputs[keep, row] for experiment, keep in zip(experiments, rows, strict=True)]
         fits.append(pooled_fit_percent(measured, [y[keep, row] for y, keep in zip(simulated, rows, strict=True)]))
-    return Validation(
-        np.array(fits), np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0)), check_residuals(errors, experiments)
-    )
+    return np.array(fits)
 
 
 def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> list[FloatArray]:

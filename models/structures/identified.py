@@ -16,7 +16,14 @@ from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
-from diffdrive_mpc.models.structures.model_file import ModelFile, build_model, structure_name, write_parameters
+from diffdrive_mpc.models.structures.channel import pole_estimate
+from diffdrive_mpc.models.structures.model_file import (
+    ModelFile,
+    TransferFunction,
+    build_model,
+    structure_name,
+    write_parameters,
+)
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel, mean_delay
 
 # The file carries this many digits: far finer than any standard deviation.
@@ -27,10 +34,16 @@ _HEAD = (
 )
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
+# Of a file that is read at once and not kept.
+_PROVENANCE = {"origin": "identified", "source": ""}
 
 
 def _delay_names(groups: Sequence[str]) -> list[str]:
     return [f"{group}.{part}" for group in groups for part in ("sum", "dead_time", "lag")]
+
+
+def _fields(group: str, file: type[TransferFunction]) -> list[str]:
+    return [f"{group}.{name}" for name in file.model_fields]
 
 
 @dataclass(frozen=True)
@@ -74,19 +87,18 @@ class IdentifiedModel:
         """Dead time and lag together, the dead time, and the lag [s] of each channel or motor.
 
         Named `v.sum`, `v.dead_time`, `v.lag` and so on, with the covariance of the estimate. None for a structure that
-        has neither two poles a channel nor one fit of both channels.
+        has neither transfer functions nor one fit of both channels.
         """
-        names = self.parameters.names
-        groups = [name.removesuffix(".damping") for name in names if name.endswith(".damping")]
+        groups = self._transfer_functions
 
-        def of_two_poles(row: FloatArray) -> FloatArray:
-            value = dict(zip(names, row, strict=True))
+        def of_groups(row: FloatArray) -> FloatArray:
+            value = dict(zip(self.parameters.names, row, strict=True))
             late = [value.get(f"{group}.dead_time", value.get("dead_time", 0.0)) for group in groups]
-            lag = [2.0 * value[f"{group}.damping"] / value[f"{group}.natural_frequency"] for group in groups]
+            lag = [file.lag([value[name] for name in _fields(group, file)]) for group, file in groups.items()]
             return np.column_stack([np.add(late, lag), late, lag]).ravel()
 
         if groups:
-            return self.parameters.derived(_delay_names(groups), of_two_poles)
+            return self.parameters.derived(_delay_names(list(groups)), of_groups)
         if len(self.fits) != 1:
             return None
         fit = self.fits[0]
@@ -96,8 +108,21 @@ class IdentifiedModel:
             whole = mean_delay(system.A, system.B, system.C, system.dead_time, range(len(CHANNELS)))
             return np.column_stack([whole, system.dead_time, whole - system.dead_time]).ravel()
 
-        estimate = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance)
-        return estimate.derived(_delay_names(CHANNELS), of_state_space)
+        return fit.estimate.derived(_delay_names(CHANNELS), of_state_space)
+
+    @property
+    def poles(self) -> list[ParameterEstimate]:
+        """Poles [rad/s] of each channel or motor, or of the whole, named as by `pole_names`; where they are known."""
+        groups = self._transfer_functions
+        if groups:
+            return [pole_estimate(self.parameters.part(_fields(*group)), group[1]) for group in groups.items()]
+        return [self.parameters.part([name for name in self.parameters.names if name.startswith("pole_")])]
+
+    @property
+    def _transfer_functions(self) -> dict[str, type[TransferFunction]]:
+        """Those of which every number was estimated, by the name before the dot."""
+        every = {group: type(part) for group, part in self.file("identified", _PROVENANCE).transfer_functions().items()}
+        return {group: file for group, file in every.items() if set(_fields(group, file)) <= {*self.parameters.names}}
 
     @property
     def structure(self) -> str:
@@ -107,12 +132,12 @@ class IdentifiedModel:
     @property
     def model(self) -> VelocityModel:
         """The velocity model; raises ModelError if its numbers cannot be a robot's."""
-        return build_model(self.file("identified", {"origin": "identified", "source": self.method}))
+        return build_model(self.file("identified", _PROVENANCE | {"source": self.method}))
 
     @property
     def system(self) -> LinearSystem:
         """The model with its sensor offsets and limits, as it is held against a log."""
-        data = self.file("identified", {"origin": "identified", "source": self.method})
+        data = self.file("identified", _PROVENANCE)
         limit = np.array([self.limits.get(channel, np.inf) for channel in CHANNELS])
         dead_time = np.array([data.dead_time.v, data.dead_time.omega])
         return LinearSystem(*data.matrices(), dead_time, self.offset, limit)
@@ -168,14 +193,8 @@ def model_file(
     pydantic.ValidationError
         If a number is not finite.
     """
-    provenance = {
-        "origin": "identified",
-        "source": source,
-        "method": f"{identified.method}; omega of the {identified.yaw}",
-        "experiments": list(records),
-        "date": date.isoformat(),
-        "notes": notes,
-    }
+    method = f"{identified.method}; omega of the {identified.yaw}"
+    origin = provenance(method, source=source, records=records, date=date, notes=notes)
     more: dict[str, Any] = {
         "fit_percent": percent(train_fit_percent),
         "uncertainty": uncertainty(identified.parameters),
@@ -185,7 +204,21 @@ def model_file(
         more["validation_fit_percent"] = percent(validation_fit_percent)
     if identified.limits:
         more["limits"] = dict(identified.limits)
-    return identified.file(name, provenance, **more)
+    return identified.file(name, origin, **more)
+
+
+def provenance(
+    method: str, *, source: str, records: Sequence[str], date: datetime.date, notes: str = ""
+) -> dict[str, Any]:
+    """Where the numbers of an identified model come from, as its file says it; arguments as of `model_file`."""
+    return {
+        "origin": "identified",
+        "source": source,
+        "method": method,
+        "experiments": list(records),
+        "date": date.isoformat(),
+        "notes": notes,
+    }
 
 
 def write_model_file(path: Path, content: ModelFile) -> None:

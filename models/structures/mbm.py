@@ -8,24 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments, wheel_experiments
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.output_error.state_space import AnyArray
+from diffdrive_mpc.models.structures.channel import identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
-from diffdrive_mpc.models.structures.two_poles import (
-    IdentifiedChannel,
-    TwoPolesParametrisation,
-    identify_channel,
-    two_poles,
-    two_poles_parameters,
-)
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
@@ -55,14 +50,14 @@ class MotorsParametrisation:
     def names(self) -> tuple[str, ...]:
         """Three for each motor, then the firmware's track."""
         return (
-            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TwoPolesParametrisation().names),
+            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names),
             "log_track",
         )
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """(3 motors + 1,) bounds from the settings."""
-        low, high = TwoPolesParametrisation().bounds
+        low, high = TWO_POLES.bounds
         track = np.log(estimator_settings().track)
         count = len(self.sides)
         return np.append(np.tile(low, count), track[0]), np.append(np.tile(high, count), track[1])
@@ -73,9 +68,9 @@ class MotorsParametrisation:
         A = np.zeros((2 * count, 2 * count), dtype=parameters.dtype)
         B, C = np.zeros((2 * count, 2), dtype=parameters.dtype), np.zeros((count, 2 * count), dtype=parameters.dtype)
         track = np.exp(parameters[-1])
-        for i, side in enumerate(self.sides):
+        for i, (side, motor) in enumerate(zip(self.sides, parameters[:-1].reshape(count, -1), strict=True)):
             rows = slice(2 * i, 2 * i + 2)
-            A[rows, rows], into, C[i : i + 1, rows] = TwoPolesParametrisation().matrices(parameters[3 * i : 3 * i + 3])
+            A[rows, rows], into, C[i : i + 1, rows] = TWO_POLES.matrices(motor)
             B[rows] = into * np.array([1.0, 0.5 * side * track]) / self.radius
         return A, B, C
 
@@ -87,7 +82,7 @@ class MotorsParametrisation:
 _MOTORS = tuple(Motors.model_fields)
 
 
-def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool = True) -> IdentifiedModel:
+def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
     The effective track is the one for which the motors' steady turning rate becomes that of the gyro, whatever the two
@@ -100,8 +95,6 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         a side are equal.
     wheel_radius
         [m], as the robot's firmware has it.
-    robust
-        Whether single outliers are held back.
 
     Raises
     ------
@@ -114,18 +107,17 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         "omega",
         offset=True,
         limit=False,
-        robust=robust,
     )
     sides = _SIDES[: experiments[0].outputs.shape[1]]
     layout = Layout(MotorsParametrisation(sides, wheel_radius), 2, len(sides), shared_dead_time=True)
-    fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius, robust))], experiments, robust)
-    parameters = _with_effective_track(joined([_physical(fit, len(sides)), _yaw_gain(yaw)]), len(sides))
+    fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius))], experiments)
+    turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
+    parameters = _with_effective_track(joined([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
         name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
         for i, name in enumerate(_MOTORS)
     }
     dead_time = parameters.value("dead_time")
-    delays = doubts.answer_delays(fit, _MOTORS[: len(sides)], [0] * len(sides))
     return IdentifiedModel(
         schema=MbmFile,
         content={
@@ -141,27 +133,31 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         yaw="gyro",
         method=METHOD,
         fits=(fit, yaw.fit),
-        warnings=(
-            *doubts.at_bounds(fit, "motors"),
-            *(
-                doubt.of("motors")
-                for doubt in doubts.badly_known(parameters.part(_doubtful(parameters)), delays=delays)
-            ),
-            *(doubt.of("motors") for doubt in doubts.late_answers(delays)),
-            *doubts.hardly_identifiable(fit, "motors"),
-        ),
+        warnings=_warnings(fit, parameters, len(sides)),
     )
 
 
-def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], radius: float, robust: bool) -> FloatArray:
+def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
+    delays = doubts.answer_delays(fit, _MOTORS[:motors], [0] * motors)
+    # An offset or a dead time near zero is no doubt about the model.
+    sized = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
+    unknown = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
+    return (
+        *doubts.at_bounds(fit, "motors"),
+        *(doubt.of("motors") for doubt in unknown),
+        *doubts.hardly_identifiable(fit, "motors"),
+    )
+
+
+def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], radius: float) -> FloatArray:
     """Forward motion gives a motor for all, turning the track."""
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
-    v = identify_channel(forward, "wheels", limit=False, robust=robust).parameters
-    omega = identify_channel(turning, "wheels' difference", limit=False, robust=robust).parameters
-    motor = two_poles_parameters(*(v.value(key) for key in TwoPoles.model_fields))
-    track = np.log(omega.value("gain") / v.value("gain"))
-    return np.concatenate([np.tile(motor, len(sides)), [track, v.value("dead_time")]])
+    v = identify_channel(forward, "wheels", limit=False)
+    omega = identify_channel(turning, "wheels' difference", limit=False)
+    motor = TWO_POLES.parameters(np.array(list(v.content.values())))
+    track = np.log(omega.content["gain"] / v.content["gain"])
+    return np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")]])
 
 
 def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
@@ -180,16 +176,11 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
     names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
 
     def physical(row: FloatArray) -> FloatArray:
-        each = [two_poles(row[3 * i : 3 * i + 3]) for i in range(motors)]
-        return np.concatenate([*each, np.exp(row[3 * motors : 3 * motors + 1]), row[3 * motors + 1 :]])
+        own, dead_time, *_ = fit.layout.split(row)
+        each = [TWO_POLES.values(motor) for motor in own[:-1].reshape(motors, -1)]
+        return np.concatenate([*each, np.exp(own[-1:]), dead_time])
 
-    return ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
-        (*names, "firmware_track", "dead_time"), physical
-    )
-
-
-def _yaw_gain(yaw: IdentifiedChannel) -> ParameterEstimate:
-    return yaw.parameters.part(["gain", "offset"]).renamed("omega")
+    return fit.estimate.derived((*names, "firmware_track", "dead_time"), physical)
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:
@@ -204,11 +195,6 @@ def _with_effective_track(estimate: ParameterEstimate, motors: int) -> Parameter
 
     names = tuple("effective_track" if name == "omega.gain" else name for name in estimate.names)
     return estimate.derived(names, exchanged)
-
-
-def _doubtful(parameters: ParameterEstimate) -> list[str]:
-    """An offset or a dead time near zero is no doubt about the model."""
-    return [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -11,10 +12,10 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import StrictModel
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.named_file import kept_editor_line
 from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray]
@@ -107,8 +108,12 @@ class ModelFile(ParameterFile):
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 2), C (2, n)."""
-        raise TypeError("ModelFile only holds what the structures share")
+        """Continuous A (n, n), B (n, 2), C (2, n); of a structure that says no more, its transfer functions'."""
+        return side_by_side(self.transfer_functions().values())
+
+    def transfer_functions(self) -> Mapping[str, TransferFunction]:
+        """Those that the file states, by the name before the dot of their parameters; none by default."""
+        return {}
 
 
 def build_model(data: ModelFile) -> VelocityModel:
@@ -149,21 +154,46 @@ def structure_name(schema: type[ModelFile]) -> str:
 # Schemas of the structures' parameter files, and the matrices that they state, without what identifies them.
 
 
-class TwoPoles(StrictModel):
+class TransferFunction(StrictModel):
+    """From one command to one output. A subclass states its numbers as fields, and what they mean as functions."""
+
+    @staticmethod
+    def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """A (n, n), B (n, 1), C (1, n) of the fields (f,) in their order; analytic, so that a complex step passes."""
+        raise NotImplementedError
+
+    @staticmethod
+    def lag(values: Sequence[float] | FloatArray) -> float:
+        """Mean delay of its answer [s] for the fields (f,) in their order."""
+        raise NotImplementedError
+
+    def matrices(self) -> Matrices:
+        """Continuous A (n, n), B (n, 1), C (1, n)."""
+        return self.realisation(np.array(list(self.model_dump().values())))
+
+
+class TwoPoles(TransferFunction):
     """gain w^2 / (s^2 + 2 damping w s + w^2): two poles, no zeros, real or complex."""
 
     gain: Positive = Field(description="steady-state gain [-]")
     natural_frequency: Positive = Field(description="w [rad/s]")
     damping: Positive = Field(description="[-]; above 1 the poles are real")
 
-    def matrices(self) -> Matrices:
-        """Realisation with states (output, its derivative over w): (2, 2), (2, 1), (1, 2), all of one scale."""
-        w = self.natural_frequency
-        A = np.array([[0.0, w], [-w, -2 * self.damping * w]])
-        return A, np.array([[0.0], [self.gain * w]]), np.array([[1.0, 0.0]])
+    @staticmethod
+    def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """States (output, its derivative over w): (2, 2), (2, 1), (1, 2), all of one scale."""
+        gain, w, damping = values
+        A = np.array([[0.0, w], [-w, -2 * damping * w]])
+        return A, np.array([[0.0], [gain * w]]), np.array([[1.0, 0.0]], dtype=values.dtype)
+
+    @staticmethod
+    def lag(values: Sequence[float] | FloatArray) -> float:
+        """Sum of both time constants [s]."""
+        _, w, damping = values
+        return float(2.0 * damping / w)
 
 
-def side_by_side(parts: list[TwoPoles]) -> Matrices:
+def side_by_side(parts: Iterable[TransferFunction]) -> Matrices:
     """Side by side: each transfer function keeps its own input and output."""
     from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does without it
 
@@ -193,11 +223,13 @@ class MbmFile(ModelFile):
     firmware_track: Positive = Field(description="track on the way in [m]")
     effective_track: Positive = Field(description="track on the way out [m]")
 
+    def transfer_functions(self) -> Mapping[str, TransferFunction]:
+        """Of each motor."""
+        return dict(self.motors)
+
     def matrices(self) -> Matrices:
         """Continuous A (8, 8), B (8, 2), C (2, 8)."""
-        A, B, C = side_by_side(
-            [self.motors.front_left, self.motors.front_right, self.motors.rear_left, self.motors.rear_right]
-        )
+        A, B, C = super().matrices()
         into = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
         out = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
         return A, B @ into, out @ C
@@ -216,9 +248,9 @@ class SmFile(ModelFile):
     structure: Literal["sm"]
     channels: SmChannels
 
-    def matrices(self) -> Matrices:
-        """Continuous A (4, 4), B (4, 2), C (2, 4)."""
-        return side_by_side([getattr(self.channels, channel) for channel in CHANNELS])
+    def transfer_functions(self) -> Mapping[str, TransferFunction]:
+        """Of each channel."""
+        return dict(self.channels)
 
 
 class SsmFile(ModelFile):

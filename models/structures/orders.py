@@ -71,7 +71,6 @@ def compare_orders(
     yaw: YawSource,
     *,
     asked: int | None = None,
-    robust: bool = True,
 ) -> OrderChoice:
     """Choose among models of order 1, 2 and so on.
 
@@ -89,8 +88,6 @@ def compare_orders(
         Which sensor's omega the models predict.
     asked
         The order, where nothing is to be chosen.
-    robust
-        Whether single outliers are held back.
 
     Raises
     ------
@@ -98,7 +95,7 @@ def compare_orders(
         If no order gives a usable model.
     """
     criteria = _criteria(models)
-    held_out = [None] * len(models) if asked else _block_fits(models, joined(twist_experiments(train, yaw)), robust)
+    held_out = [None] * len(models) if asked else _block_fits(models, joined(twist_experiments(train, yaw)))
     rows = tuple(
         OrderRow(
             identified,
@@ -126,15 +123,13 @@ def compare_orders(
     return OrderChoice(rows, order, "lowest Schwarz criterion; the records are too short to hold blocks out")
 
 
-def _block_fits(
-    models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment], robust: bool
-) -> list[FloatArray | None]:
+def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment]) -> list[FloatArray | None]:
     """For each model (2,) FIT [%] on blocks held out in turn; None where the records are too short."""
     spread = output_spread(experiments)
     fits: list[FloatArray | None] = []
     for model in models:
         try:
-            powers = hold_out(model.fits[0], experiments, robust).powers
+            powers = hold_out(model.fits[0], experiments).powers
         except ValueError:
             fits.append(None)
         else:

@@ -9,20 +9,28 @@ import numpy as np
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import joined
+from diffdrive_mpc.models.structures.channel import ChannelForm, IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import SmFile, TwoPoles
+from diffdrive_mpc.models.structures.model_file import ModelFile, SmFile
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
-from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
-    "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "
-    "at once, free initial states, outliers held back, several starts"
+    "output error (simulation from commands alone), {} and a dead time for each channel, all records at once, free "
+    "initial states, outliers held back, several starts"
 )
+"""With the form of the channels."""
 
 
 def identify_sm(
-    records: Sequence[Record], *, yaw: YawSource = "gyro", limits: bool = True, robust: bool = True
+    records: Sequence[Record],
+    *,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+    form: ChannelForm = TWO_POLES,
+    schema: type[ModelFile] = SmFile,
 ) -> IdentifiedModel:
     """Identify SM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
@@ -36,34 +44,43 @@ def identify_sm(
         Whether to look for levels at which the robot clips its commands.
     robust
         Whether single outliers are held back.
+    form, schema
+        The kind of transfer function, and of the file whose `channels` state it.
 
     Raises
     ------
     ValueError
         If a record lacks a signal, or the robot or its commands never move.
     """
-    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust)
+    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust, form=form)
     fits = dict(zip(CHANNELS, channels, strict=True))
     return IdentifiedModel(
-        schema=SmFile,
+        schema=schema,
         content={
             "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
-            "channels": rounded(
-                {name: {key: fit.parameters.value(key) for key in TwoPoles.model_fields} for name, fit in fits.items()}
-            ),
+            "channels": rounded({name: fit.content for name, fit in fits.items()}),
         },
         parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),
-        limits=channel_limits(channels),
+        limits={
+            name: float(rounded(fit.parameters.value("limit")))
+            for name, fit in fits.items()
+            if "limit" in fit.parameters.names
+        },
         yaw=yaw,
-        method=METHOD,
+        method=METHOD.format(form.words),
         fits=tuple(fit.fit for fit in channels),
         warnings=tuple(warning for fit in channels for warning in fit.warnings),
     )
 
 
 def identify_channels(
-    records: Sequence[Record], *, yaw: YawSource = "gyro", limits: bool = True, robust: bool = True
+    records: Sequence[Record],
+    *,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+    form: ChannelForm = TWO_POLES,
 ) -> tuple[IdentifiedChannel, IdentifiedChannel]:
     """The two channels of SM, v and omega; parameters and errors as `identify_sm`."""
     experiments = twist_experiments(records, yaw)
@@ -71,6 +88,7 @@ def identify_channels(
         identify_channel(
             [experiment.channel(row, row) for experiment in experiments],
             channel,
+            form=form,
             offset=channel == "omega" and yaw == "gyro",
             limit=limits,
             robust=robust,
@@ -78,15 +96,6 @@ def identify_channels(
         for row, channel in enumerate(CHANNELS)
     )
     return v, omega
-
-
-def channel_limits(channels: Sequence[IdentifiedChannel]) -> dict[str, float]:
-    """Level of each channel that has one."""
-    return {
-        name: float(rounded(fit.parameters.value("limit")))
-        for name, fit in zip(CHANNELS, channels, strict=True)
-        if "limit" in fit.parameters.names
-    }
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
-from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
+from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import (
@@ -27,13 +27,13 @@ from diffdrive_mpc.models.output_error.state_space import (
     real_pole_names,
     spare_state,
 )
+from diffdrive_mpc.models.structures.channel import IdentifiedChannel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
 from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
-from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
@@ -47,12 +47,10 @@ def identify_ssm(
     records: Sequence[Record],
     order: int = 2,
     *,
-    yaw: YawSource = "gyro",
     limits: bool = True,
-    robust: bool = True,
 ) -> IdentifiedModel:
     """Identify SSM of one order by output error; as `identify_ssm_orders`."""
-    return identify_ssm_orders(records, order, yaw=yaw, limits=limits, robust=robust)[-1]
+    return identify_ssm_orders(records, order, limits=limits)[-1]
 
 
 def choose_order(
@@ -62,7 +60,6 @@ def choose_order(
     largest: int = LARGEST_ORDER,
     yaw: YawSource = "gyro",
     limits: bool = True,
-    robust: bool = True,
     asked: int | None = None,
 ) -> OrderChoice:
     """Identify every order up to `largest` and choose one, as `compare_orders` does.
@@ -75,7 +72,7 @@ def choose_order(
         Records held out, which have no part in the choice.
     largest
         2 to 5.
-    yaw, limits, robust
+    yaw, limits
         As for `identify_ssm`.
     asked
         The order, where nothing is to be chosen.
@@ -85,8 +82,8 @@ def choose_order(
     ValueError
         As `identify_ssm_orders`; or if no order gives a usable model.
     """
-    models = identify_ssm_orders(train, largest, yaw=yaw, limits=limits, robust=robust)
-    return compare_orders(models, train, validation, yaw, asked=asked, robust=robust)
+    models = identify_ssm_orders(train, largest, yaw=yaw, limits=limits)
+    return compare_orders(models, train, validation, yaw, asked=asked)
 
 
 def identify_ssm_orders(
@@ -95,7 +92,6 @@ def identify_ssm_orders(
     *,
     yaw: YawSource = "gyro",
     limits: bool = True,
-    robust: bool = True,
 ) -> list[IdentifiedModel]:
     """Identify SSM of every order from 1 to `largest`; each starts from the one below too, so none explains less.
 
@@ -109,8 +105,6 @@ def identify_ssm_orders(
         Which sensor's omega the model predicts.
     limits
         Whether to look for levels at which the robot clips its commands.
-    robust
-        Whether single outliers are held back.
 
     Raises
     ------
@@ -120,10 +114,10 @@ def identify_ssm_orders(
     if not 1 <= largest <= LARGEST_ORDER:
         raise ValueError(f"order {largest}: give 1 to {LARGEST_ORDER}")
     experiments = twist_experiments(records, yaw)
-    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust)
+    channels = identify_channels(records, yaw=yaw, limits=limits)
     fits: list[OutputErrorFit] = []
     for order in range(1, largest + 1):
-        fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro", robust))
+        fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro"))
     return [_identified(fit, yaw) for fit in fits]
 
 
@@ -133,7 +127,6 @@ def _fit(
     order: int,
     below: OutputErrorFit | None,
     offset: bool,
-    robust: bool,
 ) -> OutputErrorFit:
     limited = tuple("limit" in channel.parameters.names for channel in channels)
     dead_time = np.array([channel.parameters.value("dead_time") for channel in channels])
@@ -165,7 +158,7 @@ def _fit(
     if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
     scale = np.concatenate([channel.fit.scale for channel in channels])
-    return fit_output_error(candidates, experiments, robust, scale=scale)
+    return fit_output_error(candidates, experiments, scale=scale)
 
 
 def _side_by_side(channels: tuple[IdentifiedChannel, IdentifiedChannel], poles: int) -> Realisation:
@@ -207,9 +200,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         gain = -system.C @ np.linalg.solve(system.A, system.B)
         return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[own:]])
 
-    parameters = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
-        (*gains, *named_poles, *rest), meaningful
-    )
+    parameters = fit.estimate.derived((*gains, *named_poles, *rest), meaningful)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
     values = fit.parameters[own + dead_times + offsets :]
     delays = doubts.answer_delays(fit, CHANNELS, [0, 1])

@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects.free_run import free_run
-from diffdrive_mpc.models.identification.poses import PoseDrift, pose_drift
+from diffdrive_mpc.models.identification.fit.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record

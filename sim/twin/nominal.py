@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, laid_over, read_yaml
-from diffdrive_mpc.models.identification.noise import sensor_noise
+from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record

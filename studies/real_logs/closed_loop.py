@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
-from diffdrive_mpc.models.identification.slip import SURFACE_FILE as SURFACE
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE as SURFACE
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.robot import TwistBounds
 from diffdrive_mpc.mpc import Controller, load_config

@@ -18,9 +18,9 @@ from pydantic import Field
 from diffdrive_mpc.models.base_effects import PoseMount
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.fit.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.identification.from_logs import Identification, identify_data
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record, read_log
 from diffdrive_mpc.models.output_error.validation import simulate_records, validate

@@ -85,7 +85,7 @@ def parameter_table(proof: LogProof) -> Table:
         rows=tuple(
             (name, f"{value:.4g}", f"{deviation:.2g}")
             for estimate in estimates
-            for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+            for name, value, deviation in estimate.rows
         ),
         note="SI units.",
     )

@@ -33,11 +33,11 @@ from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.named_file import kept_editor_line
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
 from diffdrive_mpc.models.robot import Positive, load_robot
-from diffdrive_mpc.models.structures.model_file import Motors, TwoPoles
-from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
+from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
+from diffdrive_mpc.models.structures.model_file import Motors
+from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands, step_commands
@@ -121,11 +121,9 @@ def fit_models(
     count = itertools.count(1)
 
     def identify(label: str, experiments: list[SampledExperiment], dead_time: float | None) -> IdentifiedChannel:
-        shortest = fitting_settings().shortest
+        form = TwoPolesForm(shortest=fitting_settings().shortest)
         # The simulated sensors have no outliers, and the experiments stay below every limit.
-        channel = identify_channel(
-            experiments, label, limit=False, robust=False, dead_time=dead_time, shortest=shortest
-        )
+        channel = identify_channel(experiments, label, form=form, limit=False, robust=False, dead_time=dead_time)
         announce(next(count), IDENTIFICATIONS)
         return channel
 
@@ -205,7 +203,7 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     return {
         "warnings": [str(warning) for fit in fits.values() for warning in fit.warnings],
         "dead_time": {channel: round(fit.parameters.value("dead_time"), 5) for channel, fit in fits.items()},
-        "channels": {channel: _rounded(fit.parameters) for channel, fit in fits.items()},
+        "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
     }
 
 
@@ -222,16 +220,15 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     alone = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
     shared = float(np.mean([parameters.value("dead_time") for parameters in alone]))
     channels = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
-    motors = [channel.parameters for channel in channels]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
     settled = np.concatenate([_settled(log) for log in logs.omega])
-    gain = np.mean([motor.value("gain") for motor in motors])
+    gain = np.mean([channel.content["gain"] for channel in channels])
     return {
         "warnings": [str(warning) for channel in channels for warning in channel.warnings],
         "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
-        "motors": {name: _rounded(motor) for name, motor in zip(names, motors, strict=True)},
+        "motors": {name: _rounded(channel) for name, channel in zip(names, channels, strict=True)},
         "wheel_radius": robot.wheel_radius,
         "firmware_track": round(identify_track(difference[settled], commanded[settled]) / float(gain), 5),
         "effective_track": round(identify_track(difference[settled], gyro[settled]), 5),
@@ -264,8 +261,8 @@ def _describe(logs: list[OpenLoopDrive], row: int) -> str:
     return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}"
 
 
-def _rounded(channel: ParameterEstimate) -> dict[str, float]:
-    return {key: float(f"{channel.value(key):.5g}") for key in TwoPoles.model_fields}
+def _rounded(channel: IdentifiedChannel) -> dict[str, float]:
+    return {key: float(f"{value:.5g}") for key, value in channel.content.items()}
 
 
 def _yaml(name: str, data: dict[str, Any]) -> str:

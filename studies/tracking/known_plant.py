@@ -9,9 +9,8 @@ import numpy as np
 
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.structures.model_file import TwoPoles, side_by_side
-from diffdrive_mpc.models.structures.two_poles import identify_channel
+from diffdrive_mpc.models.structures.channel import identify_channel
+from diffdrive_mpc.models.structures.model_file import side_by_side
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -66,11 +65,11 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     logs = [_drive(plant, surface, trajectory) for trajectory in trajectories]
     # The truth has no outliers, and no reference is beyond a limit of the robot.
     fits = [
-        identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False).parameters
+        identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False)
         for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
     ]
-    A, B, C = side_by_side([_transfer(fit) for fit in fits])
-    dead_time = np.array([fit.value("dead_time") for fit in fits])
+    A, B, C = side_by_side([fit.form.file(**fit.content) for fit in fits])
+    dead_time = np.array([fit.parameters.value("dead_time") for fit in fits])
     model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, dead_time)
     side_slip, load_shift = _slip(logs)
     return KnownPlant(model, side_slip, load_shift)
@@ -98,10 +97,6 @@ def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[S
             command, moved = (np.pad(rows, before) for rows in (log.command[:, [channel]], log.true_twist[:, [output]]))
             experiments.append(SampledExperiment("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
     return experiments
-
-
-def _transfer(parameters: ParameterEstimate) -> TwoPoles:
-    return TwoPoles(**{name: parameters.value(name) for name in TwoPoles.model_fields})
 
 
 def _slip(logs: list[OpenLoopDrive]) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import diffdrive_mpc
 from diffdrive_mpc import Controller, identify, load_config, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification
-from diffdrive_mpc.models.identification.configuration import NODE_FILE
+from diffdrive_mpc.models.identification.deliver.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.robot import SampleTime
 from diffdrive_mpc.mpc.config.schema import ControllerConfig

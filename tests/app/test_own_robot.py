@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.configuration import round_period
+from diffdrive_mpc.models.identification.deliver.configuration import round_period
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.identification.effects.fitting import fit_effects, wei
 from diffdrive_mpc.models.identification.effects.free_run import base_track, sensed
 from diffdrive_mpc.models.identification.effects.selection import EFFECTS, LINEAR
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
-from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import read_data
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.structures.registry import STRUCTURES

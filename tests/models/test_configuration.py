@@ -6,7 +6,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.identification.configuration import configure
+from diffdrive_mpc.models.identification.deliver.configuration import configure
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.output_error.doubts import answer_delays, badly_known, late_answers
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.structures.two_poles import identify_channel
+from diffdrive_mpc.models.structures.channel import identify_channel
 
 ROOM = Path(models.__file__).parent
 TRIALS = ROOM.parent / "studies" / "shipped_models"

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.identification.noise import TOLD, DriveInformation
+from diffdrive_mpc.models.identification.fit.noise import TOLD, DriveInformation
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.structures.model_file import build_model

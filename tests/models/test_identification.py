@@ -7,7 +7,8 @@ from identification_parts import DT, system, two_channels
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.validation import fit_percent, pooled_fit_percent, simulate_experiment
-from diffdrive_mpc.models.structures.two_poles import identify_channel
+from diffdrive_mpc.models.structures.channel import identify_channel
+from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 
@@ -77,7 +78,7 @@ def test_a_known_dead_time_is_kept():
 def test_a_bound_on_the_shorter_time_constant_is_kept():
     """A robot with one lag shows no second pole: without the bound it would run to the edge of what can be seen."""
     one_lag = [record((1.0, 80.0, 4.5), 0.04, level) for level in (0.5, -0.8)]
-    found = identify(one_lag, shortest=5e-3).parameters
+    found = identify(one_lag, form=TwoPolesForm(shortest=5e-3)).parameters
     frequency, damping = found.value("natural_frequency"), found.value("damping")
     assert 0.5 / (frequency * damping) == pytest.approx(5e-3, rel=1e-3)
     assert found.value("dead_time") + 2 * damping / frequency == pytest.approx(0.04 + 0.1125, abs=2e-3)

@@ -5,7 +5,7 @@ import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, system
 
 from diffdrive_mpc.models import integrate_pose
-from diffdrive_mpc.models.identification.poses import pose_drift
+from diffdrive_mpc.models.identification.fit.poses import pose_drift
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.output_error.validation import fit_percent, simulate_records, validate
 

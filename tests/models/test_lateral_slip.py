@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.identification.slip import lateral_slip
+from diffdrive_mpc.models.identification.fit.slip import lateral_slip
 from diffdrive_mpc.models.logs.record import Record
 
 DT, COUNT = 0.02, 3000

@@ -23,7 +23,7 @@ from diffdrive_mpc.models.output_error.state_space import (
 from diffdrive_mpc.models.output_error.statistics import sandwich, spike_weights
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
 from diffdrive_mpc.models.structures.mbm import MotorsParametrisation
-from diffdrive_mpc.models.structures.two_poles import TwoPolesParametrisation
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
@@ -62,7 +62,7 @@ def test_sampling_is_that_of_control(name, dead_time):
 
 STRUCTURES = {
     "two poles": (
-        Layout(TwoPolesParametrisation(), 1, 1, offset=(True,), limited=(True,)),
+        Layout(TWO_POLES, 1, 1, offset=(True,), limited=(True,)),
         [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7],
     ),
     "state space": (

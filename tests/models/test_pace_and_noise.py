@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.identification.configuration import choose_pace, settling_time
-from diffdrive_mpc.models.identification.noise import sensor_noise
+from diffdrive_mpc.models.identification.deliver.configuration import choose_pace, settling_time
+from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.velocity_model import VelocityModel

@@ -4,7 +4,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.identification.configuration import IdentifiedConfiguration, Setting
+from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.export.generated_c import trajectory_texts

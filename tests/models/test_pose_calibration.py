@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from identification_parts import DT, set_points
 
 from diffdrive_mpc.models import integrate_pose
-from diffdrive_mpc.models.identification.pose_calibration import (
+from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
     GrowingTrack,
     SlipPolynomial,
@@ -15,7 +15,7 @@ from diffdrive_mpc.models.identification.pose_calibration import (
     calibrate_wheels,
     displacement,
 )
-from diffdrive_mpc.models.identification.poses import rotation_centre
+from diffdrive_mpc.models.identification.fit.poses import rotation_centre
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.slip_laws import virtual_track_yaw_rate
 

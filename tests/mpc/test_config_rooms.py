@@ -95,7 +95,7 @@ def test_rooms_lose_nothing():
 
 
 def test_what_identify_writes_is_written_as_it_is_now():
-    from diffdrive_mpc.models.identification.configuration import IdentifiedConfiguration, Setting
+    from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
 
     limits = tuple(Setting(name, 1.5) for name in ("v", "omega", "predicted_v", "predicted_omega", "corridor"))
     rest = {"estimator": (Setting("heading_noise", 0.01),), "reentry": (Setting("band", 0.1),)}

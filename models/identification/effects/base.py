@@ -28,9 +28,9 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import YawSource, joined, parted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
+from diffdrive_mpc.models.output_error.validation import fit_percents
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import SmFile
+from diffdrive_mpc.models.structures.model_file import SmFile, TwoPoles
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
@@ -89,16 +89,7 @@ class IdentifiedBase:
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
         """(p,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
-        experiments, simulated = sensed(records, self.identified.yaw), self.readings(records)
-        return np.array(
-            [
-                pooled_fit_percent(
-                    [s.outputs[s.counts[:, row], row] for s in experiments],
-                    [y[s.counts[:, row], row] for y, s in zip(simulated, experiments, strict=True)],
-                )
-                for row in range(experiments[0].outputs.shape[1])
-            ]
-        )
+        return fit_percents(self.readings(records), sensed(records, self.identified.yaw))
 
     def refitted(self, records: Sequence[Record]) -> IdentifiedModel:
         """The same effects, with the numbers that other records give them; its statistics stay those of `identified`.
@@ -254,13 +245,9 @@ def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
 
     def delays(row: FloatArray) -> FloatArray:
         point = {**known, **dict(zip(parameters.names, row.tolist(), strict=True))}
-        damping = [point.get(f"{channel}.damping", 1.0) for channel in CHANNELS]
-        return np.array(
-            [
-                point[f"{channel}.dead_time"] + 2 * d / point[f"{channel}.natural_frequency"]
-                for channel, d in zip(CHANNELS, damping, strict=True)
-            ]
-        )
+        values = [[point.get(f"{channel}.{name}", 1.0) for name in TwoPoles.model_fields] for channel in CHANNELS]
+        late = [point[f"{channel}.dead_time"] for channel in CHANNELS]
+        return np.add(late, [TwoPoles.lag(own) for own in values])
 
     return parameters.derived(CHANNELS, delays)
 

@@ -13,6 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import joined, twist_experiments
 from diffdrive_mpc.models.output_error.held_out import blocks, cut, hold_out
+from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -28,17 +29,15 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
     experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
     measured = joined(sensed(records, plain.yaw))
     powers: list[FloatArray] = []
-    spread = []
     for row in range(2):
         channel = [experiment.channel(row, row) for experiment in experiments]
         powers.append(hold_out(plain.fits[row], channel).powers[:, 0])
-        spread.append(np.std(np.concatenate([one.outputs[one.counts] for one in channel])))
     with_effects = []
     for (_, block), point in zip(blocks(measured), base.points, strict=True):
-        errors = [np.where(s.counts, free_run(point, s) - s.outputs, np.nan)[:, [0, -1]] for s in cut(measured, block)]
+        errors = [(free_run(point, part) - part.readings)[:, [0, -1]] for part in cut(measured, block)]
         with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
     rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
-    fits = 100.0 * (1.0 - rms / np.array(spread))
+    fits = 100.0 * (1.0 - rms / output_spread(experiments))
     gained = fits[1] - fits[0]
     if gained.min() > -settings.most_lost and gained.mean() > 0.0:
         return None

@@ -42,7 +42,7 @@ class Weighted:
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
         """For each experiment (K, p) weighted errors of a free run, NaN where there is no reading."""
         return [
-            np.where(s.counts, w * (free_run(point, s, smooth=smooth) - s.outputs), np.nan)
+            w * (free_run(point, s, smooth=smooth) - s.readings)
             for s, w in zip(self.experiments, self.weights, strict=True)
         ]
 

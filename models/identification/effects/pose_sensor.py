@@ -95,7 +95,7 @@ def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | Non
 
 def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_Window]:
     """Displacements between fresh poses, none overlapping."""
-    if record.twist is None or record.pose is None or record.fresh_pose is None:
+    if record.twist is None or record.pose is None:
         return []
     steps = round(effect_settings().pose.window / record.dt)
     late = point["encoders.delay"] + point.get("encoders.lag", 0.0)
@@ -106,12 +106,8 @@ def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_
     x, y, theta = record.pose.T
     c, s = np.cos(theta), np.sin(theta)
     windows = []
-    k = 0
-    while k + steps < len(speed):
+    for k in record.pose_windows(steps, np.isfinite(theta)):
         rows = slice(k, k + steps + 1)
-        if not (record.fresh_pose[k] and record.fresh_pose[k + steps] and np.isfinite(theta[rows]).all()):
-            k += 1
-            continue
         way = np.array([_trapezoid(speed[rows] * c[rows]), _trapezoid(speed[rows] * s[rows])]) * record.dt
         into = np.array([[c[k], s[k]], [-s[k], c[k]]])
         turned = theta[k + steps] - theta[k]
@@ -120,7 +116,6 @@ def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_
         across = np.array([-along[1], along[0]])
         displacement = into @ np.array([x[k + steps] - x[k], y[k + steps] - y[k]])
         windows.append(_Window(np.column_stack([along, across, rotation - np.eye(2)]), displacement))
-        k += steps
     return windows
 
 

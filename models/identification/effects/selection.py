@@ -201,15 +201,10 @@ def select_effects(
     model = tried(fit, data)
     effects: list[str] = []
     trials: list[EffectTrial] = []
-    for effect in EFFECTS:
-        known = {name: value for name, value in clipped.items() if name in EFFECTS[effect]}
-        if (effect in _NEEDS_TRACK and encoder_track is None) or (effect == _CLIPPED and not known):
-            continue
-        if effect in _BY_GYRO and not gyro:
-            continue
-        if on_trial is not None:
-            on_trial(effect)
-        candidate = tried(_with(model.fit, effect, data, known), data)
+    announce = on_trial or (lambda _: None)
+    for effect in _possible(gyro=gyro, track=encoder_track is not None, clipped=bool(clipped)):
+        announce(effect)
+        candidate = tried(_with(model.fit, effect, data, clipped if effect == _CLIPPED else {}), data)
         worth = gain(model, candidate, data)
         sure = worth.gain > settings.certain * worth.error
         kept = sure and worth.gain > settings.worth and 2 * worth.blocks > len(model.points)
@@ -218,8 +213,7 @@ def select_effects(
             effects.append(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
     for effect in tuple(effects):
-        if on_trial is not None:
-            on_trial(f"without {effect}")
+        announce(f"without {effect}")
         candidate = tried(_without(model.fit, effect, data), data)
         worth = gain(candidate, model, data)
         kept = worth.gain > settings.worth
@@ -228,6 +222,12 @@ def select_effects(
             effects.remove(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
     return Selection(_settled(model.fit, data), tuple(effects), tuple(trials), data, model.points)
+
+
+def _possible(*, gyro: bool, track: bool, clipped: bool) -> list[str]:
+    """The effects that can be seen: with a gyro, with a known track, of a model whose commands are clipped."""
+    unseen = {*(() if gyro else _BY_GYRO), *(() if track else _NEEDS_TRACK), *(() if clipped else (_CLIPPED,))}
+    return [effect for effect in EFFECTS if effect not in unseen]
 
 
 def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFit:

@@ -107,8 +107,6 @@ def _driven(streams: Streams, channel: int, settings: CheckSettings) -> str:
         if response is None:
             lines.append(f"{name} not driven")
         else:
-            late = response.dead_time + 2 * response.lag
-            lines.append(
-                f"{name} {response.gain[0, 0]:.3g} times, {late:.2f} s later, correlation {response.correlation[0]:.2f}"
-            )
+            times = f"{response.gain[0, 0]:.3g} times, {response.delay:.2f} s later"
+            lines.append(f"{name} {times}, correlation {response.correlation[0]:.2f}")
     return "command -> " + "; ".join(lines) if lines else "measured by nothing"

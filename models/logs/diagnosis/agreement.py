@@ -57,7 +57,7 @@ def relations(streams: Streams, settings: CheckSettings) -> list[Relation]:
             shift = round(how.dead_time / streams.dt)
             gains, times = _by_part(streams, streams.lagged(a, how.lag), b, shift, settings)
             if len(gains):
-                response = how.dead_time + 2 * how.lag if first == COMMAND else np.nan
+                response = how.delay if first == COMMAND else np.nan
                 pairs.append(Relation(first, second, channel, gains, times, response))
     return pairs
 

@@ -151,29 +151,29 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     total = int(ends[-1])
     slices = tuple(slice(int(end) - space - count, int(end) - space) for end, count in zip(ends, counts, strict=True))
 
-    def gather(field: str, mask: str = "") -> FloatArray | None:
+    def gather(field: str) -> FloatArray | None:
         if any(getattr(record, field) is None for record in records):
             return None
         first = getattr(records[0], field)
         values = np.full((total, *first.shape[1:]), np.nan)
         for record, part in zip(records, slices, strict=True):
             values[part] = getattr(record, field)[::stride]
-            if mask:
-                values[part][~_covered(getattr(record, mask))[::stride]] = np.nan
+            if (fresh := record.fresh(field)) is not None:
+                values[part][~_covered(fresh)[::stride]] = np.nan
         return values
 
     command = gather("command")
     time = gather("time")
     assert command is not None and time is not None
-    four = gather("wheel_speeds", "fresh_twist")
+    four = gather("wheel_speeds")
     return Streams(
         dt=dt,
         time=time,
         command=command,
-        twist=gather("twist", "fresh_twist"),
-        wheels=gather("wheels", "fresh_twist") if four is None else four,
-        yaw_rate=gather("yaw_rate", "fresh_yaw_rate"),
-        pose=gather("pose", "fresh_pose"),
+        twist=gather("twist"),
+        wheels=gather("wheels") if four is None else four,
+        yaw_rate=gather("yaw_rate"),
+        pose=gather("pose"),
         slices=slices,
         reach=max(1, round(0.5 * settings.pose_window / dt)),
     )
@@ -216,6 +216,11 @@ class StreamResponse:
     gain: FloatArray
     correlation: FloatArray
     size: float
+
+    @property
+    def delay(self) -> float:
+        """Mean delay, dead time and both lags together [s]."""
+        return self.dead_time + 2 * self.lag
 
 
 def answer(

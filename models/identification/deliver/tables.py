@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
-from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.poses import PoseResults
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.poses import PoseResults
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.orders import OrderChoice
@@ -59,10 +59,7 @@ def drift_table(poses: PoseResults) -> TextTable:
 
 def delay_table(delays: ParameterEstimate) -> TextTable:
     """How late the robot answers: dead time and lag together, which a log tells, then how they are divided."""
-    cells = [
-        f"{value:.3g} +- {deviation:.2g}"
-        for value, deviation in zip(delays.values, delays.standard_deviation, strict=True)
-    ]
+    cells = [f"{value:.3g} +- {deviation:.2g}" for _, value, deviation in delays.rows]
     names = dict.fromkeys(name.partition(".")[0] for name in delays.names)
     rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
     note = "With standard deviations. The sum is what tracking depends on; many divisions of it predict the same."
@@ -74,7 +71,7 @@ def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool
     """Values with their standard deviations, without the dead times where `delay_table` has them."""
     rows = [
         (name, f"{value:.5g}", f"{deviation:.2g}")
-        for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+        for name, value, deviation in estimate.rows
         if dead_times or "dead_time" not in name
     ]
     note = "SI units: gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m]."
@@ -137,5 +134,4 @@ def finding_table(findings: Sequence[Finding]) -> TextTable:
 
 
 def _valued(estimate: ParameterEstimate) -> list[str]:
-    pairs = zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
-    return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in pairs]
+    return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in estimate.rows]

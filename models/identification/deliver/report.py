@@ -14,13 +14,8 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.doubt import Doubt, lines
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
-from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.poses import PoseResults
-from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.identification.slip import SURFACE_FILE
-from diffdrive_mpc.models.identification.tables import (
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.identification.deliver.tables import (
     delay_table,
     drift_table,
     effect_table,
@@ -31,6 +26,11 @@ from diffdrive_mpc.models.identification.tables import (
     score_table,
     slip_table,
 )
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.poses import PoseResults
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -288,8 +288,8 @@ def _channels(values: FloatArray) -> dict[str, float]:
 
 def _parameters(estimate: ParameterEstimate) -> dict[str, dict[str, float | None]]:
     return {
-        name: {"value": float(value), "standard_deviation": float(deviation) if math.isfinite(deviation) else None}
-        for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+        name: {"value": value, "standard_deviation": deviation if math.isfinite(deviation) else None}
+        for name, value, deviation in estimate.rows
     }
 
 

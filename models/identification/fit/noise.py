@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.record import BoolArray, Record
+from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
-from diffdrive_mpc.models.structures.two_poles import TwoPolesParametrisation
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 TOLD = ("gain", "lag", "dead_time")
@@ -46,7 +46,7 @@ class DriveInformation:
         self._layouts, self._points = [], []
         for row, channel in enumerate(CHANNELS):
             biased = channel == "omega"
-            self._layouts.append(Layout(TwoPolesParametrisation(), 1, 1, offset=(biased,)))
+            self._layouts.append(Layout(TWO_POLES, 1, 1, offset=(biased,)))
             rest = [float(model.dead_time[row]), *([0.0] if biased else [])]
             self._points.append(np.array([*_nearest_two_poles(model, row), *rest]))
 
@@ -116,14 +116,17 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
     From second differences of neighbouring readings, so outliers and steady motion do not count. Sensors without enough
     readings have no entry. Units: m/s, rad/s, m, rad.
     """
-    deviations = {
-        "wheel_speed_noise": [_scatter(record.twist, record.fresh_twist, [0]) for record in records],
-        "wheel_yaw_rate_noise": [_scatter(one.twist, one.fresh_twist, [1]) for one in records],
-        "yaw_rate_noise": [_scatter(one.yaw_rate, one.fresh_yaw_rate, [0]) for one in records],
-        "position_noise": [_scatter(one.pose, one.fresh_pose, [0, 1]) for one in records],
-        "heading_noise": [_scatter(one.pose, one.fresh_pose, [2]) for one in records],
+    sources = {
+        "wheel_speed_noise": ("twist", [0]),
+        "wheel_yaw_rate_noise": ("twist", [1]),
+        "yaw_rate_noise": ("yaw_rate", [0]),
+        "position_noise": ("pose", [0, 1]),
+        "heading_noise": ("pose", [2]),
     }
-    joined = {name: np.concatenate(parts) for name, parts in deviations.items()}
+    joined = {
+        name: np.concatenate([_scatter(record, signal, columns) for record in records])
+        for name, (signal, columns) in sources.items()
+    }
     return {
         name: float(np.quantile(np.abs(second), _SHARE) / (_WITHIN * _SECOND_DIFFERENCE))
         for name, second in joined.items()
@@ -131,10 +134,13 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
     }
 
 
-def _scatter(signal: FloatArray | None, fresh: BoolArray | None, columns: list[int]) -> FloatArray:
+def _scatter(record: Record, signal: str, columns: list[int]) -> FloatArray:
     """Second differences of readings that are equally far apart."""
-    if signal is None or fresh is None:
+    fresh = record.fresh(signal)
+    if fresh is None:
         return np.empty(0)
     (at,) = np.nonzero(fresh)
     even = np.diff(at[:-1]) == np.diff(at[1:])
-    return np.asarray(np.diff(signal.reshape(len(signal), -1)[at][:, columns], n=2, axis=0)[even].ravel())
+    return np.asarray(
+        np.diff(getattr(record, signal).reshape(len(fresh), -1)[at][:, columns], n=2, axis=0)[even].ravel()
+    )

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.models.identification.fitting import Fitted
+    from diffdrive_mpc.models.identification.fit.fitting import Fitted
     from diffdrive_mpc.models.identification.log_data import LogData
 
 
@@ -105,20 +105,19 @@ def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
     ValueError
         If the records are too few.
     """
-    from diffdrive_mpc.models.identification.fitting import scored  # noqa: PLC0415 - it imports this module
+    from diffdrive_mpc.models.identification.fit.fitting import scored  # noqa: PLC0415 - it imports this module
 
     started = perf_counter()
     predictor = find(data, fitted)
     seconds = perf_counter() - started
     yaw = fitted.identified.yaw
     simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
-    both = ((data.train, "training"), (data.validation, "validation"))
-    scores = [scored(outputs, records, yaw, name) for outputs, (records, name) in zip(simulated, both, strict=True)]
+    train, validation = scored(simulated, data, yaw)
     return replace(
         fitted,
         predictor=predictor,
-        train=scores[0],
-        validation=scores[1],
+        train=train,
+        validation=validation,
         simulated=tuple(simulated[1]),
         seconds=fitted.seconds + seconds,
     )

@@ -75,8 +75,8 @@ class ConstantTrack:
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """(..., 3); see `SlipLaw`."""
         radius, track, side_slip = coefficients
-        v = 0.5 * radius * (wheels[..., 0] + wheels[..., 1])
-        omega = radius * (wheels[..., 1] - wheels[..., 0]) / track
+        v, difference = _at_the_rim(radius, wheels)
+        omega = difference / track
         return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
@@ -105,8 +105,7 @@ class GrowingTrack:
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """(..., 3); see `SlipLaw`."""
         radius, p0, p1, side_slip = coefficients
-        v = 0.5 * radius * (wheels[..., 0] + wheels[..., 1])
-        difference = radius * (wheels[..., 1] - wheels[..., 0])
+        v, difference = _at_the_rim(radius, wheels)
         omega = virtual_track_yaw_rate(difference, p0, p1)
         return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
@@ -135,9 +134,14 @@ class SlipPolynomial:
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """(..., 3); see `SlipLaw`."""
-        v = 0.5 * self.wheel_radius * (wheels[..., 0] + wheels[..., 1])
-        omega = self.wheel_radius * (wheels[..., 1] - wheels[..., 0]) / self.track
-        return polynomial_twist(coefficients, np.stack([v, omega], axis=-1))
+        v, difference = _at_the_rim(self.wheel_radius, wheels)
+        return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
+
+
+def _at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean speed of both sides and right less left [m/s], of wheels (..., 2) left, right [rad/s]."""
+    left, right = wheels[..., 0], wheels[..., 1]
+    return 0.5 * radius * (left + right), radius * (right - left)
 
 
 class PoseWindows(NamedTuple):
@@ -178,20 +182,16 @@ def pose_windows(
 
 
 def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: float) -> PoseWindows:
-    value, pose, fresh = getattr(record, name), record.pose, record.fresh_pose
-    if value is None or pose is None or fresh is None:
+    value, pose = getattr(record, name), record.pose
+    if value is None or pose is None:
         raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
     signal = np.asarray(value).reshape(len(value), -1)
     mean = 0.5 * (signal[1:] + signal[:-1])
     steps, lag = round(identification_settings().pose_window / record.dt), round(pose_lag / record.dt)
-    starts, k = [], max(lag, 0)
-    while k + steps < len(pose) and k + steps - lag < len(signal):
-        if fresh[k] and fresh[k + steps] and np.isfinite(mean[k - lag : k - lag + steps]).all():
-            starts.append(k)
-            k += steps
-        else:
-            k += 1
-    rows = np.array(starts, dtype=np.int64)
+    step = np.arange(len(pose)) - lag
+    known = (step >= 0) & (step < len(mean))
+    known[known] = np.isfinite(mean[step[known]]).all(axis=1)
+    rows = np.array(record.pose_windows(steps, known), dtype=np.int64)
     cut = mean[rows[:, None] - lag + np.arange(steps)]
     first, last = pose[rows], pose[rows + steps]
     moved = last - first

@@ -10,8 +10,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
+from diffdrive_mpc.models.identification.fit.predictor import Predictor
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.predictor import Predictor
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
@@ -116,13 +116,8 @@ def fit(
     identified = identification.identified
     _ = identified.model  # refuses what cannot be a robot
     simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
-    train, validation = (
-        scored(outputs, records, identified.yaw, name)
-        for outputs, records, name in zip(
-            simulated, (data.train, data.validation), ("training", "validation"), strict=True
-        )
-    )
-    return Fitted(identified, identification.orders, base, geometry, train, validation, tuple(simulated[1]), seconds)
+    scores = scored(simulated, data, identified.yaw)
+    return Fitted(identified, identification.orders, base, geometry, *scores, tuple(simulated[1]), seconds)
 
 
 def _with_effects(
@@ -151,9 +146,17 @@ def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records
     return [readings[:, [0, -1]] for readings in base.readings(records)]
 
 
-def scored(simulated: Sequence[FloatArray], records: Sequence[Record], yaw: YawSource, name: str) -> Validation:
-    """How well outputs (K, 2), one array for each record, explain these; raises ConfigError with their `name`."""
-    try:
-        return score(simulated, twist_experiments(records, yaw))
-    except ValueError as error:
-        raise ConfigError(f"{name} records: {error}") from error
+def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSource) -> tuple[Validation, Validation]:
+    """How well outputs (K, 2) explain the records to identify from, and those held out; ConfigError where they cannot.
+
+    `simulated` has one sequence for each of both, with one array for each record.
+    """
+    scores = []
+    for outputs, records, name in zip(
+        simulated, (data.train, data.validation), ("training", "validation"), strict=True
+    ):
+        try:
+            scores.append(score(outputs, twist_experiments(records, yaw)))
+        except ValueError as error:
+            raise ConfigError(f"{name} records: {error}") from error
+    return scores[0], scores[1]

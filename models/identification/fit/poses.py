@@ -11,9 +11,8 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import PoseMount
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
-from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.pose_calibration import (
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
     GrowingTrack,
     PoseCalibration,
@@ -22,6 +21,7 @@ from diffdrive_mpc.models.identification.pose_calibration import (
     calibrate_gyro,
     calibrate_wheels,
 )
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry

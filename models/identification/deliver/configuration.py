@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
-from diffdrive_mpc.models.identification.noise import sensor_noise
+from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
@@ -295,31 +295,11 @@ def configure(
     models.velocity_model.ModelError
         If the model cannot be a robot's.
     """
-    margin = identification_settings().limit_margin
     commanded = np.abs(np.concatenate([record.command for record in train]))
     base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
-    top_speed = base.top_speed if base and (base.top_speed or np.inf) < commanded[:, 0].max() else None
-    limit, reasons = np.empty(2), []
-    for row, channel in enumerate(CHANNELS):
-        own_limit = identified.limits.get(channel, top_speed if channel == "v" else None)
-        limit[row] = commanded[:, row].max() if own_limit is None else own_limit
-        reasons.append(
-            "largest command of the log, either way" if own_limit is None else "where the robot clips its command"
-        )
     gain = np.diag(identified.model.dc_gain)
-    predicted = margin * np.maximum(gain, 1.0) * limit
-    limits = [
-        *_slew(identified),
-        *(_setting(name, limit[i], f"{_UNITS[name]}, {reasons[i]}") for i, name in enumerate(CHANNELS)),
-        *(
-            _setting(
-                f"predicted_{name}",
-                predicted[i],
-                f"{_UNITS[name]}, the robot's own at most, or the command's, with a margin",
-            )
-            for i, name in enumerate(CHANNELS)
-        ),
-    ]
+    limit, speeds = _speeds(identified, commanded, base, gain)
+    limits = [*_slew(identified), *speeds]
     if stated is not None and geometry is None:
         geometry = WheelGeometry(np.nan, stated)
     wheels: list[Setting] = []
@@ -343,6 +323,25 @@ def configure(
         tuple(lengths.get("reentry", ())),
         tuple(lengths.get("failure", ())),
     )
+
+
+def _speeds(
+    identified: IdentifiedModel, commanded: FloatArray, base: WheelCommand | None, gain: FloatArray
+) -> tuple[FloatArray, list[Setting]]:
+    """(2,) limits of both commands, of sizes `commanded` (K, 2), and the settings of those and of what is predicted."""
+    top_speed = base.top_speed if base and (base.top_speed or np.inf) < commanded[:, 0].max() else None
+    own_limits = {"v": top_speed, **identified.limits}
+    limit = commanded.max(axis=0)
+    commands, predictions = [], []
+    for row, name in enumerate(CHANNELS):
+        reason = "largest command of the log, either way"
+        if (own_limit := own_limits.get(name)) is not None:
+            limit[row], reason = own_limit, "where the robot clips its command"
+        commands.append(_setting(name, limit[row], f"{_UNITS[name]}, {reason}"))
+        predicted = identification_settings().limit_margin * np.maximum(gain[row], 1.0) * limit[row]
+        reason = f"{_UNITS[name]}, the robot's own at most, or the command's, with a margin"
+        predictions.append(_setting(f"predicted_{name}", predicted, reason))
+    return limit, [*commands, *predictions]
 
 
 def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:

@@ -1,0 +1,1 @@
+"""What an identification hands over: configuration, report, tables."""

@@ -1,0 +1,1 @@
+"""Records to a model and its scores; what poses and noise add."""

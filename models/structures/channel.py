@@ -1,0 +1,199 @@
+"""A channel, one command against one output: its form, and its identification from experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.interface import AnyArray, FloatArray
+from diffdrive_mpc.models.output_error import doubts
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
+from diffdrive_mpc.models.output_error.held_out import with_limit_if_better
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, Parametrisation
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, find_limits, fit_output_error
+from diffdrive_mpc.models.output_error.state_space import distinct_poles, pole_names, pole_numbers, real_pole_names
+from diffdrive_mpc.models.output_error.statistics import output_spread
+from diffdrive_mpc.models.structures.model_file import TransferFunction
+from diffdrive_mpc.models.structures.two_poles import TWO_POLES
+
+# So many points of the grid of first guesses are followed.
+_TRIED = 3
+
+
+class ChannelForm(Parametrisation, Protocol):
+    """A kind of transfer function: the parameters that the estimator moves, and the numbers that a file states.
+
+    Names, bounds and matrices are those of a `Parametrisation` with one input and one output.
+    """
+
+    @property
+    def file(self) -> type[TransferFunction]:
+        """Schema of the numbers in a file; it has their names, the realisation and the lag."""
+        ...
+
+    @property
+    def words(self) -> str:
+        """What it is, for the file of a model."""
+        ...
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """Kind of doubt, a key of `models.doubt.VERDICTS`, for each parameter that may end at a bound."""
+        ...
+
+    @property
+    def may_be_zero(self) -> tuple[str, ...]:
+        """Fields of the file that may be zero: a standard deviation beside them says nothing."""
+        ...
+
+    def values(self, parameters: AnyArray) -> AnyArray:
+        """(f,) fields of the file, in its order, of parameters (s,)."""
+        ...
+
+    def first_guesses(self, gain: float, frequency: float) -> Sequence[FloatArray]:
+        """Parameters (s,) to try for a steady-state gain and a cut-off frequency [rad/s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class IdentifiedChannel:
+    """An identified channel.
+
+    Attributes
+    ----------
+    form
+        What its transfer function is.
+    parameters
+        The fields of the form's file, then dead_time [s], offset and limit where they were free.
+    fit
+        The fit behind them.
+    warnings
+        What not to trust.
+    """
+
+    form: ChannelForm
+    parameters: ParameterEstimate
+    fit: OutputErrorFit
+    warnings: tuple[Doubt, ...]
+
+    @property
+    def content(self) -> dict[str, float]:
+        """The transfer function as a file states it."""
+        return {name: self.parameters.value(name) for name in self.form.file.model_fields}
+
+
+def identify_channel(
+    experiments: Sequence[SampledExperiment],
+    label: str,
+    *,
+    form: ChannelForm = TWO_POLES,
+    offset: bool = False,
+    limit: bool = True,
+    robust: bool = True,
+    dead_time: float | None = None,
+) -> IdentifiedChannel:
+    """Estimate a channel from experiments with one input and one output.
+
+    Parameters
+    ----------
+    experiments
+        The data.
+    label
+        Name of the channel in warnings.
+    form
+        The kind of transfer function.
+    offset
+        Whether the sensor has a constant bias to be found.
+    limit
+        Whether to look for a level at which the robot clips the command.
+    robust
+        Whether single outliers are held back.
+    dead_time
+        [s] where it is known; then the estimate has none.
+
+    Raises
+    ------
+    ValueError
+        If there is no data, or an input or output never changes.
+    """
+    if not experiments:
+        raise ValueError(f"{label}: no data; give at least one record in which the robot moves")
+    layout = Layout(form, 1, 1, known_dead_time=dead_time, offset=(offset,))
+    starts = _first_guesses(layout, form, experiments, label)
+    fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
+    if limit:
+        limited = find_limits(fit, experiments, 0, robust)
+        fit = fit if limited is fit else with_limit_if_better(limited, fit, experiments, robust)
+    own = fit.layout.counts[0]
+    names = (*form.file.model_fields, *(_unnumbered(name) for name in fit.layout.names[own:]))
+    parameters = fit.estimate.derived(names, lambda row: np.concatenate([form.values(row[:own]), row[own:]]))
+    return IdentifiedChannel(form, parameters, fit, _warnings(form, parameters, fit, label))
+
+
+def pole_estimate(parameters: ParameterEstimate, file: type[TransferFunction]) -> ParameterEstimate:
+    """Poles [rad/s] of a transfer function whose fields are `parameters`: `pole_1`, or `pole_1.real` and `.imag`."""
+    poles = distinct_poles(file.realisation(parameters.values)[0])
+    return parameters.derived(pole_names(poles), lambda row: pole_numbers(file.realisation(row)[0], poles))
+
+
+def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputErrorFit, label: str) -> tuple[Doubt, ...]:
+    bounds = doubts.at_bounds(fit, label, form.kinds)
+    kinds = {doubt.kind for doubt in bounds}
+    delays = doubts.answer_delays(fit, [""], [0])
+    unsized = ("dead_time", "offset", *form.may_be_zero)
+    poles = pole_estimate(parameters.part(list(form.file.model_fields)), form.file)
+    return (
+        *bounds,
+        # Of a second lag that is too short to be seen, natural frequency and damping say the same once more.
+        *(
+            doubt.of(label)
+            for doubt in doubts.badly_known(
+                parameters.part([name for name in parameters.names if name not in unsized]), delays=delays
+            )
+            if doubt.kind not in kinds and not ("second lag" in kinds and doubt.kind == "divided lag")
+        ),
+        *(doubt.of(label) for doubt in doubts.late_answers(delays)),
+        *doubts.merged_poles(poles.part(real_pole_names(poles.names)), label),
+        *doubts.hardly_identifiable(fit, label),
+    )
+
+
+def _first_guesses(
+    layout: Layout, form: ChannelForm, experiments: Sequence[SampledExperiment], label: str
+) -> list[FloatArray]:
+    """The best few points (q,) of a grid over dead time and frequency, the gain from the ratio of spreads."""
+    settings = estimator_settings()
+    commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))
+    if commanded == 0.0:
+        raise ValueError(f"{label}: the command never changes; it excites nothing")
+    spread = output_spread(experiments)
+    gain = float(np.clip(spread[0] / commanded, *settings.gain))
+    experiments = joined(experiments)
+    weights = [experiment.counts / spread for experiment in experiments]
+    _, dead_times, *others = layout.counts
+    rest = np.zeros(sum(others))
+    grid = [
+        np.concatenate([own, [dead_time] * dead_times, rest])
+        for frequency in settings.start_frequencies
+        for own in form.first_guesses(gain, frequency)
+        for dead_time in (settings.start_dead_times if dead_times else (0.0,))
+    ]
+
+    def cost(start: FloatArray) -> float:
+        prior = past_prior(layout.system(start), experiments, settings.start_deviation)
+        return float(
+            np.sum(OutputErrorProblem(layout, experiments, weights, [prior] * len(experiments)).residuals(start) ** 2)
+        )
+
+    return sorted(grid, key=cost)[:_TRIED]
+
+
+def _unnumbered(name: str) -> str:
+    """Without the number of the input or output."""
+    return name.rpartition("_")[0] if name[-1].isdigit() else name
