@@ -217,23 +217,6 @@ def test_odd_sizes_become_even():
     assert read_size("641x361") == (640, 360)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--render"], "give --animate FILE"),
-        (["--animate", "x.mp4", "--laps", "2"], "leave --laps"),
-        (["--animate", "x.webp", "--camera", "side"], "give chase or fixed"),
-        (["--animate", "x.webp", "--film-speed", "0"], "from 0.01 to 1000"),
-    ],
-)
-def test_options_that_do_not_go_together_are_named(words, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, ["simulate", *words])
-    assert result.exit_code == 2
-    assert line in result.output
-    assert not list(tmp_path.iterdir())
-
-
 def test_from_and_to_outside_the_drive_are_named(run, tmp_path):
     write_log(run, tmp_path / "run.csv")
     words = ["animate", str(tmp_path / "run.csv"), "--out", str(tmp_path / "film.webp"), "--from", "99"]

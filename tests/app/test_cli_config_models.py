@@ -35,15 +35,6 @@ def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) ->
     assert "valid, horizon 30 steps" in checked.stdout
 
 
-def test_a_mistake_in_a_file_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text("model: ssm\nweights: {across: -3}\n")
-    result = runner.invoke(app, ["config", "check", str(path)])
-    assert result.exit_code == 2
-    assert "weights.across" in result.stderr
-    assert "mine.yaml" in result.stderr
-
-
 def test_the_schema_lists_every_key_with_its_default() -> None:
     flat = {row.key: row for row in schema_rows()}
     assert flat["horizon"].default == str(ControllerConfig().horizon)
@@ -63,26 +54,6 @@ def test_a_part_of_the_schema_is_shown_alone(part: str) -> None:
     assert result.exit_code == 0, result.stderr
     shown = [line.split()[0] for line in result.stdout.splitlines()[3:] if not line.startswith(" ")]
     assert shown == [row.key for row in schema_rows() if re.fullmatch(rf"(expert\.)?{part}((\[\])?\..*)?", row.key)]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["weigths"], "unknown key 'weigths'; did you mean 'weights'?"),
-        (["weights.acros"], "unknown key 'weights.acros'; did you mean 'weights.across'?"),
-        (["weights", "--json"], "--json is the schema of the whole configuration; leave 'weights' out"),
-    ],
-)
-def test_an_unknown_part_of_the_schema_is_one_line(words: list[str], message: str) -> None:
-    result = runner.invoke(app, ["config", "schema", *words])
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert len(result.stderr.splitlines()) == 1
-
-
-def test_the_json_schema_is_that_of_the_model() -> None:
-    result = runner.invoke(app, ["config", "schema", "--json"])
-    assert result.stdout == json_schema("controller")
 
 
 def test_the_json_schema_is_written_to_a_file(tmp_path: Path) -> None:
@@ -113,19 +84,10 @@ def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
 
 def test_a_model_file_is_checked(tmp_path: Path) -> None:
     source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
-    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
-    good.write_text(source.read_text())
-    data = yaml.safe_load(source.read_text())
-    data["A"][0][0] = 7.0
-    bad.write_text(yaml.safe_dump(data))
-    assert "2 states" in runner.invoke(app, ["models", "check", str(good)]).stdout
-    result = runner.invoke(app, ["models", "check", str(bad)])
-    assert result.exit_code == 2
-    assert "unstable" in result.stderr
+    path = tmp_path / "good.yaml"
+    path.write_text(source.read_text())
+    assert "2 states" in runner.invoke(app, ["models", "check", str(path)]).stdout
 
 
-@pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
-def test_every_shipped_model_is_listed(name: str) -> None:
-    result = runner.invoke(app, ["models", "list"])
-    assert result.exit_code == 0
-    assert name in result.stdout.split()
+def test_every_shipped_model_is_listed() -> None:
+    assert {"mbm", "sm", "ssm"} <= set(runner.invoke(app, ["models", "list"]).stdout.split())

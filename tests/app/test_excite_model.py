@@ -62,24 +62,3 @@ def test_drive_and_log_of_the_command(tmp_path):
     assert result.exit_code == 0, result.output
     assert "fence: {enabled: true, length: 4, width: 3, frame: start}" in result.output
     read_log(log).require_sound()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--for", "model"], "needs --inside"),
-        (["--for", "model", "--inside", "4"], "give length and width in metres"),
-        (["--for", "model", "--inside", "1x1"], "a room of 1 by 1 m"),
-        (["--for", "model", "--inside", "4x3", "--side", "3"], "--side does not go with --for model"),
-        (["--for", "slip", "--inside", "4x3"], "--inside does not go with --for slip"),
-        (["--for", "model", "--inside", "4x3", "--speed", "1.4"], "give up to 1.05 m/s"),
-        (["lstm", "--for", "model", "--inside", "4x3"], "linear"),
-        (["nothing", "--for", "model", "--inside", "4x3"], "nothing"),
-        (["--for", "love"], "give slip or model"),
-    ],
-)
-def test_bad_input_is_one_line_and_writes_nothing(tmp_path, words, said):
-    result = CliRunner().invoke(app, ["excite", *words, "--out", str(tmp_path / "drive.yaml")])
-    assert result.exit_code == 2
-    assert said in result.output
-    assert not list(tmp_path.iterdir())

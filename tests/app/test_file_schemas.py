@@ -207,21 +207,6 @@ def test_a_schema_is_printed_and_written(tmp_path: Path) -> None:
     assert all(name in listed for name in KINDS)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["trajektory"], "error: unknown kind of file 'trajektory': give one of controller, "),
-        (["--path"], "error: which schema?"),
-        (["model", "--path", "--out", "x.json"], "error: --path names a file that is there already"),
-    ],
-)
-def test_a_wrong_question_gets_one_line(words: list[str], line: str) -> None:
-    result = CliRunner().invoke(app, ["schema", *words])
-    assert result.exit_code == 2
-    assert result.stderr.startswith(line)
-    assert result.stderr.count("\n") == 1
-
-
 def test_a_wheel_is_built_without_what_drives_and_shows() -> None:
     """The build has what `build-system` of pyproject.toml names, and nothing else."""
     looked = (

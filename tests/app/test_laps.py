@@ -62,12 +62,6 @@ def test_the_command_prints_a_row_for_each_lap_and_draws(tmp_path):
     assert (tmp_path / "out" / "laps.png").exists()
 
 
-def test_a_peer_does_not_learn():
-    result = CliRunner().invoke(app, ["simulate", "--controller", "pursuit", "--laps", "2"])
-    assert result.exit_code == 2
-    assert "does not learn from laps" in result.output
-
-
 def test_by_the_floor_its_correction_is_drawn(tmp_path):
     words = ["simulate", "--plant", "model:ssm", "--surface", "p4_concrete", "--trajectory", "square", "--laps", "2"]
     result = CliRunner().invoke(app, [*words, "--set", "rehearsal.by=floor", "--out", str(tmp_path / "out")])

@@ -147,11 +147,6 @@ def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, 
     assert not (tmp_path / "out").exists()
 
 
-def test_beside_a_run_nothing_else_is_said(tmp_path: Path) -> None:
-    said = call("simulate", "--from-run", tmp_path / "run.yaml", "--trajectory", "s", code=2)
-    assert "--from-run: the file says what is driven" in said
-
-
 def test_the_shipped_proof_can_be_driven() -> None:
     proof = load_proof(None)
     check_definitions(proof.definitions(64))

@@ -186,29 +186,11 @@ def test_it_drives_on_when_poses_return():
     assert np.abs((poses - REFERENCE.sample(times).pose)[-50:, :2]).max() < 0.02
 
 
-def test_it_stays_stopped_where_resuming_is_not_allowed():
-    def lose(k, m):
-        return with_pose(m, None) if 100 <= k < 140 else m
-
-    results, _, _ = drive(without_dead_reckoning(**{"failure.resume": False}), robot(), REFERENCE, 6.0, change=lose)
-    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
-    assert "call start or reset" in results[-1].message
-
-
 def test_no_pose_at_all_means_no_motion():
     results, _, _ = drive(controller(), robot(), REFERENCE, 1.0, change=lambda k, m: with_pose(m, None))
     assert modes(results) == [Mode.STOPPED]
     assert "no pose has arrived yet" in results[-1].message
     assert not np.any([r.command for r in results])
-
-
-def test_a_robot_that_was_carried_away_stops_and_drives_on_from_there():
-    def carry(k, m):
-        return with_pose(m, np.asarray(m.pose.value) + [0.0, 0.8, 0.0]) if k >= 100 else m
-
-    results, _, _ = drive(controller(), robot(), REFERENCE, 6.0, change=carry)
-    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
-    assert "jumps" in results[100].message
 
 
 def test_time_running_backwards_brakes_and_is_named():
@@ -313,22 +295,6 @@ def test_what_the_robot_got_beyond_its_limits_does_not_widen_them():
         )
         assert (np.abs(result.command) <= [1.5, 2.0]).all()
         base.advance(result.command)
-
-
-def test_waiting_for_the_first_pose_latches_nothing():
-    def late(k, m):
-        return with_pose(m, None) if k < 30 else m
-
-    results, _, _ = drive(controller(**{"failure.resume": False}), robot(), REFERENCE, 1.0, change=late)
-    assert modes(results) == [Mode.STOPPED, Mode.TRACKING]
-
-
-def test_carried_away_without_leave_to_resume_it_stays():
-    def carry(k, m):
-        return with_pose(m, np.asarray(m.pose.value) + [0.0, 0.8, 0.0]) if k >= 100 else m
-
-    results, _, _ = drive(controller(**{"failure.resume": False}), robot(), REFERENCE, 4.0, change=carry)
-    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
 
 
 def test_a_plan_is_not_reused_beyond_its_horizon():
