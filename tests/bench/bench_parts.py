@@ -15,6 +15,15 @@ from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.models.interface import FloatArray, Measurement, ReferenceSample, Stamped
 from diffdrive_mpc.models.pose import integrate_pose
 
+META: dict[str, object] = {
+    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
+    "revision": "abc",
+    "version": "1",
+    "date": "2026-01-01",
+    "wall_time_s": 1.0,
+}
+"""What a report says of its machine and time."""
+
 
 @dataclass(frozen=True)
 class Arc:

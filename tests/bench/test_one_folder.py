@@ -67,7 +67,8 @@ def test_results_whose_move_fails_leave_the_old_ones(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(OSError, match="disk full"):
-        _write(tmp_path, "bench", "a", "c")
+        _write(tmp_path, "bench", "a", "new/b", "c")
+    assert _there(tmp_path) == {"a", "b"} and not (tmp_path / "new").exists()
     assert {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)} == before
 
 

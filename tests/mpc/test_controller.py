@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -231,12 +231,7 @@ def test_what_the_robot_really_got_is_believed():
         for _ in range(60):
             measurement = robot.measure()
             if told and sent is not None:
-                measurement = type(measurement)(
-                    pose=measurement.pose,
-                    wheel_twist=measurement.wheel_twist,
-                    yaw_rate=measurement.yaw_rate,
-                    sent=tuple(sent),
-                )
+                measurement = replace(measurement, sent=tuple(sent))
             result = driver.step(robot.time, measurement)
             sent = 0.5 * result.command
             robot.advance(sent)

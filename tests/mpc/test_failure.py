@@ -44,11 +44,8 @@ def slews(results):
 
 
 def with_pose(measurement, value, stamp=None):
-    return Measurement(
-        pose=None if value is None else Stamped(value, measurement.pose.time if stamp is None else stamp),
-        wheel_twist=measurement.wheel_twist,
-        yaw_rate=measurement.yaw_rate,
-    )
+    stamp = measurement.pose.time if stamp is None else stamp
+    return replace(measurement, pose=None if value is None else Stamped(value, stamp))
 
 
 def test_a_single_bad_pose_does_not_disturb_the_drive():
@@ -129,7 +126,7 @@ def rare_poses(interval, latency, until=math.inf):
         if k % interval == 0:
             waiting.append((k + latency, m.pose))
         due = waiting.pop(0)[1] if waiting and waiting[0][0] <= k else None
-        return Measurement(pose=due, wheel_twist=m.wheel_twist, yaw_rate=m.yaw_rate)
+        return replace(m, pose=due)
 
     return change
 
@@ -289,10 +286,7 @@ def test_what_the_robot_got_beyond_its_limits_does_not_widen_them():
     driver, base = controller(), robot()
     drive(driver, base, REFERENCE, 2.0)
     for sent in [(4.9, 9.0), (-4.9, -9.0), (1e307, 0.0), ("a", "b"), (None, 1.0), [[1.0], [2.0, 3.0]]]:
-        m = base.measure()
-        result = driver.step(
-            base.time, Measurement(pose=m.pose, wheel_twist=m.wheel_twist, yaw_rate=m.yaw_rate, sent=sent)
-        )
+        result = driver.step(base.time, replace(base.measure(), sent=sent))
         assert (np.abs(result.command) <= [1.5, 2.0]).all()
         base.advance(result.command)
 

@@ -123,11 +123,3 @@ def test_the_command_writes_its_report(tmp_path: Path):
         "reproduce.md",
     ]
     assert "-0.022 ± 0.021" in result.stdout
-
-
-def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
-    result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
-    assert result.exit_code == 2
-    known = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, turning"
-    assert result.stderr == f"error: --only: unknown part 'costs'; known: {known}\n"
-    assert not (tmp_path / "out").exists()

@@ -213,21 +213,6 @@ def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--only", "nowhere"], "--only: unknown condition 'nowhere'; known: default, heavy"),
-        (["--controllers", "pid"], "--controllers: unknown controller 'pid'; known: mpc"),
-        (["--models", "smm"], "unknown model 'smm'"),
-    ],
-)
-def test_a_mistake_gives_one_line(words: list[str], line: str, tmp_path: Path) -> None:
-    result = runner.invoke(app, ["robustness", "--quick", "--out", str(tmp_path / "out"), *words])
-    assert result.exit_code == 2
-    assert line in result.output
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_file_of_conditions_is_checked(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("settled: 2.0\nquick: [b]\nconditions: {a: {surfce: ice}}\n")

@@ -175,20 +175,3 @@ def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Pa
     error = {(run["controller"], run["plant"], bool(run["set"])): run["position_rmse_m"] for run in runs}
     assert error["clairvoyant", "mujoco", False] < error["mpc", "mujoco", False] < error["mpc", "mujoco", True]
     assert "Cross table" in printed
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--only", "cros"], "unknown part 'cros'"),
-        (["--quick", "--study", "mine.yaml"], "give one of them"),
-        (["--study", "missing.yaml"], "missing.yaml: cannot be read"),
-    ],
-)
-def test_bad_input_is_one_line_and_nothing_is_made(arguments: list[str], message: str, tmp_path: Path):
-    result = runner.invoke(app, ["tracking", "--out", str(tmp_path / "out"), *arguments])
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error: ")
-    assert message in result.stderr
-    assert result.stderr.count("\n") == 1
-    assert not (tmp_path / "out").exists()
