@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import subprocess
-import sys
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +16,7 @@ from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.sim import Run, simulate
+from processes import run_command
 from studies.cli import app as studies_app
 
 COMMANDS = [
@@ -264,14 +263,21 @@ def test_version() -> None:
     assert result.stdout.split() == ["diffdrive-mpc", version("diffdrive-mpc")]
 
 
-def test_without_mujoco_the_remedy_is_named() -> None:
-    code = (
-        "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
+
+
+@pytest.mark.parametrize(
+    ("package", "word", "remedy"),
+    [
+        ("mujoco", "simulate", r"[^\n]*--plant model:ssm"),
+        ("rclpy", "node", ROS),
+        ("rclpy", "sim-robot", ROS),
+    ],
+)
+def test_without_a_package_the_remedy_is_named(package: str, word: str, remedy: str) -> None:
+    done = run_command(word, without=package)
     assert done.returncode == 1
-    assert re.fullmatch(r"error: the package 'mujoco' is not installed; [^\n]*--plant model:ssm\n", done.stderr)
+    assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", done.stderr)
 
 
 @pytest.mark.parametrize("kind", [NotCompiledError, NotReproducibleError, MissingPackageError])
@@ -287,10 +293,6 @@ def test_an_error_of_the_project_that_is_not_bad_input_has_an_exit_code_of_its_o
 
 
 def test_the_console_command_runs_as_a_program() -> None:
-    code = (
-        "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = run_command("models", "show", "foo")
     assert done.returncode == 2
     assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)

@@ -82,13 +82,3 @@ def test_a_parameter_that_cannot_be_ends_the_process_in_one_line():
     (error,) = (text for text in result.stderr.splitlines() if text.startswith("error: "))
     assert result.returncode == 2
     assert "weights.across" in error
-
-
-def test_without_ros_it_says_what_to_install():
-    code = (
-        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'node']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-    assert result.returncode == 1
-    assert "error: the package 'rclpy' is not installed; install diffdrive-mpc[ros]" in result.stderr

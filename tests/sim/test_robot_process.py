@@ -101,19 +101,6 @@ def test_it_ticks_at_the_period_of_the_node_s_configuration(tmp_path):
     assert np.array_equal(np.diff(recorded(tmp_path / "bag", "/odom")[0]), np.full(7, 50_000_000))
 
 
-def test_without_ros_it_says_what_to_install():
-    code = (
-        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'sim-robot']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
-    assert result.returncode == 1
-    assert result.stderr == (
-        "error: the package 'rclpy' is not installed; install diffdrive-mpc[ros], or "
-        "source the setup file of ROS 2 Jazzy\n"
-    )
-
-
 def test_remapped_topics_and_namespaces_hold_in_the_bag(tmp_path):
     words = ["--duration", "0.1", "--record", str(tmp_path / "bag"), "--ros-args", "-r", "odom:=wheels/odom"]
     result = subprocess.run(
