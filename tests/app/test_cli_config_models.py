@@ -10,6 +10,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.schemas.generate import json_schema
 from diffdrive_mpc.models import load_model
@@ -24,14 +25,12 @@ SCHEMA = ROOT / "mpc" / "schemas" / "controller.schema.json"
 
 
 def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
-    shown = runner.invoke(app, ["config", "show", "ssm"])
-    assert shown.exit_code == 0
+    shown = invoke(app, "config", "show", "ssm")
     path = tmp_path / "mine.yaml"
     path.write_text(shown.stdout)
     assert load_config(path) == load_config("ssm")
     assert side_by_side(yaml.safe_load(shown.stdout)) == load_config("ssm").model_dump()
-    checked = runner.invoke(app, ["config", "check", str(path)])
-    assert checked.exit_code == 0
+    checked = invoke(app, "config", "check", path)
     assert "valid, horizon 30 steps" in checked.stdout
 
 
@@ -50,8 +49,7 @@ def test_the_schema_lists_every_key_with_its_default() -> None:
 
 @pytest.mark.parametrize("part", ["weights", "limits.v", "solver", "terms"])
 def test_a_part_of_the_schema_is_shown_alone(part: str) -> None:
-    result = runner.invoke(app, ["config", "schema", part])
-    assert result.exit_code == 0, result.stderr
+    result = invoke(app, "config", "schema", part)
     shown = [line.split()[0] for line in result.stdout.splitlines()[3:] if not line.startswith(" ")]
     assert shown == [row.key for row in schema_rows() if re.fullmatch(rf"(expert\.)?{part}((\[\])?\..*)?", row.key)]
 
@@ -75,8 +73,7 @@ def test_every_number_in_the_json_schema_says_what_it_is() -> None:
 
 
 def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
-    result = runner.invoke(app, ["models", "show", "ssm"])
-    assert result.exit_code == 0
+    result = invoke(app, "models", "show", "ssm")
     assert "-7.444, -13.25" in result.stdout
     assert "published" in result.stdout
     assert str(load_model("ssm").provenance["source"]).split(":")[0] in result.stdout

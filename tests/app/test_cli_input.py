@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.runner import NotReproducibleError
@@ -187,8 +188,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out"
     before = sorted(folder.rglob("*"))
-    result = runner.invoke(app, shlex.split(arguments.format(out=out, folder=folder)))
-    assert result.exit_code == 2
+    result = invoke(app, *shlex.split(arguments.format(out=out, folder=folder)), code=2)
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
     assert message.format(folder=folder) in result.stderr
@@ -206,8 +206,7 @@ def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
 
     monkeypatch.setattr("diffdrive_mpc.bench.controllers.simulate", displaced)
     arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
-    result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
-    assert result.exit_code == 1
+    result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split(), code=1)
     assert re.fullmatch(r"error: 1 of 1 runs of mpc did not complete, the first: ssm on cane[^\n]*\n", result.stderr)
     (run,) = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
     assert run["completed"] is False
@@ -231,35 +230,30 @@ def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pyte
 
 @pytest.mark.parametrize("command", [[], *COMMANDS], ids=" ".join)
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
-    result = runner.invoke(app, [*command, "--help"])
-    assert result.exit_code == 0
+    result = invoke(app, *command, "--help")
     assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
 
 
 @pytest.mark.parametrize("command", ["tracking", "speed", "monitor", "real-logs", "models truths"])
 def test_every_study_has_help_with_an_example(command: str) -> None:
-    result = runner.invoke(studies_app, [*command.split(), "--help"])
-    assert result.exit_code == 0
+    result = invoke(studies_app, *command.split(), "--help")
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
 
 
 @pytest.mark.parametrize("former", ["study robustness --quick", "tracking --out x"])
 def test_a_study_s_former_name_says_where_it_is(former: str) -> None:
-    result = runner.invoke(app, former.split())
-    assert result.exit_code == 2
+    result = invoke(app, *former.split(), code=2)
     assert "`python -m studies" in result.stderr and len(result.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)
 def test_a_group_without_a_command_shows_what_there_is(group: list[str]) -> None:
-    result = runner.invoke(app, group)
-    assert result.exit_code == 2
+    result = invoke(app, *group, code=2)
     assert "Usage" in result.stdout
 
 
 def test_version() -> None:
-    result = runner.invoke(app, ["--version"])
-    assert result.exit_code == 0
+    result = invoke(app, "--version")
     assert result.stdout.split() == ["diffdrive-mpc", version("diffdrive-mpc")]
 
 

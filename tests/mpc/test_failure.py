@@ -248,14 +248,6 @@ def test_after_a_long_pause_it_starts_from_rest_or_not_at_all(resume):
     assert (np.abs(np.diff(moving, axis=0)) <= SLEW + 1e-9).all()
 
 
-def test_far_from_the_reference_it_stops_and_says_so():
-    base = robot()
-    base.poses = [base.pose + [0.0, 1.5, 0.0]]
-    results, _, _ = drive(controller(), base, REFERENCE, 1.0)
-    assert modes(results) == [Mode.STOPPED]
-    assert "from the reference; the limit is 1.0 m" in results[-1].message
-
-
 @pytest.mark.parametrize("wrong", [[0.8, 0.0, 0.0], [0.0, 0.0, 3.0]])
 def test_a_first_pose_that_is_wrong_is_noticed_before_the_robot_moves_far(wrong):
     def spoil(k, m):

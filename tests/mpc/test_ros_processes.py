@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from ros_parts import FakeBase
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -71,8 +71,7 @@ def test_killed_it_is_silent(driving):
     ],
 )
 def test_what_cannot_be_started_ends_in_one_line(words, line):
-    result = CliRunner().invoke(app, ["node", *words])
-    assert result.exit_code == 2
+    result = invoke(app, "node", *words, code=2)
     assert line in result.stderr and result.stderr.count("\n") == 1
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
+from commands import invoke
 from studies.cli import app
 
 KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, turning"
@@ -33,8 +33,7 @@ KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, tur
 )
 def test_bad_input_is_one_line_and_nothing_is_made(arguments: str, message: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, [*arguments.format(folder=tmp_path).split(), "--out", str(out)])
-    assert result.exit_code == 2
+    result = invoke(app, *arguments.format(folder=tmp_path).split(), "--out", out, code=2)
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
     assert message in result.stderr

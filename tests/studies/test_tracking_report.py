@@ -8,15 +8,13 @@ from pathlib import Path
 import pytest
 from opened_report import check_report
 from tracking_parts import made_up, tiny_study, write_made_up
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.cli import app
 from studies.documents.documents import TRACKING, copy_report, sections, with_report
 from studies.tracking.study import TrackingStudy, load_study
-
-runner = CliRunner()
 
 
 @pytest.fixture(scope="module")
@@ -151,8 +149,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a small study, and what the command printed."""
     folder = tmp_path_factory.mktemp("driven")
     words = ["--study", str(tiny_study(folder)), "--only", "ablation,cross,bound", "--jobs", "1"]
-    result = runner.invoke(app, ["tracking", "--out", str(folder / "out"), *words])
-    assert result.exit_code == 0, result.stderr
+    result = invoke(app, "tracking", "--out", folder / "out", *words)
     return folder / "out", result.stdout
 
 
