@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from imports import imported
+
 ROOT = Path(__file__).parents[1]
 SITE = ROOT / "studies" / "site"
 ALLOWED = {
@@ -21,15 +23,10 @@ ALLOWED = {
 }
 
 
-def imported(path):
+def first_names(path):
     """First names of what a file imports; of our own modules the room."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (first(alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module == "diffdrive_mpc":
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            yield first(node.module)
+    for module, name in imported(path):
+        yield name if name and module == "diffdrive_mpc" else first(module)
 
 
 def first(name):
@@ -39,11 +36,11 @@ def first(name):
 @pytest.mark.parametrize("package", ALLOWED)
 def test_imports_run_one_way(package):
     for path in (ROOT / package).rglob("*.py"):
-        ours = {name for name in imported(path) if name in ALLOWED}
+        ours = {name for name in first_names(path) if name in ALLOWED}
         # The site of the documents shows the command line.
         assert ours - ({"app"} if SITE in path.parents else set()) <= ALLOWED[package], path
         if package != "sim":
-            assert "mujoco" not in set(imported(path)), path
+            assert "mujoco" not in set(first_names(path)), path
 
 
 def test_the_picture_of_the_house_is_what_is_imported():
@@ -52,7 +49,7 @@ def test_the_picture_of_the_house_is_what_is_imported():
     head, *lines = re.search(r"^ {4}room .*\n(?: {4}.*\n)+", page, re.MULTILINE)[0].splitlines()
     shown = {line.split()[0]: set(line[head.index("imports") :].split()) for line in lines}
     known = {
-        package: {name for path in (ROOT / package).rglob("*.py") for name in imported(path)}
+        package: {name for path in (ROOT / package).rglob("*.py") for name in first_names(path)}
         & ALLOWED.keys() - {package}
         for package in ALLOWED
     }
@@ -64,7 +61,7 @@ def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
     for path in (ROOT / package).rglob("*.py"):
         nodes = (ROOT / "mpc" / "ros", ROOT / "mpc" / "monitor" / "ros", ROOT / "sim" / "ros")
         if path.parent not in nodes:
-            assert not {name for name in imported(path) if name == "rclpy" or name.endswith("_msgs")}, path
+            assert not {name for name in first_names(path) if name == "rclpy" or name.endswith("_msgs")}, path
 
 
 def module_name(path):

@@ -11,6 +11,7 @@ import pytest
 from log_parts import TEXTS, read_columns
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.report_folder import CONTENTS
 
@@ -19,8 +20,7 @@ runner = CliRunner()
 
 def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --controller mpc,kanayama"
-    result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
-    assert result.exit_code == 0, result.stderr
+    result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split())
     files = [CONTENTS, "bench.json", "bench.md", "figures", "report.html"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
     said = json.loads((tmp_path / "out" / "bench.json").read_text())
@@ -45,8 +45,7 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
 
 def test_a_sweep_compares_the_values_of_a_field(tmp_path: Path) -> None:
     arguments = "--models ssm --trajectories cane --seeds 1 --jobs 1 --plant model:ssm --set horizon=8,25"
-    result = runner.invoke(app, ["bench", "--out", str(tmp_path), *arguments.split()])
-    assert result.exit_code == 0, result.stderr
+    invoke(app, "bench", "--out", tmp_path, *arguments.split())
     runs = json.loads((tmp_path / "bench.json").read_text())["runs"]
     assert [run["horizon"] for run in runs] == [8, 25]
     assert [run["set"] for run in runs] == [{"horizon": 8}, {"horizon": 25}]
@@ -57,8 +56,7 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
     logs = []
     for name in ("first", "second"):
         arguments = ["--trajectory", "cane", "--seed", "3", "--log", str(tmp_path / f"{name}.csv")]
-        result = runner.invoke(app, ["simulate", *arguments, "--out", str(tmp_path / name)])
-        assert result.exit_code == 0, result.stderr
+        invoke(app, "simulate", *arguments, "--out", tmp_path / name)
         files = [CONTENTS, "report.html", "ssm-cane-step-time.png", "ssm-cane.png"]
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == files
         logs.append(read_columns(tmp_path / f"{name}.csv"))
@@ -72,8 +70,7 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
 
 def test_scenarios_are_compared_and_replayed(tmp_path: Path) -> None:
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario none,push"
-    result = runner.invoke(app, ["bench", "--out", str(tmp_path), *arguments.split()])
-    assert result.exit_code == 0, result.stderr
+    invoke(app, "bench", "--out", tmp_path, *arguments.split())
     report = json.loads((tmp_path / "bench.json").read_text())
     plain, pushed = report["runs"]
     assert report["meta"]["experiment"]["scenarios"] == ["none", "push"]
@@ -145,8 +142,7 @@ def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp
     (tmp_path / "tips.yaml").write_text(TIPPING)
     out, scenarios = tmp_path / "out", f"{tmp_path / 'tips.yaml'},none"
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario"
-    result = runner.invoke(app, ["bench", "--out", str(out), *arguments.split(), scenarios])
-    assert result.exit_code == 1
+    result = invoke(app, "bench", "--out", out, *arguments.split(), scenarios, code=1)
     first = r"1 of 2 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0, scenario tips"
     assert re.fullmatch(rf"error: {first} \({TIPPED}\); bench.json lists them\n", result.stderr)
     tipped, upright = json.loads((out / "bench.json").read_text())["runs"]
@@ -165,7 +161,6 @@ def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp
 def test_simulate_tells_of_a_robot_that_tips_over_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "tips.yaml").write_text(TIPPING)
     arguments = ["--trajectory", "cane", "--scenario", str(tmp_path / "tips.yaml"), "--out", str(tmp_path / "out")]
-    result = runner.invoke(app, ["simulate", *arguments, "--log", str(tmp_path / "log.csv")])
-    assert result.exit_code == 0, result.stderr
+    result = invoke(app, "simulate", *arguments, "--log", tmp_path / "log.csv")
     assert len(re.findall(rf"^not completed: {TIPPED}$", result.stdout, re.MULTILINE)) == 1
     assert 50 < len(read_columns(tmp_path / "log.csv")["t_s"]) < 100

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import subprocess
-import sys
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,10 +12,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.sim import Run, simulate
+from processes import run_command
 from studies.cli import app as studies_app
 
 COMMANDS = [
@@ -46,6 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "unstable.yaml": ssm.replace("-7.381", "7.381"),
         "nan.yaml": ssm.replace("-7.381", ".nan"),
         "empty.yaml": "",
+        "negative.yaml": "model: ssm\nweights: {across: -3}\n",
+        "no_plan.yaml": "structure: [ssm]\n",
         "tilted.yaml": "description: cliff\nslope: {angle: 1.5}\n",
         "no_segments.yaml": "segments: []\n",
         "too_fast.yaml": "segments:\n- {v: 3.0, omega: 0.0, duration: 2.0}\n",
@@ -132,13 +134,61 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("config check missing.yaml", "missing.yaml"),
         ("models show foo", "unknown model 'foo'"),
         ("models check missing.yaml", "missing.yaml"),
+        ("simulate --out {folder}/taken", "--out {folder}/taken: cannot be written to"),
+        ("simulate --trajectories=cirle", "unknown trajectory 'cirle'"),
+        ("simulate --models smm", "unknown model 'smm'"),
+        ("simulate --seeds 3", "No such option: --seeds (Possible options: --film-speed, --seed,"),
+        ("simulate --controller pursuit --laps 2", "does not learn from laps"),
+        ("simulate --render", "give --animate FILE"),
+        ("simulate --animate {folder}/x.mp4 --laps 2", "leave --laps"),
+        ("simulate --animate {folder}/x.webp --camera side", "give chase or fixed"),
+        ("simulate --animate {folder}/x.webp --film-speed 0", "from 0.01 to 1000"),
+        ("simulate --from-run run.yaml --trajectory s", "--from-run: the file says what is driven"),
+        ("bench --out {out} --trajectory circle,cirle", "unknown trajectory 'cirle'"),
+        ("bench --out {out} --model sm,smm", "unknown model 'smm'"),
+        ("bench --out {out} --seed 3", "No such option: --seed (Possible options: --seeds"),
+        ("bench --out {out} --seeds 1000000000", "--seeds 1000000000: give at most 10000 seeds"),
+        ("export --out {out} --trajectories cirle", "unknown trajectory 'cirle'"),
+        ("export --out {folder}/taken", "--out {folder}/taken"),
+        ("export --out {out} --precision half", "--precision 'half': give double or float"),
+        ("export --out {out} --set limits.omega=0.3", "omega = 0.5 rad/s is beyond the limit of 0.3 rad/s"),
+        ("export --out {out} --set solver.strategy=backend", "an exported controller has no backend"),
+        ("export --out {out} --set solver.active_set_iterations=0", "an exported controller has no backend"),
+        ("export --out {out} --model smm", "unknown model 'smm'"),
+        ("export --out {out} --model ' '", "--model: it is empty"),
+        ("export --out {out} --trajectory triangle", "unknown trajectory 'triangle'"),
+        ("excite --out {out} --for model", "needs --inside"),
+        ("excite --out {out} --for model --inside 4", "give length and width in metres"),
+        ("excite --out {out} --for model --inside 1x1", "a room of 1 by 1 m"),
+        ("excite --out {out} --for model --inside 4x3 --side 3", "--side does not go with --for model"),
+        ("excite --out {out} --for slip --inside 4x3", "--inside does not go with --for slip"),
+        ("excite --out {out} --for model --inside 4x3 --speed 1.4", "give up to 1.05 m/s"),
+        ("excite --out {out} lstm --for model --inside 4x3", "linear"),
+        ("excite --out {out} nothing --for model --inside 4x3", "nothing"),
+        ("excite --out {out} --for love", "give slip or model"),
+        ("commission --out {out} heavy --drawn 3", "--drawn 3: it draws the robot"),
+        ("commission --out {out} heavy --log a.csv", "--log: the simulated robot is driven here"),
+        ("commission --out {out} --inside 5 heavy", "give length and width in metres"),
+        ("commission --out {out} nothing --no-tune", "nothing"),
+        ("commission --out {out} heavy --no-tune --config none.yaml", "none.yaml"),
+        # The step that needs these files comes minutes later.
+        ("commission --out {out} --known {folder}/no_plan.yaml", "no_plan.yaml"),
+        ("commission --out {out} --mapping {folder}/no_plan.yaml", "no_plan.yaml"),
+        ("commission --out {out} --plan {folder}/no_plan.yaml", "no_plan.yaml"),
+        ("schema trajektory", "unknown kind of file 'trajektory': give one of controller, "),
+        ("schema --path", "which schema?"),
+        ("schema model --path --out x.json", "--path names a file that is there already"),
+        ("config check {folder}/negative.yaml", "negative.yaml: weights.across"),
+        ("config schema weigths", "unknown key 'weigths'; did you mean 'weights'?"),
+        ("config schema weights.acros", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
+        ("config schema weights --json", "--json is the schema of the whole configuration; leave 'weights' out"),
+        ("models check {folder}/unstable.yaml", "unstable"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out"
     before = sorted(folder.rglob("*"))
-    result = runner.invoke(app, shlex.split(arguments.format(out=out, folder=folder)))
-    assert result.exit_code == 2
+    result = invoke(app, *shlex.split(arguments.format(out=out, folder=folder)), code=2)
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
     assert message.format(folder=folder) in result.stderr
@@ -156,8 +206,7 @@ def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
 
     monkeypatch.setattr("diffdrive_mpc.bench.controllers.simulate", displaced)
     arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
-    result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
-    assert result.exit_code == 1
+    result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split(), code=1)
     assert re.fullmatch(r"error: 1 of 1 runs of mpc did not complete, the first: ssm on cane[^\n]*\n", result.stderr)
     (run,) = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
     assert run["completed"] is False
@@ -168,14 +217,6 @@ def test_the_help_of_surface_names_both_kinds_of_plant(command: str) -> None:
     text = " ".join(re.sub(r"[│\s]+", " ", runner.invoke(app, [command, "--help"]).stdout).split())
     assert "slip of" in text
     assert "loor of the mujoco plant" in text
-
-
-def test_a_place_that_cannot_be_written_to_is_refused_before_the_run(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("a file")
-    result = runner.invoke(app, ["simulate", "--out", str(tmp_path / "taken")])
-    assert result.exit_code == 2
-    assert "cannot be written to" in result.stderr
-    assert result.stdout == ""
 
 
 def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,46 +230,48 @@ def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pyte
 
 @pytest.mark.parametrize("command", [[], *COMMANDS], ids=" ".join)
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
-    result = runner.invoke(app, [*command, "--help"])
-    assert result.exit_code == 0
+    result = invoke(app, *command, "--help")
     assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
 
 
 @pytest.mark.parametrize("command", ["tracking", "speed", "monitor", "real-logs", "models truths"])
 def test_every_study_has_help_with_an_example(command: str) -> None:
-    result = runner.invoke(studies_app, [*command.split(), "--help"])
-    assert result.exit_code == 0
+    result = invoke(studies_app, *command.split(), "--help")
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
 
 
 @pytest.mark.parametrize("former", ["study robustness --quick", "tracking --out x"])
 def test_a_study_s_former_name_says_where_it_is(former: str) -> None:
-    result = runner.invoke(app, former.split())
-    assert result.exit_code == 2
+    result = invoke(app, *former.split(), code=2)
     assert "`python -m studies" in result.stderr and len(result.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)
 def test_a_group_without_a_command_shows_what_there_is(group: list[str]) -> None:
-    result = runner.invoke(app, group)
-    assert result.exit_code == 2
+    result = invoke(app, *group, code=2)
     assert "Usage" in result.stdout
 
 
 def test_version() -> None:
-    result = runner.invoke(app, ["--version"])
-    assert result.exit_code == 0
+    result = invoke(app, "--version")
     assert result.stdout.split() == ["diffdrive-mpc", version("diffdrive-mpc")]
 
 
-def test_without_mujoco_the_remedy_is_named() -> None:
-    code = (
-        "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
+
+
+@pytest.mark.parametrize(
+    ("package", "word", "remedy"),
+    [
+        ("mujoco", "simulate", r"[^\n]*--plant model:ssm"),
+        ("rclpy", "node", ROS),
+        ("rclpy", "sim-robot", ROS),
+    ],
+)
+def test_without_a_package_the_remedy_is_named(package: str, word: str, remedy: str) -> None:
+    done = run_command(word, without=package)
     assert done.returncode == 1
-    assert re.fullmatch(r"error: the package 'mujoco' is not installed; [^\n]*--plant model:ssm\n", done.stderr)
+    assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", done.stderr)
 
 
 @pytest.mark.parametrize("kind", [NotCompiledError, NotReproducibleError, MissingPackageError])
@@ -244,41 +287,6 @@ def test_an_error_of_the_project_that_is_not_bad_input_has_an_exit_code_of_its_o
 
 
 def test_the_console_command_runs_as_a_program() -> None:
-    code = (
-        "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = run_command("models", "show", "foo")
     assert done.returncode == 2
     assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (["simulate", "--trajectory", "cirle"], "'cirle'"),
-        (["simulate", "--trajectories=cirle"], "'cirle'"),
-        (["simulate", "--models", "smm"], "smm"),
-        (["bench", "--trajectory", "circle,cirle"], "'cirle'"),
-        (["bench", "--model", "sm,smm"], "smm"),
-        (["export", "--trajectories", "cirle"], "'cirle'"),
-    ],
-)
-def test_options_of_one_and_of_several_paths_or_models_are_taken_for_each_other(
-    words: list[str], named: str, tmp_path: Path
-) -> None:
-    result = runner.invoke(app, [*words, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert named in result.stderr
-    assert "No such option" not in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("command", "option", "other"), [("simulate", "--seeds", "--seed"), ("bench", "--seed", "--seeds")]
-)
-def test_a_seed_is_no_number_of_seeds(command: str, option: str, other: str) -> None:
-    """`--seeds 3` of `bench` means three seeds: to take one for the other would drive what nobody asked for."""
-    result = runner.invoke(app, [command, option, "3"])
-    assert result.exit_code == 2
-    assert "No such option" in result.stderr
-    assert other in result.stderr

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from opened_report import check_report, content_of
-from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError, commission
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key_of
 from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
@@ -185,35 +183,7 @@ def test_every_drawn_robot_is_one(tmp_path_factory, seed):
     assert 0.95 <= robot.firmware.track / robot.robot.track <= 1.36
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["heavy", "--drawn", "3"], "--drawn 3: it draws the robot"),
-        (["heavy", "--log", "a.csv"], "--log: the simulated robot is driven here"),
-        (["--inside", "5", "heavy"], "give length and width in metres"),
-        (["nothing", "--no-tune"], "nothing"),
-        (["heavy", "--no-tune", "--config", "none.yaml"], "none.yaml"),
-    ],
-)
-def test_bad_input_is_one_line(tmp_path, words, said):
-    result = CliRunner().invoke(app, ["commission", *words, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert said in result.output
-    assert result.output.count("\n") == 1
-
-
 def test_a_ledger_of_something_else_is_refused(tmp_path):
     (tmp_path / "commission.json").write_text("[1]")
     with pytest.raises(ConfigError, match="not written by this command"):
         Ledger(tmp_path)
-
-
-@pytest.mark.parametrize("option", ["--known", "--mapping", "--plan"])
-def test_files_that_are_named_are_read_before_a_drive_is_searched_for(option, tmp_path):
-    """The step that needs them comes minutes later."""
-    file = tmp_path / "bad.yaml"
-    file.write_text("structure: [ssm]\n", encoding="utf-8")
-    result = CliRunner().invoke(app, ["commission", option, str(file), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert "bad.yaml" in result.stderr
-    assert not (tmp_path / "out").exists()

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.doctor import computer, examination, pictures, product, real_time, ros
 from diffdrive_mpc.app.doctor.machine import Machine, MachineFinding
@@ -229,6 +230,5 @@ def test_it_fails_only_where_the_controller_cannot_run(monkeypatch) -> None:
         return MachineFinding("controller", "missing", "does not run", "see below", needed=True)
 
     monkeypatch.setattr(examination, "LOOKS", {"controller": (broken,)})
-    failed = CliRunner().invoke(app, ["doctor"])
-    assert failed.exit_code == 1
+    failed = invoke(app, "doctor", code=1)
     assert "missing" in failed.stdout

@@ -52,21 +52,24 @@ def test_soft_limits_in_double_precision(with_sanitizers):
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
 
 
+def track_both(folder, trajectory, overrides, ticks, *flags, precision="double", within=DOUBLE, offset=(0, 0, 0), **of):
+    """Steps of an export and of Python's controller, which track, and differ by no more than `within`."""
+    program = export(folder / precision, trajectory, precision, overrides, "-O0", *flags, **of)
+    steps = drive_both(program, trajectory, overrides, ticks, offset=offset, **of)
+    assert np.abs(differences(steps)).max() <= within
+    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+    return steps
+
+
 def test_single_precision(tmp_path):
     """Rounding only: both stop at the exact solution of the same program."""
-    program = export(tmp_path / "float", "square", "float", TIGHT, "-O0")
-    steps = drive_both(program, "square", TIGHT, 350, offset=(0.02, -0.03, 0.1))
-    assert np.abs(differences(steps)).max() <= 2e-4
-    assert all(ours.mode == theirs.mode for ours, theirs in steps)
+    steps = track_both(tmp_path, "square", TIGHT, 350, precision="float", within=2e-4, offset=(0.02, -0.03, 0.1))
     assert sum(theirs.iterations > 0 for _, theirs in steps) > 50
 
 
 def test_soft_limits_in_single_precision(tmp_path):
     limits = {"limits.wheel_speed": 0.55, "limits.predicted_omega": 0.49, "limits.corridor": 0.1}
-    program = export(tmp_path / "float", "s", "float", limits, "-O0")
-    steps = drive_both(program, "s", limits, 300)
-    assert np.abs(differences(steps)).max() <= 2e-4
-    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+    steps = track_both(tmp_path, "s", limits, 300, precision="float", within=2e-4)
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 100
 
 
@@ -85,18 +88,13 @@ def test_what_the_active_set_does_not_prove_is_a_failed_solve(tmp_path):
 def test_another_model_with_dead_time(tmp_path):
     """Eight states, a horizon of its own, and commands that are two and three samples on their way."""
     overrides = {"horizon": 12, "extra_dead_time.v": 0.05, "extra_dead_time.omega": 0.03}
-    program = export(tmp_path / "mbm", "s", "double", overrides, "-O0", model="mbm")
-    steps = drive_both(program, "s", overrides, 100, offset=(0.0, 0.04, 0.1), model="mbm")
-    assert np.abs(differences(steps)).max() <= DOUBLE
-    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+    track_both(tmp_path, "s", overrides, 100, offset=(0.0, 0.04, 0.1), model="mbm")
 
 
 def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
     overrides = {"estimator.veer_uncertainty": 0.02, "estimator.yaw_coupling": 0.05, "limits.min_turn_radius": 0.95}
     overrides["limits.min_commanded_radius"] = 1.2
-    program = export(tmp_path / "curved", "s", "double", overrides, "-O0", "-fsanitize=address,undefined")
-    steps = drive_both(program, "s", overrides, 120, offset=(0.0, 0.04, 0.1))
-    assert np.abs(differences(steps)).max() <= DOUBLE
+    steps = track_both(tmp_path, "s", overrides, 120, "-fsanitize=address,undefined", offset=(0.0, 0.04, 0.1))
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 20
     commands = np.abs([theirs.command for _, theirs in steps])
     assert (1.2 * commands[:, 1] <= commands[:, 0] + 1e-12).all()
@@ -110,9 +108,7 @@ def test_energy_and_its_least_radius_come_along(tmp_path):
         "energy.use_min_radius": True,
         "horizon": 12,
     }
-    program = export(tmp_path / "energy", "circle", "double", overrides, "-O0")
-    steps = drive_both(program, "circle", overrides, 120, offset=(0.0, 0.03, 0.05))
-    assert np.abs(differences(steps)).max() <= DOUBLE
+    steps = track_both(tmp_path, "circle", overrides, 120, offset=(0.0, 0.03, 0.05))
     radius = load_turn_costs("fsu_bot-carpet").least_radius()
     commands = np.abs([theirs.command for _, theirs in steps])
     assert (radius * commands[:, 1] <= commands[:, 0] + 1e-12).all()
@@ -234,30 +230,28 @@ def terms_of_the_user(point) -> tuple[Term, ...]:
     )
 
 
-def test_functions_of_the_user(tmp_path):
-    """A nonlinear model and two terms: the same C as Python's, in either precision."""
-    model, terms = saturating_lag(), terms_of_the_user(load_trajectory("circle").sample([2.5]).pose[0, :2])
-    for precision, difference in (("double", DOUBLE), ("float", 2e-4)):
-        program = export(tmp_path / precision, "circle", precision, {}, "-O0", model=model, terms=terms)
-        steps = drive_both(program, "circle", {}, 200, offset=(0.0, 0.03, 0.0), model=model, terms=terms)
-        assert np.abs(differences(steps)).max() <= difference
-        assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
-        assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 10
+@pytest.mark.parametrize(("precision", "within"), [("double", DOUBLE), ("float", 2e-4)])
+def test_functions_of_the_user(tmp_path, precision, within):
+    """A nonlinear model and two terms: the same C as Python's."""
+    given = {
+        "model": saturating_lag(),
+        "terms": terms_of_the_user(load_trajectory("circle").sample([2.5]).pose[0, :2]),
+    }
+    steps = track_both(
+        tmp_path, "circle", {}, 200, precision=precision, within=within, offset=(0.0, 0.03, 0.0), **given
+    )
+    assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 10
 
 
-def test_the_network_comes_along(tmp_path):
-    """Its weights as tables, its functions with the core; in either precision."""
-    for precision, difference in (("double", DOUBLE), ("float", 2e-3)):
-        program = export(tmp_path / precision, "circle", precision, {}, "-O0", model="lstm")
-        steps = drive_both(program, "circle", {}, 60, model="lstm")
-        assert np.abs(differences(steps)).max() <= difference
-        assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
-
-
-@pytest.mark.parametrize("model", ["p2_experimental", "p2_physical"])
-def test_a_drive_comes_along(tmp_path, model):
-    """Slope limits and, of the experimental one, its threshold: the same C as Python's."""
-    program = export(tmp_path / "c", "circle", "double", {}, "-O0", model=model)
-    steps = drive_both(program, "circle", {}, 60, model=model)
-    assert np.abs(differences(steps)).max() <= DOUBLE
-    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+@pytest.mark.parametrize(
+    ("model", "precision", "within"),
+    [
+        ("lstm", "double", DOUBLE),
+        ("lstm", "float", 2e-3),
+        ("p2_experimental", "double", DOUBLE),
+        ("p2_physical", "double", DOUBLE),
+    ],
+)
+def test_networks_and_drives_come_along(tmp_path, model, precision, within):
+    """A network's weights as tables; slope limits and, of the experimental drive, its threshold."""
+    track_both(tmp_path, "circle", {}, 60, precision=precision, within=within, model=model)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from export_parts import SpoiledReference, compile_c
 
-from diffdrive_mpc.app.export.command import export_library
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.core.sources import CORE
 from diffdrive_mpc.mpc.export import Precision, export_controller
@@ -61,40 +60,11 @@ def test_the_same_configuration_gives_the_same_files(tmp_path):
     assert first == second
 
 
-@pytest.mark.parametrize(
-    ("choice", "said"),
-    [
-        ({"precision": "half"}, "--precision 'half': give double or float"),
-        ({"settings": ["limits.omega=0.3"]}, "omega = 0.5 rad/s is beyond the limit of 0.3 rad/s"),
-        ({"settings": ["solver.strategy=backend"]}, "an exported controller has no backend"),
-        ({"settings": ["solver.active_set_iterations=0"]}, "an exported controller has no backend"),
-        ({"model": "smm"}, "unknown model 'smm'"),
-        ({"model": " "}, "--model: it is empty"),
-        ({"trajectory": "triangle"}, "triangle"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, choice, said):
-    options = {"model": None, "config": None, "settings": [], "trajectory": "circle", "precision": "double"}
-    options |= {"emulated": False} | choice
-    with pytest.raises(ValueError, match=re.escape(said)) as caught:
-        export_library(tmp_path / "out", **options)
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "out").exists()
-
-
 def test_an_impossible_reference_is_refused(tmp_path):
     reference = SpoiledReference("circle")
     reference.spoiled_from = 5.0
     with pytest.raises(ValueError, match="reference 'circle'.*not finite"):
         trajectory_texts(reference, 0.0202)
-
-
-def test_a_file_in_the_way_is_named(tmp_path):
-    (tmp_path / "out").write_text("kept")
-    result = run(tmp_path, "--out", "out")
-    assert result.returncode == 2
-    assert "--out out" in result.stderr
-    assert (tmp_path / "out").read_text() == "kept"
 
 
 def test_every_size_is_a_macro():

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 
 
@@ -21,8 +21,7 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
         raise kind
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
-    result = CliRunner().invoke(app, ["models", "show", "ssm"])
-    assert result.exit_code == 130
+    result = invoke(app, "models", "show", "ssm", code=130)
     assert result.stderr.strip() == "error: aborted"
     assert result.stdout == ""
 

@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 
 import pytest
 from mcap.reader import make_reader
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.layouts import LAYOUTS, layout
 from diffdrive_mpc.models.logs.drive_log.topics import STATE
@@ -18,7 +18,7 @@ def paths(tmp_path_factory):
     """Topics of a logged run with the type of each, and every field of the rows that the file really holds."""
     log = tmp_path_factory.mktemp("layouts") / "s.mcap"
     words = ["simulate", "--plant", "model:ssm", "--trajectory", "s", "--log", str(log)]
-    assert CliRunner().invoke(app, words).exit_code == 0
+    invoke(app, *words)
     topics, fields = {}, set()
     with log.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
@@ -82,8 +82,7 @@ def test_each_quantity_has_one_name_in_both(paths):
 
 
 def test_the_command_writes_them(tmp_path):
-    done = CliRunner().invoke(app, ["log", "layouts", "--out", str(tmp_path)])
-    assert done.exit_code == 0
+    invoke(app, "log", "layouts", "--out", tmp_path)
     assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == {
         name: layout(name) for name in LAYOUTS
     }

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.model_report import model_text
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
@@ -76,8 +77,7 @@ def test_an_interrupted_fit_leaves_the_old_files(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("quick_parts")
 def test_the_fit_command_prints_the_table(tmp_path: Path) -> None:
-    result = runner.invoke(app, ["models", "fit", "--out", str(tmp_path / "fitted")])
-    assert result.exit_code == 0, result.stderr
+    result = invoke(app, "models", "fit", "--out", tmp_path / "fitted")
     assert "FIT" in result.stdout
     assert sorted(path.name for path in (tmp_path / "fitted").iterdir()) == ["mbm.yaml", "sm.yaml"]
 
@@ -115,8 +115,7 @@ def test_the_shipped_sm_says_what_is_not_known() -> None:
 def test_what_cannot_be_written_is_said_before_the_long_work(arguments: str, message: str, tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("a file")
-    result = runner.invoke(app, arguments.format(taken=taken, folder=tmp_path).split())
-    assert result.exit_code == 2
+    result = invoke(app, *arguments.format(taken=taken, folder=tmp_path).split(), code=2)
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
     assert message in result.stderr

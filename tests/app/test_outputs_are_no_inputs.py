@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.command_line.options import named_inputs
 from diffdrive_mpc.models.input_file import read_input, reading
@@ -39,8 +39,7 @@ def _round_about(file: Path, folder: Path) -> Path:
 
 
 def _refused(*words: object) -> str:
-    result = CliRunner().invoke(app, list(map(str, words)))
-    assert result.exit_code == 2, result.output
+    result = invoke(app, *words, code=2)
     (line,) = result.stderr.splitlines()
     return line
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 from opened_report import check_report, content_of
-from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
+from commands import call
 from diffdrive_mpc.app.proof.boundaries import map_runs
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.bench.campaign.check import check_definitions
@@ -34,12 +33,6 @@ maps:
 boundaries:
   sensors.pose.latency: {holds: 0.02, beyond: 0.5, within: 0.3, unit: s}
 """
-
-
-def call(*words: object, code: int = 0) -> str:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == code, result.output
-    return result.output
 
 
 @pytest.fixture
@@ -145,11 +138,6 @@ def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, 
     said = call("prove", "ssm", "--campaign", proof, "--out", tmp_path / "out", code=2)
     assert line in " ".join(said.split())
     assert not (tmp_path / "out").exists()
-
-
-def test_beside_a_run_nothing_else_is_said(tmp_path: Path) -> None:
-    said = call("simulate", "--from-run", tmp_path / "run.yaml", "--trajectory", "s", code=2)
-    assert "--from-run: the file says what is driven" in said
 
 
 def test_the_shipped_proof_can_be_driven() -> None:

@@ -7,6 +7,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc import identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.run_log import repeating
@@ -55,7 +56,7 @@ def test_identify_finds_the_same_in_both(logs):
 @pytest.mark.parametrize("words", [["--laps", "2"], ["--controller", "pursuit"]])
 def test_laps_and_peers_are_logged_too(words, tmp_path):
     plain = [word for word in WORDS if words[0] != "--controller" or word not in ("--set", "horizon=12")]
-    assert CliRunner().invoke(app, [*plain, *words, "--log", str(tmp_path / "run.mcap")]).exit_code == 0
+    invoke(app, *plain, *words, "--log", tmp_path / "run.mcap")
     log = read_drive_log(tmp_path / "run.mcap", plans=True)
     assert " ".join(words) in log.metadata["case"]["repeat"]
     assert any(plan is not None for plan in log.plans) == (words[0] == "--laps")

@@ -60,18 +60,6 @@ def test_other_shells_are_told_what_words_mean() -> None:
     assert "knocked sideways off the path while it drives" in "".join(completed(words, "fish"))
 
 
-def test_completing_imports_nothing_heavy() -> None:
-    code = (
-        "import sys\n"
-        "from diffdrive_mpc.bench.command_line.completion import choices\n"
-        "import diffdrive_mpc.app.cli\n"
-        "assert choices('setting')('horizon') and choices('model')('s')\n"
-        "print(*sorted({'casadi', 'numpy', 'pydantic', 'yaml', 'mujoco'} & set(sys.modules)))"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == ""
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_script_for_a_shell_is_shown(shell: str) -> None:
     asked = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}

@@ -8,21 +8,14 @@ from pathlib import Path
 import pytest
 from opened_report import check_report, content_of
 from tune_parts import small_plan, written
-from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
+from commands import call
 from diffdrive_mpc.app.tune.study import tune
 from diffdrive_mpc.app.tune.tune_file import StepTime, load_plan
 from diffdrive_mpc.bench.campaign.check import check_definitions
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
-
-
-def call(*words: object, code: int = 0) -> str:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == code, result.output
-    return result.output
 
 
 @pytest.fixture(scope="module")

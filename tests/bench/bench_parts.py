@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from loop_parts import ConstantTwist, KinematicPlant
 from numpy.typing import ArrayLike
 from pandas import DataFrame
 
@@ -12,28 +13,29 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome
-from diffdrive_mpc.models.interface import FloatArray, Measurement, ReferenceSample, Stamped
-from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+
+META: dict[str, object] = {
+    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
+    "revision": "abc",
+    "version": "1",
+    "date": "2026-01-01",
+    "wall_time_s": 1.0,
+}
+"""What a report says of its machine and time."""
 
 
 @dataclass(frozen=True)
-class Arc:
-    """A reference with constant twist."""
+class Arc(ConstantTwist):
+    """A reference with constant twist, of which a gentle curve is usual."""
 
     v: float = 0.5
     omega: float = 0.3
     duration: float = 8.0
     name: str = "arc"
 
-    def sample(self, times: ArrayLike) -> ReferenceSample:
-        times = np.asarray(times, dtype=float)
-        t = np.clip(times, 0.0, self.duration)
-        moving = ((times >= 0) & (times <= self.duration)).astype(float)
-        pose = integrate_pose([0.0, 0.0, 0.0], self.v * t, self.omega * t, 1.0)
-        return ReferenceSample(pose, np.outer(moving, [self.v, self.omega]), abs(self.v) * t)
 
-
-class DisplacedUnicycle:
+class DisplacedUnicycle(KinematicPlant):
     """Does at once what it is told; starts off the reference; its pose arrives `late` ticks late."""
 
     sample_time = 0.0202
@@ -51,12 +53,6 @@ class DisplacedUnicycle:
     def measure(self) -> Measurement:
         self._past.append(Stamped(self.true_pose, self.time))
         return Measurement(pose=self._past[-1 - self._late])
-
-    def advance(self, command: ArrayLike) -> None:
-        v, omega = np.asarray(command, dtype=float)
-        self.true_pose = integrate_pose(self.true_pose, v, omega, self.sample_time)
-        self.true_twist = np.array([v, 0.0, omega])
-        self.time += self.sample_time
 
 
 def quick_case(**changes: object) -> Case:

@@ -16,6 +16,7 @@ import yaml
 from bench_parts import quick_case
 from typer.testing import CliRunner
 
+from commands import call
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign import identity
@@ -60,12 +61,6 @@ def campaign(tmp_path: Path, short: Path) -> Path:
     path = tmp_path / "campaign.yaml"
     path.write_text(FILE, encoding="utf-8")
     return path
-
-
-def call(*words: object) -> str:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def test_a_repeated_campaign_drives_nothing(campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@ import pytest
 from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import scratch_folder
+from processes import is_running
 
 
 def _write(out: Path, owner: str, *names: str, shared: bool = False) -> None:
@@ -67,7 +68,8 @@ def test_results_whose_move_fails_leave_the_old_ones(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(OSError, match="disk full"):
-        _write(tmp_path, "bench", "a", "c")
+        _write(tmp_path, "bench", "a", "new/b", "c")
+    assert _there(tmp_path) == {"a", "b"} and not (tmp_path / "new").exists()
     assert {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)} == before
 
 
@@ -145,18 +147,11 @@ def test_workers_end_when_their_parent_is_killed() -> None:
         assert process.stdout is not None
         workers = [int(number) for number in process.stdout.readline().split()]
         assert workers
-        assert all(map(_alive, workers))
+        assert all(map(is_running, workers))
         process.send_signal(signal.SIGKILL)
         process.wait()
     for _ in range(200):
-        if not any(map(_alive, workers)):
+        if not any(map(is_running, workers)):
             return
         time.sleep(0.1)
     raise AssertionError("workers are left")
-
-
-def _alive(number: int) -> bool:
-    try:
-        return Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False

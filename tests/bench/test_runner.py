@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.runner import WorkerDiedError, lasting_processes, run_tasks
 
@@ -64,8 +64,7 @@ def test_a_process_that_dies_is_one_line_with_a_remedy(monkeypatch: pytest.Monke
         run_tasks([die, die], 2, lambda: None)
     monkeypatch.setattr("diffdrive_mpc.bench.comparison.study._drive", lambda case, whole: die())
     arguments = "--quick --models ssm --trajectories cane,s --plant model:ssm --jobs 2"
-    result = CliRunner().invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
-    assert result.exit_code == 1
+    result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split(), code=1)
     assert result.stderr.startswith("error: one of 2 processes was ended from outside")
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -75,12 +75,6 @@ def test_one_run_takes_one_value_for_each_key() -> None:
         single_settings(["horizon=5,10"])
 
 
-def test_seeds_are_a_count_or_a_list() -> None:
-    assert parse_seeds("3") == (0, 1, 2)
-    assert parse_seeds("3,7") == (3, 7)
-    assert parse_seeds("7,") == (7,)
-
-
 @pytest.mark.parametrize("text", ["0", "-1", "1,1", "a", "1.5", "", ","])
 def test_what_cannot_be_seeds_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="--seeds"):

@@ -10,44 +10,33 @@ BOT, MOTORS = load_vehicle("fsu_bot"), load_drive_constants("fsu_bot")
 SPEED = 0.4
 
 
+def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
+    """A floor with the torques of both sides [N m] at each turning radius [m]."""
+    curve = TorqueTable(
+        radius=tuple(radius.tolist()),
+        outer=tuple(outer.tolist()),
+        inner=tuple(inner.tolist()),
+        speed=SPEED,
+        speed_exponent=0.0,
+    )
+    slip = slip or SlipCoefficients()
+    return TurnCosts(name=name, vehicle=BOT, drive=drive, slip=slip, curve=curve, provenance="a test")
+
+
 def stiff(least, slip=None):
     """A floor on which the outer side is at its limit below a radius, and asks less the wider the turn."""
     radius = np.geomspace(0.2, 500.0, 60)
     turn = np.minimum(4.6, 0.95 * 4.6 * (least / radius) ** 1.2)
-    return TurnCosts(
-        name=f"least radius {least:g} m",
-        vehicle=BOT,
-        drive=MOTORS,
-        slip=slip or SlipCoefficients(),
-        curve=TorqueTable(
-            radius=tuple(radius.tolist()),
-            outer=tuple((turn + 0.2).clip(max=4.6).tolist()),
-            inner=tuple((0.22 - turn).tolist()),
-            speed=SPEED,
-            speed_exponent=0.0,
-        ),
-        provenance="a test",
-    )
+    return floor(f"least radius {least:g} m", radius, (turn + 0.2).clip(max=4.6), 0.22 - turn, slip=slip)
 
 
 def sliding(slip=None):
     """Dry friction: every turn asks the same torques, nothing is given back, and nothing is lost in windings."""
     radius = np.geomspace(0.02, 2000.0, 80)
     turn = np.where(radius < 100.0, 2.0, 2.0 * (100.0 / radius))
-    return TurnCosts(
-        name="dry friction",
-        vehicle=BOT,
-        drive=MOTORS.model_copy(update={"resistance": 0.0, "regeneration": False}),
-        slip=slip or SlipCoefficients(),
-        curve=TorqueTable(
-            radius=tuple(radius.tolist()),
-            outer=tuple((0.21 + turn).tolist()),
-            inner=tuple((np.where(radius < 0.195, -0.21, 0.21) - turn).tolist()),
-            speed=SPEED,
-            speed_exponent=0.0,
-        ),
-        provenance="a test",
-    )
+    inner = np.where(radius < 0.195, -0.21, 0.21) - turn
+    drive = MOTORS.model_copy(update={"resistance": 0.0, "regeneration": False})
+    return floor("dry friction", radius, 0.21 + turn, inner, drive=drive, slip=slip)
 
 
 def dubins(start, goal, radius):

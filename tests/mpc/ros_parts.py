@@ -14,6 +14,8 @@ os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="ros-log-"))
 
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -216,7 +218,7 @@ class Stack:
             if parameters["autostart"]:
                 self.base.until(self.hears, "sensors")
             if drive:
-                assert self.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+                assert self.trigger("start").success
         except BaseException:
             self.close()
             raise
@@ -281,6 +283,28 @@ class Stack:
             executor.shutdown()
             node.destroy_node()
             rclpy.shutdown(context=context)
+
+    def trigger(self, name):
+        """The answer of one of the node's own services that take nothing."""
+        return self.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request())
+
+    def change(self, number):
+        """Ask for a transition of the lifecycle; whether it was made."""
+        request = ChangeState.Request(transition=Transition(id=number))
+        return self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+
+    def listen(self, kind, topic, qos=10):
+        """All messages of a topic that the base hears from now on."""
+        heard = []
+        self.base.node.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def publisher(self, kind, topic):
+        """One of the base, which the node hears."""
+        made = self.base.node.create_publisher(kind, topic, 1)
+        self.base.until(lambda: made.get_subscription_count() == 1, "the node's subscription")
+        self.base.until(lambda: self.node.count_publishers(topic) == 1, "the publisher")
+        return made
 
     def close(self):
         self.base.close()

@@ -1,6 +1,5 @@
 """The configuration: shipped defaults load, and every mistake gives one line with place and remedy."""
 
-import numpy as np
 import pytest
 from pydantic import BaseModel
 
@@ -8,9 +7,8 @@ from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.sim import make_plant
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
@@ -87,26 +85,6 @@ def test_a_model_file_is_found_beside_the_configuration(tmp_path):
     (tmp_path / "mine.yaml").write_text("anything")
     (tmp_path / "c.yaml").write_text("model: mine.yaml\n")
     assert load_config(tmp_path / "c.yaml").model == str(tmp_path / "mine.yaml")
-
-
-def test_a_range_tightened_below_the_last_command_is_reached_at_the_slew_limit():
-    controller = Controller(load_config("ssm", {"limits.v_slew": 0.5, "limits.omega_slew": 1.0}))
-    plant, reference = make_plant("model:ssm", seed=0), load_trajectory("circle")
-    plant.reset(reference.sample([0.0]).pose[0])
-    controller.start(reference, plant.time)
-    commands = []
-    for k in range(160):
-        if k == 100:
-            controller.update(limits={"v": 0.3})
-        commands.append(controller.step(plant.time, plant.measure()).command)
-        plant.advance(commands[-1])
-    v, step = np.array(commands)[:, 0], 0.5 * controller.config.sample_time
-    assert v[99] > 0.4, "the range must be tightened below the last command"
-    steps = np.abs(np.diff(np.array(commands), axis=0, prepend=np.zeros((1, 2))))
-    assert (steps <= np.array([0.5, 1.0]) * controller.config.sample_time + 1e-9).all()
-    due = np.maximum(v[99] - step * np.arange(1, 61), 0.3)
-    assert (v[100:] <= due + 1e-9).all()
-    assert v[-1] == pytest.approx(0.3, abs=1e-3)
 
 
 @pytest.mark.parametrize("make", [load_config, load_trajectory, load_model])

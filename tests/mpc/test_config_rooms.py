@@ -43,10 +43,11 @@ def test_an_earlier_file_is_read_with_one_line_that_says_the_present_name(tmp_pa
         assert load_config(path) == old
 
 
-def test_a_key_may_be_named_with_its_room_or_without():
+def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
     assert [load_config("ssm", one).estimator.history for one in named] == [0.5, 0.5]
     assert load_config("ssm", {"estimator.most_gain": 2.0}).estimator.max_gain == 2.0
+    assert load_config("ssm", {"estimator": {"least_gain": 0.3}}).estimator.min_gain == 0.3
     assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
 
 
@@ -83,10 +84,6 @@ def test_a_mistake_names_the_room(tmp_path, text, message):
         load_config(path)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_group_as_an_override_may_have_former_names():
-    assert load_config("ssm", {"estimator": {"least_gain": 0.3}}).estimator.min_gain == 0.3
 
 
 def test_rooms_lose_nothing():

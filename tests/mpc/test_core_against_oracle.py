@@ -181,6 +181,12 @@ def restamped(m, by):
 EVENTS = {
     "carried": (carried, {}, ["TRACKING"], "rejoining"),
     "carried far": (carried_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
+    "carried far, no resuming": (
+        carried_far,
+        {"failure.resume": False},
+        ["TRACKING", "BRAKING", "STOPPED"],
+        "robot is somewhere else",
+    ),
     "chased": (carried, {"reentry.enabled": False}, ["TRACKING"], ""),
     "carried too far": (
         carried_far,
@@ -239,7 +245,10 @@ def test_what_may_happen_on_a_drive(name):
     ticks = 100 if modes == ["TRACKING"] and name not in ("blocked", "along its limits") else 190
     both.drive(make_plant(plant, seed=4), load_trajectory("circle"), ticks, event)
     assert words in both.words
-    assert modes is None or [mode for mode in both.modes if mode in modes][: len(modes)] == modes
+    if modes is not None:
+        assert [mode for mode in both.modes if mode in modes][: len(modes)] == modes
+        # Where it must not resume, nothing follows.
+        assert changes.get("failure.resume", True) or both.modes[-1] == modes[-1]
 
 
 def test_solves_that_fail():

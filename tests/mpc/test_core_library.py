@@ -19,6 +19,7 @@ from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.mpc.core import library, packaged, sources
 from diffdrive_mpc.mpc.core.generate import generate
 from diffdrive_mpc.mpc.problem.user_functions import user_term
+from processes import is_running
 
 ROOT = Path(__file__).parents[2]
 # A core as small as can be.
@@ -384,17 +385,9 @@ def test_a_compiler_that_hangs_is_ended_with_its_children(folder, tmp_path, monk
     children = (tmp_path / "bin" / "cc.children").read_text().split()
     assert children
     # A process that is killed takes a moment to go; left alone, these would sleep a minute.
-    while any(runs(int(child)) for child in children):
+    while any(is_running(int(child)) for child in children):
         assert time.monotonic() - begin < 30
         time.sleep(0.05)
-
-
-def runs(process):
-    """Whether it does, rather than being gone or waiting to be collected."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def test_a_compiler_that_does_not_say_its_version_is_passed_over(folder, tmp_path, monkeypatch):

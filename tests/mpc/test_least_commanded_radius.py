@@ -135,11 +135,12 @@ def test_a_reference_that_turns_on_the_spot_is_refused_in_one_line():
         Controller(load_config("ssm", {KEY: 1.0})).start(load_trajectory("square"), 0.0)
 
 
-def test_it_changes_while_driving_but_is_neither_set_nor_unset():
-    controller = Controller(load_config("ssm", {KEY: 1.5}))
-    assert controller.update(limits={"min_commanded_radius": 1.2}).limits.min_commanded_radius == 1.2
-    with pytest.raises(ConfigError, match="limits.min_commanded_radius: it can be changed while driving, but neither"):
-        Controller(load_config("ssm")).update(limits={"min_commanded_radius": 1.2})
+@pytest.mark.parametrize("name", ["min_commanded_radius", "min_turn_radius"])
+def test_a_radius_changes_while_driving_but_is_neither_set_nor_unset(name):
+    controller = Controller(load_config("ssm", {f"limits.{name}": 1.5}))
+    assert controller.update(limits={name: 1.2}).limits.model_dump()[name] == 1.2
+    with pytest.raises(ConfigError, match=f"limits.{name}: it can be changed while driving, but neither set nor unset"):
+        Controller(load_config("ssm")).update(limits={name: 1.2})
 
 
 @pytest.mark.parametrize("surface", ["default", "slippery"])

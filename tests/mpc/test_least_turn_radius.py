@@ -103,10 +103,3 @@ def test_the_way_back_turns_no_tighter(side):
         assert found is not None
         twist = found.connection.sample(np.linspace(0, found.connection.duration, 300)).twist
         assert radius == 0.0 or excess(twist, radius).max() <= 0.02
-
-
-def test_it_changes_while_driving_but_is_neither_set_nor_unset():
-    controller = Controller(with_radius(1.5))
-    assert controller.update(limits={"min_turn_radius": 1.2}).limits.min_turn_radius == 1.2
-    with pytest.raises(ConfigError, match="neither set nor unset"):
-        Controller(load_config("ssm")).update(limits={"min_turn_radius": 1.2})

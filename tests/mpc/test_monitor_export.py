@@ -10,6 +10,7 @@ import pytest
 from test_monitor_judge import RULES, START, random_drive
 from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.monitor.export import export_judge, rules_texts
 from diffdrive_mpc.mpc.monitor.judge import Judge, rule_names
@@ -25,8 +26,7 @@ WHAT = ("begin", "point", "reference", "odometry", "gyro", "pose", "says", "comm
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("judge") / "exported"
-    result = CliRunner().invoke(app, ["monitor", "--export", str(made)])
-    assert result.exit_code == 0, result.output
+    invoke(app, "monitor", "--export", made)
     return made
 
 

@@ -22,8 +22,11 @@ TICKS = np.arange(2500)
 COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS / 25)])
 
 
-def run(estimator, robot, ticks=200, deliver=None):
-    """Drive open loop; `deliver(k, measurement)` decides what the estimator gets."""
+def run(estimator, robot, ticks=200, deliver=None, command=None, driven=None, after=None):
+    """Drive open loop; `deliver(k, measurement)` decides what the estimator gets, `after(k)` looks at it.
+
+    The estimator is told of `command`, or of those above; the robot is `driven` by another one where that is given.
+    """
     messages = []
     for k in range(ticks):
         measurement = robot.measure()
@@ -31,8 +34,11 @@ def run(estimator, robot, ticks=200, deliver=None):
             measurement = deliver(k, measurement)
         estimator.advance(robot.time)
         messages += estimator.update(robot.time, measurement)
-        estimator.commands.append(COMMANDS[k])
-        robot.advance(COMMANDS[k])
+        if after is not None:
+            after(k)
+        sent = COMMANDS[k] if command is None else np.array(command)
+        estimator.commands.append(sent)
+        robot.advance(sent if driven is None else np.array(driven))
     return messages
 
 
@@ -54,16 +60,10 @@ def test_a_late_pose_counts_as_if_it_had_come_in_time(late):
 
     def hold_back(k, measurement):
         queue.append(measurement.pose)
-        pose = queue[k - late] if k >= late else (queue[0] if k == 0 else None)
-        return Measurement(pose=pose, wheel_twist=measurement.wheel_twist, yaw_rate=measurement.yaw_rate)
+        return replace(measurement, pose=queue[k - late] if k >= late else (queue[0] if k == 0 else None))
 
     def stop_early(k, measurement):
-        keep = k < 100 - late
-        return Measurement(
-            pose=measurement.pose if keep else None,
-            wheel_twist=measurement.wheel_twist,
-            yaw_rate=measurement.yaw_rate,
-        )
+        return measurement if k < 100 - late else replace(measurement, pose=None)
 
     run(delayed, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, hold_back)
     run(in_time, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, stop_early)
@@ -120,11 +120,7 @@ def test_where_the_robot_turns_about_is_found(slip):
 @pytest.mark.parametrize("command", [(0.0, 0.0), (0.6, 0.0)], ids=["at rest", "straight on"])
 def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_forgotten(command):
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=LOADED[0], noise=1.0)
-    for _ in range(400):
-        estimator.advance(robot.time)
-        estimator.update(robot.time, robot.measure())
-        estimator.commands.append(np.array(command))
-        robot.advance(np.array(command))
+    run(estimator, robot, 400, command=command)
     found, deviation = (
         np.array(part.flat)[4:] for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
     )
@@ -188,13 +184,9 @@ def test_a_short_jerk_is_not_taken_for_slip():
 
 def test_the_gains_of_omega_are_frozen_while_the_robot_hardly_turns():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=SLIP, noise=1.0)
-    for k in range(300):
-        estimator.advance(robot.time)
-        estimator.update(robot.time, robot.measure())
-        if k == 20:
-            before = estimator.estimate
-        estimator.commands.append(np.array([0.5, 0.03]))
-        robot.advance(np.array([0.5, 0.03]))
+    run(estimator, robot, 20, command=(0.5, 0.03))
+    before = estimator.estimate
+    run(estimator, robot, 280, command=(0.5, 0.03))
     after = estimator.estimate
     assert after.slip.yaw_gain == before.slip.yaw_gain
     assert after.slip.omega_gain == before.slip.omega_gain
@@ -207,11 +199,7 @@ def test_a_false_command_is_not_learned_as_slip():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
     run(estimator, robot, 150)
     before = estimator.estimate.slip
-    for _ in range(25):
-        estimator.advance(robot.time)
-        estimator.update(robot.time, robot.measure())
-        estimator.commands.append(np.array([0.5, 0.5]))
-        robot.advance(np.array([0.2, -1.5]))
+    run(estimator, robot, 25, command=(0.5, 0.5), driven=(0.2, -1.5))
     after = estimator.estimate
     assert after.twist == pytest.approx(robot.twist, abs=0.1)
     assert after.pose == pytest.approx(robot.poses[-2], abs=0.05)
@@ -228,13 +216,12 @@ def test_innovations_are_as_large_as_the_filter_expects():
     values, numbers = [], np.array([3 if sensor == "pose" else 1 for sensor in SENSORS])
     for seed in range(10):
         estimator, robot = StateEstimator(MODEL, Estimator()), NoisyRobot(MODEL, Estimator(), seed)
-        for k in range(150):
-            estimator.advance(robot.time)
-            estimator.update(robot.time, robot.measure())
+
+        def note(k, estimator=estimator):
             if k >= 10:
                 values.append([estimator.estimate.innovations[sensor] for sensor in SENSORS])
-            estimator.commands.append(COMMANDS[k])
-            robot.advance(COMMANDS[k])
+
+        run(estimator, robot, 150, after=note)
     low, high = chi2.interval(0.999, numbers * len(values))
     total = numbers * np.sum(values, axis=0)
     assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
@@ -254,11 +241,7 @@ def test_errors_are_as_large_as_the_estimator_says():
 
 def test_the_estimate_turns_on_through_pi():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([0, 0, 3.0]))
-    for _ in range(400):
-        estimator.advance(robot.time)
-        assert estimator.update(robot.time, robot.measure()) == []
-        estimator.commands.append(np.array([0.2, 1.0]))
-        robot.advance(np.array([0.2, 1.0]))
+    assert run(estimator, robot, 400, command=(0.2, 1.0)) == []
     assert robot.poses[-2][2] > 3 * np.pi
     assert estimator.estimate.pose[2] == pytest.approx(robot.poses[-2][2], abs=1e-6)
 

@@ -105,27 +105,23 @@ def test_forgetting_takes_its_share(forgetting, least, most):
     assert least * kept <= left <= most * kept
 
 
-def test_another_floor_is_refused():
+class Mirrored(Drifting):
+    drift = -0.04
+
+
+@pytest.mark.parametrize(
+    ("laps", "other", "word"),
+    [(2, {"slip": Slip(yaw_gain=0.7)}, "another floor"), (3, {"robot": Mirrored}, "forgotten")],
+    ids=["another floor", "what makes it worse"],
+)
+def test_what_no_longer_holds_is_forgotten(laps, other, word):
     learning = controller()
-    for _ in range(2):
+    for _ in range(laps):
         lap(learning)
     assert learning.rehearsal.correction.any()
-    lap(learning, slip=Slip(yaw_gain=0.7))
+    lap(learning, **other)
     _, results = lap(learning)
-    assert "another floor" in results[0].message
-    assert not learning.rehearsal.correction.any()
-
-
-def test_what_makes_it_worse_is_forgotten():
-    class Mirrored(Drifting):
-        drift = -0.04
-
-    learning = controller()
-    for _ in range(3):
-        lap(learning)
-    lap(learning, robot=Mirrored)
-    _, results = lap(learning)
-    assert "forgotten" in results[0].message
+    assert word in results[0].message
     assert not learning.rehearsal.correction.any()
 
 

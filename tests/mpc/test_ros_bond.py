@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from ros_parts import stack
-from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.ros.bond import (
     CONNECT_TIMEOUT,
@@ -138,11 +136,6 @@ class Manager:
                 self.s.base.step()
 
 
-def change(s, number):
-    request = ChangeState.Request(transition=Transition(id=number))
-    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
-
-
 @pytest.fixture
 def managed(ros_types):
     with stack(trajectory="circle") as s:
@@ -153,7 +146,7 @@ def managed(ros_types):
 
 def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     s, manager = managed
-    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    assert s.trigger("start").success
     manager.live(1.5)
     assert s.node._bond.words == "bound"
     first = manager.heard[-1]
@@ -161,7 +154,7 @@ def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     assert first.heartbeat_period == pytest.approx(0.1)
     assert first.heartbeat_timeout == pytest.approx(4.0)
     assert len(manager.heard) >= 5
-    assert change(s, Transition.TRANSITION_DEACTIVATE)
+    assert s.change(Transition.TRANSITION_DEACTIVATE)
     s.base.until(lambda: not manager.heard[-1].active, "the end of the bond")
     # It goes on saying so until the manager has said it, too.
     count = len(manager.heard)
@@ -170,14 +163,14 @@ def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     s.base.until(lambda: s.node._bond.protocol.state is BondState.DEAD, "the end")
     # Activated again it is another side of the same bond.
     manager.heard.clear()
-    assert change(s, Transition.TRANSITION_ACTIVATE)
+    assert s.change(Transition.TRANSITION_ACTIVATE)
     s.base.until(lambda: any(each.active for each in manager.heard), "a new heartbeat")
     assert manager.heard[-1].instance_id != manager.sister
 
 
 def test_a_manager_that_ends_the_bond_is_answered_and_the_robot_drives_on(managed, capfd):
     s, manager = managed
-    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    assert s.trigger("start").success
     manager.live(0.5)
     manager.say(active=False)
     s.base.until(lambda: not manager.heard[-1].active, "the answer")

@@ -9,7 +9,6 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, Stack
-from std_srvs.srv import Trigger
 
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
@@ -100,9 +99,7 @@ def straight(frame, start, length=2.0, speed=0.4, stamp=0):
 
 def send(s, path):
     """Have a path accepted; it is driven with the next tick."""
-    publisher = s.base.node.create_publisher(Path, "set_path", 1)
-    s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
-    s.base.until(lambda: s.node.count_publishers("set_path") == 1, "the publisher")
+    publisher = s.publisher(Path, "set_path")
     s.base.silent(3)
     before = s.loop._reference
     publisher.publish(path)
@@ -117,7 +114,7 @@ def beside(start, pose):
 def test_by_transforms_it_drives_in_the_map_as_it_does_by_poses(localised):
     robot = localised((3.0, -2.0, 0.7), pose_source="tf", trajectory="circle", start_at_robot=True)
     s = robot.s
-    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    assert s.trigger("start").success
     s.base.run(150)
     assert s.loop.last.mode == Mode.TRACKING
     np.testing.assert_allclose(s.loop.last.result.estimate.pose[:2], robot.in_map()[:2], atol=0.02)
@@ -146,7 +143,7 @@ def test_a_small_correction_of_the_localisation_is_driven_out(localised):
 def test_without_transforms_it_brakes_as_without_poses_and_drives_on(localised, missing):
     robot = localised(pose_source="tf", trajectory="circle", start_at_robot=True)
     s = robot.s
-    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    assert s.trigger("start").success
     s.base.run(60)
     robot.published.discard(missing)
     late = s.base.run(math.ceil(CONFIG.failure.dead_reckoning / DT) + 3)
@@ -163,8 +160,7 @@ def test_without_transforms_it_brakes_as_without_poses_and_drives_on(localised, 
 def test_what_is_wrong_with_transforms_is_named(localised):
     robot = localised(pose_source="tf", trajectory="circle", diagnostics_rate=20.0)
     s = robot.s
-    heard = []
-    s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    heard = s.listen(DiagnosticArray, "/diagnostics")
 
     def told(word):
         heard.clear()
@@ -177,7 +173,7 @@ def test_what_is_wrong_with_transforms_is_named(localised):
     robot.dynamic.publish(robot.type(transforms=[transform("base_link", "map", s.base.now, (0.0, 0.0, 0.0))]))
     told("frames loop")
     s.base.silent(math.ceil(CONFIG.failure.max_pose_age / DT) + 2)
-    answer = s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request())
+    answer = s.trigger("start")
     assert not answer.success
     assert "frames loop" in answer.message
     robot.dynamic.publish(robot.type(transforms=[transform("map", "odom", s.base.now + 10**12, (0.0, 0.0, 0.0))]))
@@ -219,8 +215,7 @@ def test_where_the_frame_of_its_path_is_no_longer_known_it_brakes_and_drives_on(
         (0.0, 0.3, 0.0), use_tf=True, tf_timeout=0.5, trajectory="''", drive_on_reference=True, diagnostics_rate=20.0
     )
     s = robot.s
-    heard = []
-    s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    heard = s.listen(DiagnosticArray, "/diagnostics")
     send(s, straight("map", (0.0, 0.3, 0.0), length=4.0))
     s.base.run(60)
     robot.published.discard("odom")
@@ -246,7 +241,7 @@ def test_a_metre_ahead_means_from_where_the_robot_was_at_the_stamp(localised):
     s.base.plant.reset((2.0, 1.5, 1.2))
     s.base.run(5)
     send(s, straight("base_link", (0.0, 0.0, 0.0), stamp=stamp))
-    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    assert s.trigger("start").success
     s.base.run(1)
     np.testing.assert_allclose(s.loop._laid.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
     s.base.run(5)
@@ -256,11 +251,9 @@ def test_a_metre_ahead_means_from_where_the_robot_was_at_the_stamp(localised):
 def test_a_path_that_lies_nobody_knows_where_is_refused(localised, capfd):
     robot = localised(use_tf=True, trajectory="circle")
     s = robot.s
-    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    assert s.trigger("start").success
     s.base.run(20)
-    publisher = s.base.node.create_publisher(Path, "set_path", 1)
-    s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
-    s.base.until(lambda: s.node.count_publishers("set_path") == 1, "the publisher")
+    publisher = s.publisher(Path, "set_path")
     s.base.run(3)
     for frame, stamp, reason in (
         ("nowhere", 0, "nobody has spoken of 'nowhere'"),

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from ros_parts import CONFIG, DT, stack
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.step_result import Mode
@@ -23,15 +22,6 @@ def hold(s, on):
     answer = s.call(SetBool, "/diffdrive_mpc/hold", SetBool.Request(data=on))
     assert answer.success
     return answer.message
-
-
-def trigger(s, name):
-    return s.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request())
-
-
-def change(s, number):
-    request = ChangeState.Request(transition=Transition(id=number))
-    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
 
 
 def tracking_distance(s):
@@ -82,22 +72,22 @@ def test_pushed_off_its_path_while_held_it_rejoins_it():
 def test_start_pause_and_reset_are_taken_but_do_not_move_it():
     with stack() as s:
         assert hold(s, on=True) == "is held"
-        answer = trigger(s, "start")
+        answer = s.trigger("start")
         assert answer.success
         assert answer.message.endswith("once it is let go (hold)")
         assert not s.base.run(20).any()
         assert s.loop.state is LoopState.DRIVING
         assert "held; call hold with false" in s.loop.last.message
-        assert trigger(s, "pause").success
+        assert s.trigger("pause").success
         assert hold(s, on=False).startswith("let go; stands; call start to drive")
         assert not s.base.run(20).any()
         hold(s, on=True)
-        assert "once it is let go" in trigger(s, "start").message
+        assert "once it is let go" in s.trigger("start").message
         assert not s.base.run(20).any()
-        assert trigger(s, "reset").success
+        assert s.trigger("reset").success
         assert s.loop.held
         assert not s.base.run(2).any()
-        assert trigger(s, "start").success
+        assert s.trigger("start").success
         assert not s.base.run(5).any()
         hold(s, on=False)
         assert s.base.run(20)[-1, 0] > 0.1
@@ -111,9 +101,9 @@ def test_it_outlasts_deactivation_and_cleanup(while_active):
         assert hold(s, on=True) == ("is held; brakes" if while_active else "is held once it is active")
         if while_active:
             for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
-                assert change(s, number)
+                assert s.change(number)
         for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            assert change(s, number)
+            assert s.change(number)
         s.base.until(s.hears, "sensors")
         assert not s.base.run(20).any()
         assert hold(s, on=False) == "let go; drives on"
@@ -122,8 +112,7 @@ def test_it_outlasts_deactivation_and_cleanup(while_active):
 
 def test_a_hold_is_no_failure_and_diagnostics_tell_it():
     with stack({"failure.resume": False}, drive=True, diagnostics_rate=20.0) as s:
-        heard = []
-        s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        heard = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
         hold(s, on=True)
         s.base.run(TO_REST)

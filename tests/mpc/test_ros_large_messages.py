@@ -53,9 +53,7 @@ def test_nor_is_a_trajectory_with_velocities_and_accelerations(points):
 def test_a_path_too_long_is_refused_unread_and_the_robot_drives_on(capfd):
     with stack(drive=True) as s:
         s.base.run(20)
-        publisher = s.base.node.create_publisher(Path, "set_path", 1)
-        s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
-        s.base.until(lambda: s.node.count_publishers("set_path") == 1, "the publisher")
+        publisher = s.publisher(Path, "set_path")
         publisher.publish(path_of(20_000))
         s.base.until(lambda: "reference refused: it has 1" in capfd.readouterr().err, "the refusal")
         assert s.base.run(20)[-1, 0] > 0.1
@@ -74,9 +72,7 @@ def test_while_a_reference_is_read_the_loop_goes_on():
             along = 0.3 * 0.02 * index
             pose = x + along * math.cos(theta), y + along * math.sin(theta), theta
             path.poses.append(stamped_pose_message(pose, 10**9 + index * 20_000_000, "odom"))
-        publisher = s.base.node.create_publisher(Path, "set_path", 1)
-        s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
-        s.base.until(lambda: s.node.count_publishers("set_path") == 1, "the publisher")
+        publisher = s.publisher(Path, "set_path")
         publisher.publish(path)
         s.base.until(lambda: s.node._aside._thread is not None, "the path to arrive")
         # Between its arrival and its acceptance ticks are answered: a process cannot be quicker than to begin.

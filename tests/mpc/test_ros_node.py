@@ -13,7 +13,6 @@ from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker
 
@@ -26,23 +25,8 @@ from diffdrive_mpc.sim import make_plant, simulate
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def change(s, number):
-    request = ChangeState.Request(transition=Transition(id=number))
-    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
-
-
 def state(s):
     return s.call(GetState, "/diffdrive_mpc/get_state", GetState.Request()).current_state.id
-
-
-def trigger(s, name):
-    return s.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request())
-
-
-def listen(s, kind, topic, qos=10):
-    heard = []
-    s.base.node.create_subscription(kind, topic, heard.append, qos)
-    return heard
 
 
 def test_in_lock_step_it_commands_what_the_simulation_does():
@@ -68,25 +52,25 @@ def test_on_the_wall_clock_it_drives_and_stops_without_odometry():
 def test_the_states_of_the_lifecycle():
     with stack(autostart=False) as s:
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
-        assert not trigger(s, "start").success
-        assert change(s, Transition.TRANSITION_CONFIGURE)
+        assert not s.trigger("start").success
+        assert s.change(Transition.TRANSITION_CONFIGURE)
         assert s.base.silent(3) == 0
-        assert "activate it first" in trigger(s, "start").message
-        assert change(s, Transition.TRANSITION_ACTIVATE)
+        assert "activate it first" in s.trigger("start").message
+        assert s.change(Transition.TRANSITION_ACTIVATE)
         s.base.until(s.hears, "sensors")
         assert not s.base.run(3).any()
-        assert trigger(s, "start").success
+        assert s.trigger("start").success
         assert s.base.run(5).any()
-        assert change(s, Transition.TRANSITION_DEACTIVATE)
+        assert s.change(Transition.TRANSITION_DEACTIVATE)
         assert s.base.commands[-1] == (0.0, 0.0)
-        assert change(s, Transition.TRANSITION_CLEANUP)
+        assert s.change(Transition.TRANSITION_CLEANUP)
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
-        assert change(s, Transition.TRANSITION_CONFIGURE)
-        assert change(s, Transition.TRANSITION_ACTIVATE)
+        assert s.change(Transition.TRANSITION_CONFIGURE)
+        assert s.change(Transition.TRANSITION_ACTIVATE)
         s.base.until(s.hears, "sensors")
-        trigger(s, "start")
+        s.trigger("start")
         assert s.base.run(5).any()
-        assert change(s, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert s.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
         assert s.base.commands[-1] == (0.0, 0.0)
         assert state(s) == State.PRIMARY_STATE_FINALIZED
 
@@ -112,23 +96,23 @@ def test_a_transition_that_is_not_allowed_is_refused_and_the_node_drives_on(aske
         assert warnings[0].endswith(refusal)
         assert state(s) == State.PRIMARY_STATE_ACTIVE
         assert s.base.run(5)[-1, 0] > 0.0
-        assert change(s, Transition.TRANSITION_DEACTIVATE)
+        assert s.change(Transition.TRANSITION_DEACTIVATE)
 
 
 def test_while_active_a_full_collection_of_garbage_has_little_to_walk():
     """Counted, not timed: what was built before is set aside, and comes back."""
     with stack(autostart=False) as s:
-        assert change(s, Transition.TRANSITION_CONFIGURE)
+        assert s.change(Transition.TRANSITION_CONFIGURE)
         before = len(gc.get_objects())
-        assert change(s, Transition.TRANSITION_ACTIVATE)
+        assert s.change(Transition.TRANSITION_ACTIVATE)
         assert len(gc.get_objects()) < 0.1 * before
-        assert change(s, Transition.TRANSITION_DEACTIVATE)
+        assert s.change(Transition.TRANSITION_DEACTIVATE)
         assert len(gc.get_objects()) > 0.9 * before
 
 
 def test_what_cannot_be_configured_is_refused_with_a_reason():
     with stack(autostart=False, trajectory="circel") as s:
-        assert not change(s, Transition.TRANSITION_CONFIGURE)
+        assert not s.change(Transition.TRANSITION_CONFIGURE)
         assert "unknown trajectory 'circel'" in s.node.failure
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
 
@@ -137,38 +121,38 @@ def test_the_trajectory_of_a_fast_robot_is_within_its_own_limits(tmp_path):
     path = tmp_path / "fast.yaml"
     path.write_text("segments: [{v: 3.0, omega: 0.0, duration: 2.0}]\n")
     with stack({"limits.v": 4.1}, autostart=False, trajectory=path) as s:
-        assert change(s, Transition.TRANSITION_CONFIGURE), s.node.failure
+        assert s.change(Transition.TRANSITION_CONFIGURE), s.node.failure
         assert s.node._trajectory.sample([2.5]).twist[0, 0] > 1.5
 
 
 def test_a_fault_of_the_code_in_a_transition_ends_unconfigured(monkeypatch):
     with stack(autostart=False) as s:
         monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.Controller", lambda _: 1 / 0)
-        assert not change(s, Transition.TRANSITION_CONFIGURE)
+        assert not s.change(Transition.TRANSITION_CONFIGURE)
         assert s.node.failure == "ZeroDivisionError: division by zero"
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
 
 
 def test_start_pause_and_reset():
     with stack() as s:
-        assert not trigger(s, "pause").success
-        assert trigger(s, "start").success
+        assert not s.trigger("pause").success
+        assert s.trigger("start").success
         assert s.base.run(30)[-1, 0] > 0.3
-        assert trigger(s, "start").message == "it is driving already; pause it first"
-        assert "pause first" in trigger(s, "reset").message
-        assert trigger(s, "pause").success
+        assert s.trigger("start").message == "it is driving already; pause it first"
+        assert "pause first" in s.trigger("reset").message
+        assert s.trigger("pause").success
         paused = s.base.run(40)
         assert not paused[-1].any()
         assert (abs(np.diff(paused[:, 0])) <= CONFIG.limits.v_slew * DT + 1e-9).all()
         assert s.loop.last.message == "paused; call start to drive on"
         late = s.loop.last.result.reference_delay
         assert late > 0.5
-        assert trigger(s, "start").message == "drives on"
+        assert s.trigger("start").message == "drives on"
         assert s.base.run(40)[-1, 0] > 0.3
         assert s.loop.last.mode == Mode.TRACKING
-        trigger(s, "pause")
+        s.trigger("pause")
         s.base.run(40)
-        assert trigger(s, "reset").success
+        assert s.trigger("reset").success
         assert s.loop.state is LoopState.IDLE
         assert not s.base.run(5).any()
 
@@ -176,19 +160,19 @@ def test_start_pause_and_reset():
 def test_paused_it_drives_on_even_where_failures_are_final():
     with stack({"failure.resume": False}, drive=True) as s:
         s.base.run(20)
-        trigger(s, "pause")
+        s.trigger("pause")
         s.base.run(40)
-        trigger(s, "start")
+        s.trigger("start")
         assert s.base.run(20)[-1, 0] > 0.1
 
 
 def test_pause_takes_back_a_start_that_waits_for_measurements():
     with stack(drive_on_activate=True, odom_frame="elsewhere", autostart=False) as s:
-        assert change(s, Transition.TRANSITION_CONFIGURE)
-        assert change(s, Transition.TRANSITION_ACTIVATE)
+        assert s.change(Transition.TRANSITION_CONFIGURE)
+        assert s.change(Transition.TRANSITION_ACTIVATE)
         s.base.until(lambda: s.base.silent(1) and s.node._inbox.odometry.refused, "odometry that is refused")
         assert "expected 'elsewhere'" in s.loop.last.message
-        assert trigger(s, "pause").message == "does not begin any more"
+        assert s.trigger("pause").message == "does not begin any more"
         s.base.tamper = moved_to_elsewhere
         assert not s.base.run(20).any()
 
@@ -202,7 +186,7 @@ def test_without_odometry_start_is_refused():
     with stack() as s:
         s.base.tamper = lambda odometry: None
         s.base.run(12)
-        answer = trigger(s, "start")
+        answer = s.trigger("start")
         assert not answer.success
         assert "odometry is 0.2" in answer.message
 
@@ -211,7 +195,7 @@ def test_the_trajectory_is_laid_where_the_robot_stands():
     with stack(start_at_robot=True) as s:
         s.base.plant.reset((2.0, -1.0, 2.0))
         s.base.run(2)
-        assert trigger(s, "start").success
+        assert s.trigger("start").success
         s.base.run(40)
         assert s.loop.last.mode == Mode.TRACKING
         np.testing.assert_allclose(s.loop.begun.reference.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
@@ -231,15 +215,14 @@ def straight(frame="odom", speed=0.4, seconds=4.0, count=21, sideways=0.0):
 
 
 def sent_path(s, path):
-    publisher = s.base.node.create_publisher(Path, "set_path", 1)
-    s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+    publisher = s.publisher(Path, "set_path")
     s.base.silent(5)
     publisher.publish(path)
 
 
 def test_a_timed_path_is_driven():
     with stack(trajectory="''", drive_on_reference=True) as s:
-        assert "there is no reference" in trigger(s, "start").message
+        assert "there is no reference" in s.trigger("start").message
         sent_path(s, straight())
         s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
         s.base.plant.reset((0.0, 0.0, 0.0))
@@ -259,8 +242,7 @@ def test_a_trajectory_message_is_driven():
             at = pose.header.stamp.sec - 1000, pose.header.stamp.nanosec
             point.time_from_start.sec, point.time_from_start.nanosec = at
             message.points.append(point)
-        publisher = s.base.node.create_publisher(MultiDOFJointTrajectory, "set_trajectory", 1)
-        s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+        publisher = s.publisher(MultiDOFJointTrajectory, "set_trajectory")
         s.base.silent(5)
         publisher.publish(message)
         s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
@@ -309,16 +291,16 @@ def test_plain_twist_is_published_where_wanted():
 
 def test_paths_marker_error_and_mode_are_published():
     with stack(visual_rate=50.0) as s:
-        predicted, whole = listen(s, Path, "/diffdrive_mpc/predicted_path"), []
+        predicted, whole = s.listen(Path, "/diffdrive_mpc/predicted_path"), []
         marker, error = (
-            listen(s, Marker, "/diffdrive_mpc/error_marker"),
-            listen(s, Vector3Stamped, "/diffdrive_mpc/tracking_error"),
+            s.listen(Marker, "/diffdrive_mpc/error_marker"),
+            s.listen(Vector3Stamped, "/diffdrive_mpc/tracking_error"),
         )
-        mode = listen(s, String, "/diffdrive_mpc/mode", LATCHED)
+        mode = s.listen(String, "/diffdrive_mpc/mode", LATCHED)
         s.base.run(5)
-        trigger(s, "start")
+        s.trigger("start")
         s.base.run(40)
-        whole = listen(s, Path, "/diffdrive_mpc/reference_path", LATCHED)
+        whole = s.listen(Path, "/diffdrive_mpc/reference_path", LATCHED)
         s.base.until(lambda: whole and predicted and marker and error, "visuals")
         assert len(predicted[-1].poses) == CONFIG.horizon + 1
         assert predicted[-1].header.frame_id == whole[-1].header.frame_id == marker[-1].header.frame_id == "odom"
@@ -331,8 +313,8 @@ def test_paths_marker_error_and_mode_are_published():
 def test_diagnostics_tell_times_ages_and_faults():
     # The window holds ticks in lock step only: one before them may be lost to discovery.
     with stack(diagnostics_rate=20.0, statistics_window=50) as s:
-        heard = listen(s, DiagnosticArray, "/diagnostics")
-        trigger(s, "start")
+        heard = s.listen(DiagnosticArray, "/diagnostics")
+        s.trigger("start")
         s.base.run(60)
         s.base.until(lambda: heard and heard[-1].status[0].message.startswith("TRACKING"), "diagnostics")
         status = heard[-1].status[0]

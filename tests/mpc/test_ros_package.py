@@ -1,6 +1,5 @@
 """The files of the colcon package fit the code that they start."""
 
-import ast
 import inspect
 import re
 import sys
@@ -20,6 +19,7 @@ from diffdrive_mpc.app.commands.ros import monitor
 from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED, MonitorSettings
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from imports import imported
 
 ROOT = Path(__file__).parents[2]
 ROS = ROOT / "ros"
@@ -30,19 +30,18 @@ WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
 """Used where they are installed, as with Nav2; the node does without them, and says so."""
 
 
-def imported(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name.partition(".")[0] for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module.partition(".")[0]
+def packages(paths):
+    return {module.partition(".")[0] for path in paths for module, _ in imported(path)}
 
 
 def test_the_manifest_names_every_ros_package_that_the_code_imports():
     listed = {element.text for element in MANIFEST.findall("exec_depend")}
     sources = [*NODES, *(ROOT / "sim").glob("ros/*.py"), *(ROS / "launch").glob("*.py")]
-    found = set().union(*(imported(path) for path in sources))
-    ros = {name for name in found if name == "rclpy" or name.startswith("launch") or name.endswith(("_msgs", "_srvs"))}
+    ros = {
+        name
+        for name in packages(sources)
+        if name == "rclpy" or name.startswith("launch") or name.endswith(("_msgs", "_srvs"))
+    }
     assert "rclpy" in ros
     assert ros | WITHOUT_WHEEL <= listed
     assert MANIFEST.get("format") == "3"
@@ -52,7 +51,7 @@ def test_the_manifest_names_every_ros_package_that_the_code_imports():
 def test_the_extra_installs_every_ros_package_that_the_node_imports():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extra = {re.split(r"[<>=]", name)[0] for name in project["optional-dependencies"]["ros"]}
-    found = set().union(*(imported(path) for path in NODES))
+    found = packages(NODES)
     # rclpy itself brings the interfaces that it is made of.
     own = {"builtin_interfaces", "rcl_interfaces"}
     for name in found - own - WITHOUT_WHEEL:

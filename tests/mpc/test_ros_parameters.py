@@ -8,14 +8,12 @@ import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.parameter import Parameter
 from ros_parts import CONFIG, stack
-from std_srvs.srv import Trigger
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -29,11 +27,6 @@ def set_over_dds(s, **values):
     message = [Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()]
     request = SetParametersAtomically.Request(parameters=message)
     return s.call(SetParametersAtomically, "/diffdrive_mpc/set_parameters_atomically", request).result
-
-
-def transition(s, number):
-    request = ChangeState.Request(transition=Transition(id=number))
-    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
 
 
 class Shelf:
@@ -127,9 +120,9 @@ def test_limits_below_the_speed_of_the_reference_refuse_its_next_start():
         assert set_over_dds(s, limits__v=0.3).successful
         s.base.run(10)
         for name in ("pause", "start", "pause", "reset"):
-            assert s.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request()).success
+            assert s.trigger(name).success
             s.base.run(30)
-        answer = s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request())
+        answer = s.trigger("start")
         assert not answer.success
         assert "v = 0.5 at" in answer.message
         assert not s.base.run(5).any()
@@ -159,14 +152,14 @@ def test_refused_while_driving_with_a_reason_and_nothing_changes(values, reason)
 
 def test_structural_changes_while_inactive_act_on_activation():
     with stack() as s:
-        assert transition(s, Transition.TRANSITION_DEACTIVATE)
+        assert s.change(Transition.TRANSITION_DEACTIVATE)
         refused = set_over_dds(s, model="smm")
         assert not refused.successful
         assert "unknown model 'smm'" in refused.reason
         refused = set_over_dds(s, horizon=1, extra_dead_time__v=0.5)
         assert not refused.successful
         assert set_over_dds(s, model="sm", horizon=15, stamped=False).successful
-        assert transition(s, Transition.TRANSITION_ACTIVATE)
+        assert s.change(Transition.TRANSITION_ACTIVATE)
         assert s.node._controller.config.horizon == 15
         assert s.node._controller.model.structure == "sm"
 

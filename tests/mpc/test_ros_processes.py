@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from ros_parts import FakeBase
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -71,8 +71,7 @@ def test_killed_it_is_silent(driving):
     ],
 )
 def test_what_cannot_be_started_ends_in_one_line(words, line):
-    result = CliRunner().invoke(app, ["node", *words])
-    assert result.exit_code == 2
+    result = invoke(app, "node", *words, code=2)
     assert line in result.stderr and result.stderr.count("\n") == 1
 
 
@@ -82,13 +81,3 @@ def test_a_parameter_that_cannot_be_ends_the_process_in_one_line():
     (error,) = (text for text in result.stderr.splitlines() if text.startswith("error: "))
     assert result.returncode == 2
     assert "weights.across" in error
-
-
-def test_without_ros_it_says_what_to_install():
-    code = (
-        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'node']; "
-        "from diffdrive_mpc.app.cli import main; main()"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-    assert result.returncode == 1
-    assert "error: the package 'rclpy' is not installed; install diffdrive-mpc[ros]" in result.stderr

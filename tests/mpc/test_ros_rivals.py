@@ -13,7 +13,6 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import Empty
-from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.step_result import Mode
@@ -90,20 +89,19 @@ def test_found_too_late_both_brake_until_one_is_gone():
         assert not braking[-1].any()
         assert (np.abs(np.diff(np.vstack([before, braking]), axis=0)) <= SLEW).all()
         assert "/fake_base of this project drives by /cmd_vel too" in s.loop.last.message
-        assert not s.call(Trigger, "/diffdrive_mpc/reset", Trigger.Request()).message.startswith("pause")
-        answer = s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request())
+        assert not s.trigger("reset").message.startswith("pause")
+        answer = s.trigger("start")
         assert not answer.success
         s.base.node.destroy_publisher(claim)
         s.base.until(lambda: not s.loop.objection, "the end of it")
         s.base.run(2)
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         assert s.base.run(30)[-1, 0] > 0.1
 
 
 def test_a_teleop_that_appears_is_named_and_nothing_else():
     with stack(drive=True, diagnostics_rate=20.0) as s:
-        heard = []
-        s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        heard = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
         teleop = s.base.node.create_publisher(TwistStamped, "cmd_vel", 1)
         s.base.until(lambda: s.loop.warning, "the warning")
@@ -157,8 +155,7 @@ def test_a_simulated_clock_with_other_steps_than_the_period_is_said():
 
 def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():
     with stack(drive=True, exclusive_cmd_vel=True, diagnostics_rate=20.0) as s:
-        heard = []
-        s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        heard = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
         teleop = s.base.node.create_publisher(TwistStamped, "cmd_vel", 1)
         s.base.until(lambda: s.loop.objection, "the objection")

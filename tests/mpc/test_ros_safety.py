@@ -7,7 +7,6 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from ros_parts import CONFIG, DT, stack
-from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.solver.backend import Solved
@@ -129,7 +128,7 @@ def test_without_leave_to_resume_it_waits_for_start():
         s.base.tamper = lambda odometry: odometry
         assert not s.base.run(20).any()
         assert "stopped after a failure" in s.loop.last.message
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         assert s.base.run(20)[-1, 0] > 0.1
 
 
@@ -188,7 +187,7 @@ def test_an_exception_ends_in_zero_and_the_node_lives_on(monkeypatch):
             assert not s.base.run(5).any()
         assert s.loop.state is LoopState.FAULT
         assert "ZeroDivisionError: a fault in the code" in s.loop.last.message
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         assert s.base.run(20)[-1, 0] > 0.1
 
 
@@ -203,7 +202,7 @@ def test_a_blocked_robot_is_paused():
         assert not held[-1].any()
         assert_smooth(np.vstack([before, held]))
         s.base.held = False
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         assert s.base.run(40)[-1, 0] > 0.3
         assert s.loop.last.mode == Mode.TRACKING
         assert s.loop.state is LoopState.DRIVING
@@ -233,7 +232,7 @@ def test_before_it_leaves_its_fence_it_stops_and_start_does_not_let_it_out():
         assert "leaves the fence of 0.8 by 0.8 m; call start or reset" in s.loop.last.message
         assert_smooth(braked)
         assert np.abs(s.base.plant.true_pose[:2]).max() < 0.4
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         s.base.run(ticks(1.0))
         assert s.loop.last.mode == Mode.STOPPED
         assert np.abs(s.base.plant.true_pose[:2]).max() < 0.4
@@ -252,7 +251,7 @@ def test_deactivated_while_driving_zero_is_the_last_command():
             ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE)),
         )
         assert not s.base.run(5).any()
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         assert s.base.run(20)[-1, 0] > 0.1
 
 
@@ -275,9 +274,9 @@ def test_simulated_time_that_runs_backwards_stops_it():
         s.base.silent(BRAKING)
         assert s.base.commands[-1] == (0.0, 0.0)
         assert "time ran backwards" in s.loop.last.message
-        assert s.call(Trigger, "/diffdrive_mpc/reset", Trigger.Request()).success
+        assert s.trigger("reset").success
         s.base.silent(2)
-        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.trigger("start").success
         s.base.run(10)
         assert s.loop.last.mode == Mode.TRACKING
 

@@ -157,38 +157,34 @@ def test_timed_poses_may_drive_backwards(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "line 1: column 't' is missing; the header"),
-        ("t,x,y\n0,0,0\n1,0,0\n", "line 1: column 'theta' is missing; the header"),
-        ("0,0,0,0\n1,0,0,0\n", "line 1: column 't' is missing; the header"),
-        ("t,x,y,theta\n", "0 timed poses; give at least two rows"),
-        ("t,x,y,theta\n0,0,0,0\n", "1 timed poses; give at least two rows"),
-        ("t,x,y,theta\n0,0,0,0\n1,0.5,zero,0\n", "line 3: y = 'zero' is not a finite number"),
-        ("t,x,y,theta\n0,0,0,0\n1,nan,0,0\n", "line 3: x = 'nan' is not a finite number"),
-        ("t,x,y,theta\n0,0,0,0\n1,0.5\n", "line 3: 2 values are fewer than the header names"),
-        ("t,x,y,theta\n0,0,0,0\n\n2,1,0,0\n1,0.5,0,0\n", "line 5: t = 1 s does not come after the row before"),
-        ("t,x,y,theta\n0,0,0,0\n0,0.5,0,0\n", "line 3: t = 0 s does not come after the row before"),
+        (b"", "line 1: column 't' is missing; the header"),
+        (b"\xff\xfe\x00", "cannot be read"),
+        (b"t,x,y\n0,0,0\n1,0,0\n", "line 1: column 'theta' is missing; the header"),
+        (b"0,0,0,0\n1,0,0,0\n", "line 1: column 't' is missing; the header"),
+        (b"t,x,y,theta\n", "0 timed poses; give at least two rows"),
+        (b"t,x,y,theta\n0,0,0,0\n", "1 timed poses; give at least two rows"),
+        (b"t,x,y,theta\n0,0,0,0\n1,0.5,zero,0\n", "line 3: y = 'zero' is not a finite number"),
+        (b"t,x,y,theta\n0,0,0,0\n1,nan,0,0\n", "line 3: x = 'nan' is not a finite number"),
+        (b"t,x,y,theta\n0,0,0,0\n1,0.5\n", "line 3: 2 values are fewer than the header names"),
+        (b"t,x,y,theta\n0,0,0,0\n\n2,1,0,0\n1,0.5,0,0\n", "line 5: t = 1 s does not come after the row before"),
+        (b"t,x,y,theta\n0,0,0,0\n0,0.5,0,0\n", "line 3: t = 0 s does not come after the row before"),
         (
-            "t,x,y,theta\n5,0,0,0\n6,3,0,0\n",
+            b"t,x,y,theta\n5,0,0,0\n6,3,0,0\n",
             "v = 3 m/s at t = 5.000 s is beyond the limit of 1.5 m/s; stretch the time",
         ),
-        ("t,x,y,theta\n0,0,0,0\n1,0,0,3\n", "omega = 3 rad/s at t = 0.000 s is beyond the limit of 2 rad/s"),
+        (b"t,x,y,theta\n0,0,0,0\n1,0,0,3\n", "omega = 3 rad/s at t = 0.000 s is beyond the limit of 2 rad/s"),
         (
-            "t,x,y,theta\n0,0,0,0\n1,0,0.5,0\n",
+            b"t,x,y,theta\n0,0,0,0\n1,0,0.5,0\n",
             "sideways speed = 0.5 m/s at t = 0.000 s is beyond the limit of 0.05 m/s",
         ),
     ],
 )
-def test_a_mistake_in_a_csv_file_is_told_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
-    path = write(tmp_path, "bad.csv", text)
+def test_a_mistake_in_a_csv_file_is_told_in_one_line(tmp_path: Path, text: bytes, expected: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_bytes(text)
     message = error_line(path)
     assert message.startswith(str(path))
     assert expected in message
-
-
-def test_a_csv_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "bad.csv"
-    path.write_bytes(b"\xff\xfe\x00")
-    assert "cannot be read" in error_line(path)
 
 
 def test_arc_length_never_falls_where_the_speed_changes_sign_twice_inside_a_piece() -> None:
@@ -203,18 +199,17 @@ def test_arc_length_never_falls_where_the_speed_changes_sign_twice_inside_a_piec
     assert trajectory.sample([0.3]).twist[0, 0] == pytest.approx((0.3 - first) * (0.3 - second))
 
 
-def test_a_trajectory_of_years_is_a_mistake_of_units(tmp_path: Path) -> None:
-    path = tmp_path / "long.yaml"
-    path.write_text("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n")
-    with pytest.raises(ConfigError, match="are times in s"):
-        load_trajectory(path)
-
-
-def test_waypoints_beyond_the_horizon_are_a_mistake_of_units(tmp_path: Path) -> None:
-    path = tmp_path / "far.yaml"
-    path.write_text("waypoints: [[0, 0], [1.0e+200, 0]]\n")
-    with pytest.raises(ConfigError, match="less than or equal to 1000000"):
-        load_trajectory(path)
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
+        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
+    ],
+    ids=["a trajectory of years", "waypoints beyond the horizon"],
+)
+def test_a_mistake_of_units_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_trajectory(write(tmp_path, "units.yaml", text))
 
 
 def test_cubic_pieces_are_those_of_scipy() -> None:

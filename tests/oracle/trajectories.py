@@ -14,11 +14,10 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from oracle.motion import arc
 
 
-@dataclass(frozen=True)
-class Arcs:
-    """Arcs with piecewise constant acceleration along them; see `ArcTrajectory`."""
+class _OfAnother:
+    """Named as another trajectory, and as long."""
 
-    original: ArcTrajectory
+    original: ArcTrajectory | SplineTrajectory
 
     @property
     def name(self) -> str:
@@ -29,6 +28,13 @@ class Arcs:
     def duration(self) -> float:
         """Duration of the original [s]."""
         return self.original.duration
+
+
+@dataclass(frozen=True)
+class Arcs(_OfAnother):
+    """Arcs with piecewise constant acceleration along them; see `ArcTrajectory`."""
+
+    original: ArcTrajectory
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]."""
@@ -46,20 +52,10 @@ class Arcs:
 
 
 @dataclass(frozen=True)
-class Splines:
+class Splines(_OfAnother):
     """Cubics of x, y, theta and arc length in time; see `SplineTrajectory`."""
 
     original: SplineTrajectory
-
-    @property
-    def name(self) -> str:
-        """Name of the original."""
-        return self.original.name
-
-    @property
-    def duration(self) -> float:
-        """Duration of the original [s]."""
-        return self.original.duration
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; outside the trajectory it rests."""

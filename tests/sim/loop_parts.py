@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.sim.plants.open_loop import random_commands
+from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.run import Run
 
 
@@ -106,6 +109,18 @@ class Slow(FeedForward):
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:
         return FixedStep(super().step(t, measurement).command, step_time=0.03)
+
+
+def trace(plant: Plant, ticks: int) -> list[Any]:
+    """Everything that a drive of some ticks lets one see, in comparable form."""
+    rows: list[Any] = []
+    for command in random_commands(4, duration=(ticks + 1) * plant.sample_time)[:ticks]:
+        measured = plant.measure()
+        stamped = (measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds)
+        rows.append([None if one is None else (np.asarray(one.value).tolist(), one.time) for one in stamped])
+        rows.append((measured.sent, plant.time, plant.true_pose.tolist(), plant.true_twist.tolist()))
+        plant.advance(command)
+    return rows
 
 
 def run_along(

@@ -10,7 +10,7 @@ import pytest
 
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
+from diffdrive_mpc.sim.disturbances.disturbance_types import Payload
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics
@@ -117,13 +117,6 @@ def test_on_a_gentle_slope_the_robot_stands_across_and_creeps_along_no_faster_th
     damping = 4 * TWIN.motor.stall_torque / TWIN.motor.no_load_speed / ROBOT.wheel_radius**2
     assert 0.0 < along.true_twist[0] < 1.2 * pull / damping
     assert along.true_pose[0] > 0.01
-
-
-def test_a_slope_keeps_the_weight_normal_to_the_floor() -> None:
-    chassis = Chassis(ROBOT, TWIN, FLOOR, STEP, None, Slope(angle=0.2, downhill=1.0))
-    for _ in range(round(0.3 / STEP)):
-        chassis.step(np.zeros(4))
-    assert chassis.wheel_loads.sum() == pytest.approx(ROBOT.mass * G * np.cos(0.2), rel=0.02)
 
 
 def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_parts import ConstantTwist, FeedForward
+from loop_parts import ConstantTwist, FeedForward, trace
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.interface import Measurement
@@ -15,8 +15,6 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
-from diffdrive_mpc.sim.plants.open_loop import random_commands
-from diffdrive_mpc.sim.plants.plant import Plant
 
 PLANTS = ["mujoco", "model:ssm"]
 DT = load_robot().sample_time
@@ -31,27 +29,15 @@ def _disturbed(name: str, **parts: Any) -> DisturbedPlant:
     return DisturbedPlant(make_plant(name, sensors="perfect"), _scenario(**parts), load_robot())
 
 
-def _trace(plant: Plant, ticks: int) -> list[Any]:
-    """Everything that a drive of some ticks lets one see, in comparable form."""
-    trace: list[Any] = []
-    for command in random_commands(4, duration=(ticks + 1) * DT)[:ticks]:
-        seen = plant.measure()
-        stamped = (seen.pose, seen.wheel_twist, seen.yaw_rate, seen.wheel_speeds)
-        trace.append([None if one is None else (np.asarray(one.value).tolist(), one.time) for one in stamped])
-        trace.append((seen.sent, plant.time, plant.true_pose.tolist(), plant.true_twist.tolist()))
-        plant.advance(command)
-    return trace
-
-
 @pytest.mark.parametrize("name", ["patches", "push", "blocked", "sensor_dropouts"])
 def test_same_seed_same_disturbed_run_bit_for_bit(name: str) -> None:
     plant = make_plant("mujoco", seed=5, scenario=name)
-    first = _trace(plant, 300)
+    first = trace(plant, 300)
     assert isinstance(plant, DisturbedPlant)
     assert plant.disturbance is not None
-    assert first == _trace(make_plant("mujoco", seed=5, scenario=name), 300)
+    assert first == trace(make_plant("mujoco", seed=5, scenario=name), 300)
     plant.reset([0.0, 0.0, 0.0])
-    assert _trace(plant, 300) == first
+    assert trace(plant, 300) == first
 
 
 def test_what_has_not_happened_yet_changes_nothing(tmp_path: Path) -> None:
@@ -69,7 +55,7 @@ def test_what_has_not_happened_yet_changes_nothing(tmp_path: Path) -> None:
         "stiffness: 10, damping: 1, yaw_stiffness: 1, yaw_damping: 1}]\n"
     )
     plant = make_plant("mujoco", seed=2, scenario=path)
-    assert _trace(plant, 150) == _trace(make_plant("mujoco", seed=2), 150)
+    assert trace(plant, 150) == trace(make_plant("mujoco", seed=2), 150)
     assert isinstance(plant, DisturbedPlant)
     assert plant.disturbance is None
 

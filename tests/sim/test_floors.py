@@ -62,7 +62,7 @@ def test_a_carpet_keeps_it_from_turning_as_coulomb_friction_says(surface: str) -
     ratio = load_surface(surface).sideways * TWIN.chassis.wheel_base / ROBOT.track
     log = drive_open_loop(make_plant("mujoco", surface, "perfect"), np.tile([0.0, 1.0], (150, 1)))
     gain = log.true_twist[75:, 2].mean() / log.wheel_twist[75:, 1].mean()
-    assert gain == pytest.approx(1 / (1 + ratio**2), abs=0.015)
+    assert gain == pytest.approx(1 / (1 + ratio**2), abs=0.01 if surface == "default" else 0.015)
 
 
 def test_two_contact_points_a_wheel_are_as_good_as_one() -> None:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import ast
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 from diffdrive_mpc import sim
+from imports import imported
 
 FOLDER = Path(sim.__file__).parent
 
 
 def _imported(path: Path) -> set[str]:
     """Modules of `sim` that a file imports, inside functions and for type checking too."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-    return {name for name in found if name.startswith("diffdrive_mpc.sim.")}
+    names = {one for module, name in imported(path) for one in (module, f"{module}.{name}".rstrip("."))}
+    return {name for name in names if name.startswith("diffdrive_mpc.sim.")}
 
 
 def name(path: Path) -> str:

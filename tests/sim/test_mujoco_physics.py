@@ -53,14 +53,6 @@ def test_straight_speed_is_the_command(v: float) -> None:
     np.testing.assert_allclose(log.true_twist[:, 1:], 0.0, atol=5e-3)
 
 
-def test_turning_on_the_spot_slips_as_coulomb_friction_says() -> None:
-    """Moment balance of four equally loaded sliding wheels: yaw gain = track^2 / (track^2 + wheel base^2)."""
-    track, base = load_robot().track, load_twin_parameters().chassis.wheel_base
-    log = _hold(_plant(), 0.0, 1.0)
-    gain = log.true_twist[:, 2].mean() / log.wheel_twist[:, 1].mean()
-    assert gain == pytest.approx(track**2 / (track**2 + base**2), abs=0.01)
-
-
 def test_yaw_rate_is_below_that_of_the_wheels(steady: dict[str, OpenLoopDrive]) -> None:
     for log in steady.values():
         assert 0.7 < log.true_twist[:, 2].mean() / log.wheel_twist[:, 1].mean() < 0.95

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from bench_parts import META
 
 from diffdrive_mpc.bench.study import Report, write_report
 from studies.reproduce import networks
@@ -28,13 +29,6 @@ from studies.reproduce.turning import LAW, SteadyTurns, TurningResult
 from studies.reproduce.virtual_track import check_virtual_track
 
 NAMES = ("circle", "square", "s", "cane")
-META = {
-    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
-    "revision": "abc",
-    "version": "1",
-    "date": "2026-01-01",
-    "wall_time_s": 1.0,
-}
 
 
 def pose_error(size: float) -> PathError:

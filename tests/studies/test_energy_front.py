@@ -4,8 +4,8 @@ import json
 
 import pytest
 from opened_report import check_report
-from typer.testing import CliRunner
 
+from commands import invoke
 from studies.cli import app
 from studies.energy_front.study import HERE, FrontRun, fronts, load_study
 
@@ -13,8 +13,7 @@ from studies.energy_front.study import HERE, FrontRun, fronts, load_study
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     out = tmp_path_factory.mktemp("front")
-    result = CliRunner().invoke(app, ["energy-front", "--quick", "--jobs", "1", "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    invoke(app, "energy-front", "--quick", "--jobs", "1", "--out", out)
     return out
 
 

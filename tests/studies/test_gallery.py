@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from studies.gallery.build import FOLDER, load_gallery
 
@@ -31,8 +31,7 @@ def test_each_command_makes_its_picture(picture, tmp_path, monkeypatch):
     """The first tenths of a second of it, which takes less time."""
     monkeypatch.chdir(tmp_path)
     command = load_gallery().command(picture)
-    result = CliRunner().invoke(app, [*command[1:], "--to", "0.2"])
-    assert result.exit_code == 0, result.output
+    invoke(app, *command[1:], "--to", "0.2")
     with Image.open(picture.file) as made, Image.open(DOCS / FOLDER / picture.file) as shown:
         assert made.size == shown.size
         assert made.format == shown.format

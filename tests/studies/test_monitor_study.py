@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.monitor.judge import rule_names
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from studies.cli import app
 from studies.monitor.faults import FAULTS, Fault, Sent
-from studies.monitor.study import MonitorStudy, MonitorStudyResult, complaint
+from studies.monitor.study import MonitorStudyResult, complaint
 from studies.monitor.trial import HARM, faulty_trial, nominal_case, nominal_trial
 
 RULES = load_rules()
@@ -95,9 +95,3 @@ def test_an_alarm_in_a_sound_drive_is_a_complaint():
     assert complaint(alarmed) == "1 nominal drives alarmed"
     assert complaint(MonitorStudyResult({}, [found])) == ""
     assert not math.isnan(found.farthest) and np.isfinite(found.fastest)
-
-
-def test_unknown_rules_are_one_line():
-    result = CliRunner().invoke(app, ["monitor", "--rules", "defalt", "--out", "x"])
-    assert result.exit_code == 2 and "did you mean 'default'" in result.stderr
-    assert MonitorStudy.title

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import Record
-from studies.cli import app
 from studies.real_logs.protocol import divide, load_protocol
 
 
@@ -44,10 +42,3 @@ def test_every_log_states_a_figure_for_each_horizon_or_for_none():
 def test_an_unknown_log_is_refused_in_one_line():
     with pytest.raises(ConfigError, match="unknown log 'husk'.*husky"):
         load_protocol().log("husk")
-
-
-def test_a_log_that_is_not_there_ends_in_one_line(tmp_path):
-    result = CliRunner().invoke(app, ["real-logs", "husky", "--data", str(tmp_path), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert "no such file" in result.output
-    assert not (tmp_path / "out").exists()

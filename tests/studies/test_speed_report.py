@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from bench_parts import META
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,14 +20,6 @@ from studies.speed.results import (
 )
 from studies.speed.settings import load_speed_settings
 from studies.speed.study import SpeedStudy
-
-META = {
-    "version": "1",
-    "revision": None,
-    "date": "2026-01-01",
-    "wall_time_s": 1.0,
-    "machine": {"cpu": "cpu", "cores": 1, "os": "os", "python": "3", "packages": {"numpy": "2"}},
-}
 
 
 def measured(solver, horizon, whole, inside=1e-4, model="ssm", clean=1.0):
@@ -119,7 +112,7 @@ def test_without_acados_there_are_no_ratios():
 def test_the_files_hold_every_record_and_say_what_is_unknown(tmp_path):
     study = SpeedStudy(load_speed_settings(quick=True))
     report = study.report(results(), 1.0)
-    write_report(study, report, META | report.meta, tmp_path)
+    write_report(study, report, META | {"revision": None} | report.meta, tmp_path)
     content = json.loads((tmp_path / "speed.json").read_text())
     assert len(content["records"]) == 6
     wanted = {"solver", "model", "horizon", "step_p50_s", "step_p95_s", "step_p99_s", "step_max_s", "solver_p50_s"}

@@ -3,11 +3,9 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.cli import app
 from studies.speed.process.subject import Subject, SubjectError
 from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
 from studies.speed.study import SpeedStudy
@@ -68,15 +66,3 @@ def test_groups_of_subjects_are_chosen_by_their_common_name():
     assert list(chosen(settings, ["acados"]).subjects) == ["acados", "acados/hard"]
     with pytest.raises(ConfigError, match="nobody"):
         chosen(settings, ["nobody"])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [(["--peers", "nobody"], "nobody"), (["--models", "nobody"], "nobody"), (["--horizons", "0"], "--horizons")],
-)
-def test_bad_input_ends_in_one_line(tmp_path, arguments, named):
-    result = CliRunner().invoke(app, ["speed", "--out", str(tmp_path / "out"), *arguments])
-    assert result.exit_code == 2
-    assert named in result.output
-    assert "Traceback" not in result.output
-    assert not (tmp_path / "out").exists()

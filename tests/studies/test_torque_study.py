@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from opened_report import check_report
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_vehicle
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
@@ -26,8 +26,7 @@ TRACK, LIMIT = 0.39, 4.6
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The quick study by the command line."""
     out = tmp_path_factory.mktemp("torque")
-    result = CliRunner().invoke(app, ["torque", "--quick", "--jobs", "1", "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    invoke(app, "torque", "--quick", "--jobs", "1", "--out", out)
     return out
 
 
@@ -90,13 +89,9 @@ def test_unseen_drives_are_gentle_repeatable_and_no_tighter_than_allowed() -> No
     assert (np.abs(held[:, 0] / held[:, 1]) >= 2.4 - 1e-9).all()
 
 
-def test_a_floor_without_friction_and_a_robot_without_a_vehicle_are_refused(tmp_path: Path) -> None:
+def test_a_floor_without_friction_is_refused() -> None:
     with pytest.raises(ConfigError, match="no friction"):
         plant_of("fsu_bot", "ideal")
-    result = CliRunner().invoke(app, ["torque", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")])
-    assert result.exit_code == 2
-    assert "no friction" in result.output
-    assert not (tmp_path / "x").exists()
 
 
 def test_quick_is_a_part_of_the_whole() -> None:

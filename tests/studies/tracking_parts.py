@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from bench_parts import META
 from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
@@ -94,15 +95,6 @@ def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | No
         "series": None,
     } | changes
     return made | {"lost": not made["completed"]}
-
-
-META: dict[str, object] = {
-    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
-    "revision": "abc",
-    "version": "1",
-    "date": "2026-01-01",
-    "wall_time_s": 1.0,
-}
 
 
 def made_up() -> DataFrame:

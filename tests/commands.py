@@ -1,0 +1,25 @@
+"""The command line, invoked within the tests' own process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from typer.testing import CliRunner
+
+from diffdrive_mpc.app.cli import app as product
+
+if TYPE_CHECKING:
+    from click.testing import Result
+    from typer import Typer
+
+
+def invoke(app: Typer, *words: object, code: int = 0) -> Result:
+    """Invoke a command of `app`, which ends with the exit code `code`."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def call(*words: object, code: int = 0) -> str:
+    """What a command of the product prints, which ends with the exit code `code`."""
+    return invoke(product, *words, code=code).output

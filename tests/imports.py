@@ -1,0 +1,22 @@
+"""What a Python file imports."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def imported(path: Path) -> Iterator[tuple[str, str]]:
+    """Each module that a file imports, at its head or in a function, and the name from it; empty for the whole.
+
+    A module beside it begins with a dot.
+    """
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (("." * node.level + (node.module or ""), alias.name) for alias in node.names)

@@ -1,0 +1,30 @@
+"""Other processes that tests start: Python with some code, the command line without a package, and which still run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+BOUND = 120.0
+"""No process is waited for longer [s]."""
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    """Run `code` in a Python of its own."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
+
+
+def run_command(*words: str, without: str = "") -> subprocess.CompletedProcess[str]:
+    """Run the command line as a program, as where the package `without` is not installed."""
+    missing = f"sys.modules[{without!r}] = None; " if without else ""
+    arguments = ["diffdrive-mpc", *words]
+    return run_python(f"import sys; {missing}sys.argv = {arguments}; from diffdrive_mpc.app.cli import main; main()")
+
+
+def is_running(number: int) -> bool:
+    """Whether a process runs, rather than being gone or waiting to be collected."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
