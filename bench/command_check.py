@@ -16,7 +16,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 STATED = Path(__file__).with_name("stated_limits.yaml")
-"""What is stated where a configuration says nothing."""
+"""Limits where a configuration sets none."""
 
 # Sums in floating point: a limit is kept to this [m/s, rad/s].
 _ROUNDING = 1e-9
@@ -27,7 +27,7 @@ _STANDS = "STOPPED"
 
 @dataclass(frozen=True)
 class StatedLimits:
-    """What the controller states of its commands; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
+    """Limits that the controller promises; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
 
     `most`: largest command; `slew`: largest rate while driving; `braking`: rate to zero; `max_pose_age`: without a pose
     for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`: of a command's turn, 0 where
@@ -140,7 +140,7 @@ def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], 
         return False
     rates = limits.braking if mode in _BRAKES else limits.slew
     within = bool((np.abs(now - last) <= np.array(rates) * limits.sample_time + _ROUNDING).all())
-    # Braking never pushes: smaller than before, and not to the other side.
+    # While braking, a command never grows and never changes sign.
     slower = (now * last >= -_ROUNDING).all() and (np.abs(now) <= np.abs(last) + _ROUNDING).all()
     return within and (mode in _DRIVES or bool(slower))
 
@@ -173,7 +173,7 @@ def _moves_blind(
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys as they are side by side: files have a second room, and once had another name for a radius."""
+    """Remove the prefix "expert." from keys, and translate the former name of the radius."""
     plain = {key.removeprefix("expert."): value for key, value in values.items()}
     former = "limits.least_commanded_radius"
     return {"limits.min_commanded_radius" if key == former else key: value for key, value in plain.items()}

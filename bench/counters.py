@@ -1,6 +1,6 @@
-"""Whether somebody disturbed what was timed, by counters. Standard library only: the processes of peers use it, too.
+"""Detect by counters whether a timed run was disturbed. Standard library only: the processes of peers use it, too.
 
-A short stretch of work is undisturbed if its thread was never put aside, had the processor for all of the time, and the
+A short stretch of work is undisturbed if its thread was never preempted, had the processor all the time, and the
 machine was as fast before and after it as at its best. The last is measured by a yardstick, a fixed bit of arithmetic:
 a processor that is throttled, or shares its core with a neighbour that the system does not show, is slower at it.
 """
@@ -21,9 +21,9 @@ except ImportError:  # a system without it counts no switches
 T = TypeVar("T")
 
 AWAY = (2e-5, 0.01)
-"""An undisturbed stretch may lack the processor for so long [s] and so much of its time: clocks are read apart."""
+"""Tolerated time without the processor [s] and share of the elapsed time [-]: the clocks are read in turn."""
 SLOWER = 1.15
-"""From this on, in units of its best time, the yardstick says that the machine is slow."""
+"""The machine counts as slow if the yardstick exceeds its best time by this factor."""
 _PROBES, _SUMMANDS = 3, 300
 
 
@@ -42,7 +42,7 @@ class Effort(NamedTuple):
 
 
 def watched(work: Callable[[], T]) -> tuple[T, Effort]:
-    """Do `work`; what it gave, and what it took of this thread. The yardstick is measured before and after it."""
+    """Run `work`; return its result and its effort. The yardstick is measured before and after."""
     pace = yardstick()
     began, own, switches = time.perf_counter(), time.thread_time(), _switches()
     result = work()

@@ -1,6 +1,6 @@
 """What the robot is: identified velocity models, wheel, body and pose kinematics, identification from logs.
 
-The names are imported on first use: who loads a model does not wait for what reads logs.
+Names are imported on first use, so that loading a model does not import the log readers.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Does the configuration drive? Paths scaled to the robot, on the identified model and on one of the held-out part."""
+"""Simulated drives with the identified configuration, on its model and on a model of the held-out part."""
 
 from __future__ import annotations
 
@@ -104,9 +104,9 @@ def _effects_of(identified: IdentifiedModel) -> BaseEffects:
 
 
 def _of_held_out(identification: Identification) -> tuple[VelocityModel | NonlinearModel, BaseEffects] | None:
-    """An SM of the records held out, with the effects that were found, as those records have them; or a drive of them.
+    """Fit an SM with the selected effects, or the function, to the held-out records; None if that fails.
 
-    A plain SM would take a slope that the base limits for a lag that it does not have.
+    A plain SM would mistake a slew limit of the base for a lag.
     """
     data, base, predictor = (
         identification.report.data,
@@ -223,11 +223,11 @@ def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[Trial
     room = _ROOM * 2.0 * circle.radius
     arguments = f" {node_arguments(topics)}" if topics else ""
     steps = [
-        "Read the warnings that matter for driving, and mend what can be mended.",
+        "Read the warnings that matter for driving, and fix what you can.",
         "Drive it here first, in the folder of this report: `diffdrive-mpc simulate --config config.yaml "
         f"--plant model:model.yaml --surface surface.yaml --trajectory {FIRST_CIRCLE}`. It is a circle of "
         f"{circle.radius:.2g} m in radius at {circle.v:.2g} m/s, one turn in {circle.duration:.0f} s.",
-        "Wheels off the ground: start the node, look that no topic is refused, call start. Both sides must turn as "
+        "Lift the wheels: start the node, check that no topic is refused, call start. Both sides must turn as "
         "told, and the base must stop by itself when the node is killed (docs/robot.md, step 4).",
         f"On the floor, {room:.2g} m free all round, a hand on the emergency stop: `diffdrive-mpc node --config "
         f"config.yaml --trajectory {FIRST_CIRCLE}{arguments}` with the topics of the robot (docs/robot.md, step 5).",
@@ -238,5 +238,5 @@ def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[Trial
         "Then faster, a little at a time; then paths with corners. New floor or load: a new log.",
     ]
     if trial_doubts(drives):
-        steps.insert(0, "Not yet: it does not drive all paths above. Mend that first.")
+        steps.insert(0, "Not yet: some paths above failed. Fix that first.")
     return "## The first drive on the robot\n\n" + "".join(f"{i}. {step}\n" for i, step in enumerate(steps, 1))

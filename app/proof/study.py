@@ -38,7 +38,7 @@ _CONTROLLER = ("controller", "model", "config")
 
 @dataclass(frozen=True)
 class ProofPlan:
-    """Runs that were drawn, and the run that maps and searches change a factor of."""
+    """The drawn runs, and the run whose factors the maps and searches vary."""
 
     drawn: list[Definition]
     probe: Definition
@@ -79,7 +79,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
     place
         Where runs are driven and kept.
     runs
-        How many are drawn, in place of what the proof says.
+        Number of drawn runs; overrides the proof file.
     kept
         How many of the worst are kept as files.
     """
@@ -98,13 +98,13 @@ class ProofStudy(Study[ProofPlan, Proven]):
         needs_arrow()
         named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
         if named:
-            raise ConfigError(f"factors.{named[0]}: it is {self._config} that is to be proven; leave it out")
+            raise ConfigError(f"factors.{named[0]}: remove it; the controller under test is {self._config}")
         factors = told_of(self._config)
         probe = Definition.of(dict(self._proof.probe.factors) | dict(factors), "probe")
         return ProofPlan([definition.changed(factors) for definition in self._proof.definitions(self._runs)], probe)
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:
-        """The run that the maps change a factor of."""
+        """The run whose factors the maps vary."""
         return [plan.probe.case]
 
     def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:

@@ -1,4 +1,4 @@
-"""What every kind of log becomes for a replay: the ticks of a controller, and what could only be approximated."""
+"""The common form of all logs for a replay: controller ticks, and what had to be approximated."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Start(NamedTuple):
     t0: float
     """Where its time 0 is [s]."""
     reset: bool
-    """Whether everything was forgotten before, for a robot that stands."""
+    """Whether the controller was reset first, with the robot at rest."""
     before: FloatArray | None = None
     """(K, 2) commands sent before it; None where the log does not hold them."""
     goes_on: bool = False
-    """Whether it took the place of another reference in mid-drive, and nothing was forgotten."""
+    """Whether it replaced another reference while driving, without a reset."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class RecordedTick:
     measurement
         What arrived since the tick before.
     command
-        (2,) v [m/s], omega [rad/s] that went out; NaN where that is not known.
+        (2,) v [m/s], omega [rad/s] as sent; NaN where unknown.
     hold
         Why the controller was asked to stand.
     start
@@ -80,7 +80,7 @@ class Recording:
     by_controller
         Whether the recorded commands are those of this project's controller.
     approximated
-        What could not be taken from the log as it was, and what that means, a sentence each.
+        What had to be approximated, and the consequence, one sentence each.
     findings
         What is wrong with the log, a line each.
     """

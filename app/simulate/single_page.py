@@ -19,12 +19,12 @@ from diffdrive_mpc.sim.metrics.metrics import Metrics
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 POINTS = 2000
-"""Ticks of a run that the page of one run holds at most."""
+"""Maximum number of ticks on the page of one run."""
 _LAP_POINTS = 700
 
 
 def key_figures(run: Run) -> list[KeyFigure]:
-    """What one run came to, as large figures."""
+    """Return the key figures of one run."""
     of, band = run.metrics, f"±{1e3 * metric_settings().band:g} mm to either side of the path"
     late = f"of {1e3 * run.sample_time:.1f} ms; {of.deadline_misses or 'none'} late"
     step = f"{number(1e3 * of.step_time_p99_s, 2)} ms"
@@ -46,14 +46,14 @@ def _energy(of: Metrics) -> list[KeyFigure]:
 
 
 def sentences(case: Case, run: Run) -> list[str]:
-    """What was driven, and whether it went as it should."""
+    """Describe the run and say whether it completed."""
     of, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
     where = [
         f"{dimension.name} {labels[dimension.name]}"
         for dimension in DIMENSIONS
         if dimension.place and labels[dimension.name] not in silent
     ]
-    ending = "came to its end" if of.completed else "did not come to its end"
+    ending = "reached the end" if of.completed else "did not reach the end"
     return [
         f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
         f"seed {case.seed}). It {ending}: the robot was {_mm(of.lateral_rmse_m)} beside its path (RMSE) and "
@@ -62,7 +62,7 @@ def sentences(case: Case, run: Run) -> list[str]:
 
 
 def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) -> Page:
-    """The page of one run, whose tables are given; it took so many `seconds`."""
+    """Build the page of one run, which took `seconds` [s], with `tables`."""
     case, run = outcome.case, outcome.run
     config = case_config(case)
     series = run_series(run, who_drives(case), points=POINTS, config=config)

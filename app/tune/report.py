@@ -36,7 +36,7 @@ _LISTED = 12
 
 
 def facts(plan: TunePlan, searched: Searched, verdict: TuneVerdict) -> list[str]:
-    """What came of it, and what was driven for it."""
+    """Summarise the result and the runs."""
     through = [sum(point.fidelity > k for point in searched.points) for k in range(len(plan.fidelities))]
     runs = " / ".join(str(fidelity.runs) for fidelity in plan.fidelities)
     broken = [point for point in searched.points if point.broken]
@@ -335,7 +335,3 @@ def _warnings(searched: Searched, verdict: TuneVerdict) -> list[Warned]:
 def _told(point: TunePoint) -> str:
     values = ", ".join(f"{key} {_value(value)}" for key, value in point.values.items())
     return f"point {point.number}, objective {number(point.value, 3)}: {values}"
-
-
-def _page_value(value: Value) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

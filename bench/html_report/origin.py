@@ -1,4 +1,4 @@
-"""How a run can be repeated: the command, and what it was carried out with."""
+"""How to repeat a run: its command, software versions and machine."""
 
 from __future__ import annotations
 

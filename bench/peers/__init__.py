@@ -29,14 +29,14 @@ PEERS = dict.fromkeys(LAWS, "") | {
     "rpp+stop": "seeing.PursuitThatStops",
     "mppi+grid": "seeing.MppiWithGrid",
 }
-"""Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None has a model to choose."""
+"""Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None takes a model."""
 
 
 def make_peer(name: str, overrides: Mapping[str, object] | None = None) -> TrackingController:
-    """A fresh controller of a name in `PEERS`.
+    """Build the controller `name` of `PEERS`.
 
     `overrides` are configuration values by dotted key, of the robot at hand: a tracking law acts on an estimate that
-    knows as much of it as the predictive controller does. The others know the papers' robot alone.
+    knows as much of it as the predictive controller does. The others only know the papers' robot.
     """
     if name in LAWS:
         from diffdrive_mpc.bench.peers.tracking_peer import make_tracking_peer  # noqa: PLC0415 - --help does without it
@@ -51,7 +51,7 @@ def make_peer(name: str, overrides: Mapping[str, object] | None = None) -> Track
 class PeerStep:
     """What a peer decided at one tick; satisfies `models.interface.ControlStep`.
 
-    `solve_time` is what its law took of `step_time` [s]; the rest went into estimate and prediction.
+    `solve_time` is the law's part of `step_time` [s]; estimate and prediction take the rest.
     """
 
     command: FloatArray

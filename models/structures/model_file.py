@@ -1,4 +1,4 @@
-"""What every model parameter file has, whatever the structure."""
+"""Schemas of model parameter files, common and per structure."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class DeadTime(StrictModel):
 
 
 class ParameterFile(StrictModel):
-    """What every parameter file of a velocity model has, of a linear one or of a function."""
+    """Common fields of the parameter files of linear models and of functions."""
 
     name: str
     structure: str
@@ -108,11 +108,11 @@ class ModelFile(ParameterFile):
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 2), C (2, n); of a structure that says no more, its transfer functions'."""
+        """Continuous A (n, n), B (n, 2), C (2, n); by default from `transfer_functions`."""
         return side_by_side(self.transfer_functions().values())
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Those that the file states, by the name before the dot of their parameters; none by default."""
+        """Return the file's transfer functions by the prefix of their parameters; none by default."""
         return {}
 
 
@@ -133,7 +133,7 @@ def build_model(data: ModelFile) -> VelocityModel:
 def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:
     """Write a parameter file: a line of comment, what it is and where it comes from, its numbers, `more`.
 
-    What is at its default is left out; the line for editors of a file that was there stays. Raises OSError if the file
+    Defaults are left out; an existing file keeps its editor line. Raises OSError if the file
     cannot be written.
     """
     data = content.model_dump(exclude_none=True, exclude_defaults=True) | more

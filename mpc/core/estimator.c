@@ -166,7 +166,7 @@ static void disbelieve(ddmpc_controller *c, int accused)
 
 /* Belief of a robot that has followed the commands sent so far as the model predicts, at no particular pose. The
    standard deviation of its speed is the speed itself, since it may be standing; at rest the speed is certain. */
-static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
+static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
 {
     const ddmpc_constants *constants = c->constants;
     const int n = STATES(c), Z = BELIEF(c);
@@ -223,7 +223,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
     const int twists = wheels + ddmpc_check_yaw_rate(c, t, &input->yaw_rate, twist + wheels);
     if (estimator->nodes == 0) {
         if (has_pose) {
-            moving(c, &estimator->node[0].prior);
+            initial_belief(c, &estimator->node[0].prior);
             start(c, t, &pose, &estimator->node[0].prior);
         }
         return ddmpc_estimator_state(c);

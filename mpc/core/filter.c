@@ -216,10 +216,10 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
     /* In the order of the slips in internal.h. */
-    const int moving[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
-                                      cornering, turning, turning, driving, driving, cornering, cornering, turning};
+    const int observable[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
+                                          cornering, turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)
-        if (moving[i])
+        if (observable[i])
             after->covariance[(n + i) * (Z + 1)] += k->drift[i];
     after->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
 
@@ -231,7 +231,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
 }
 
 /* Count an innovation; whether it tells of something other than slip, which does not last. */
-static int judge(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
+static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
 {
     if (!(normalised > c->constants->surprise)) {
         belief->surprised[sensor] = 0;
@@ -319,7 +319,7 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
     const real innovation = measured->value - expected_reading(c, belief->mean, measured->sensor, h);
     times(c, belief, h, PHt);
     const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
-    const int pushed = judge(c, belief, measured->sensor, normalised);
+    const int pushed = count_surprise(c, belief, measured->sensor, normalised);
     if (pushed) {
         const int channel = measured->sensor == WHEEL_SPEED ? 0 : 1;
         for (int i = 0; i < n; i++)
@@ -404,7 +404,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     const real normalised = dot(innovation, solved, 3) / R(3.0);
     /* A pose that the belief cannot explain says that something moved the robot: then the pose is believed, and nothing
        is learned from it about slip, unless that goes on. */
-    const int pushed = judge(c, belief, POSE_SENSOR, normalised);
+    const int pushed = count_surprise(c, belief, POSE_SENSOR, normalised);
     if (pushed) {
         for (int i = 0; i < 3; i++)
             belief->covariance[(n + POSE(c) + i) * (Z + 1)] += innovation[i] * innovation[i];

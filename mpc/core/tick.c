@@ -93,7 +93,7 @@ static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
 
 int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return look_at(c, t) == TICK_NEW; }
 
-static tick_kind judge(ddmpc_controller *c, ddmpc_time t)
+static tick_kind classify_tick(ddmpc_controller *c, ddmpc_time t)
 {
     const tick_kind kind = look_at(c, t);
     c->result.gap = t - c->last_tick;
@@ -391,7 +391,7 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     }
     /* If the caller did not complete the last tick, it counts as a failed solve. */
     ddmpc_give_up(c);
-    const tick_kind kind = judge(c, t);
+    const tick_kind kind = classify_tick(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);

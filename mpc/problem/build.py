@@ -1,4 +1,4 @@
-"""From a configuration to the problem that it poses: which model, sampled how."""
+"""Build the problem of a configuration: choose its model and sample it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.problem.terms import Term
 def chosen_model(
     config: ControllerConfig, stated: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
-    """The model to predict with, extra dead time included where it is the configuration's.
+    """The prediction model; the configuration's own model includes the extra dead time.
 
     Raises
     ------
@@ -52,14 +52,14 @@ def chosen_model(
         return model
     if isinstance(model, NonlinearModel):
         raise ConfigError(
-            f"compensation.dead_time = false: model '{model.name}' has its dead time in its window; set it to true, or "
+            f"compensation.dead_time = false: model '{model.name}' has dead time built in; set it to true, or "
             "give a model without"
         )
     return replace(model, dead_time=np.zeros(2))
 
 
 def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteModel | NonlinearModel:
-    """The model at samples `dt` [s] apart; raises ConfigError if it is for others."""
+    """Sample the model at `dt` [s]; raises ConfigError if it requires another."""
     if isinstance(model, VelocityModel):
         return model.discretise(dt)
     if not math.isclose(model.dt, dt, rel_tol=1e-9):
@@ -70,6 +70,6 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
 def build_problem(
     config: ControllerConfig, model: VelocityModel | NonlinearModel, terms: Sequence[Term] = ()
 ) -> Problem:
-    """The problem of a controller with `model`; raises as `sampled_model` and `Problem`."""
+    """Build the problem for `model`; raises like `sampled_model` and `Problem`."""
     dt = config.sample_time
     return Problem(config, sampled_model(model, dt), FeedForward.of(model, dt), tuple(terms))

@@ -112,7 +112,7 @@ class CommandInbox:
     Parameters
     ----------
     timeout
-        How long a command holds after its receipt [ns]; as old may its stamp be.
+        How long a command stays valid, and the maximum age of its stamp [ns].
     tolerance
         How far the stamp of an answer may be from its tick [ns].
     """
@@ -253,7 +253,7 @@ class SimulatedBase:
         return str(self._commands.topic_name)
 
     def _check_senders(self) -> None:
-        """Say once who publishes commands of the type that this robot cannot hear."""
+        """Warn once about publishers of the other command type."""
         heard, other = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
         infos = self.node.get_publishers_info_by_topic(self.command_topic)
         names = sorted({info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{other}"})
@@ -308,7 +308,7 @@ class SimulatedBase:
         Raises
         ------
         sim.plants.plant.RobotLostError
-            If the robot does not come through it.
+            If the simulation loses the robot.
         """
         lapsed = self.inbox.lapsed(now)
         if lapsed and not self._was_lapsed:

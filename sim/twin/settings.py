@@ -14,16 +14,16 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class Prior(StrictModel):
-    """What is believed of one parameter before the log is looked at, and where it is looked for.
+    """Prior of one parameter, and the range of the search.
 
     The search is in standard deviations of the prior: z = (t(value) - t(prior)) / deviation with
     the logarithm, or nothing, for t.
     """
 
-    scale: Literal["log", "linear"] = Field(description="of which the prior is normal")
+    scale: Literal["log", "linear"] = Field(description="on which the prior is normal")
     prior: float = Field(description="median")
     deviation: Positive = Field(description="standard deviation on that scale")
-    stated: Positive | None = Field(default=None, description="the same, where the robot file says the number")
+    stated: Positive | None = Field(default=None, description="the same, if the robot file states the number")
     floor: Positive = Field(description="least deviation of an interval, on that scale")
     low: float = Field(description="least value")
     high: float = Field(description="largest value")
@@ -44,7 +44,7 @@ class Prior(StrictModel):
         return self.prior + self.deviation * z
 
     def at(self, prior: float | None = None, *, stated: bool = False) -> Prior:
-        """The same about another median, and as narrow as a number that is stated."""
+        """A copy with another median; `stated` selects the narrower deviation."""
         changes: dict[str, float] = {} if prior is None else {"prior": prior}
         if stated and self.stated is not None:
             changes["deviation"] = self.stated
@@ -52,7 +52,7 @@ class Prior(StrictModel):
 
 
 class TwinSettings(StrictModel):
-    """All of `settings.yaml`, which explains each."""
+    """The fields of `settings.yaml`; see there."""
 
     parameters: dict[str, Prior]
     sensors: list[str]

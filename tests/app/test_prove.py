@@ -122,7 +122,10 @@ def test_a_configuration_of_the_user_is_proven(proof: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (("trajectory: short", "model: sm\n  trajectory: short"), "factors.model: it is ssm that is to be proven"),
+        (
+            ("trajectory: short", "model: sm\n  trajectory: short"),
+            "factors.model: remove it; the controller under test is ssm",
+        ),
         (
             ("boundaries:\n  sensors", "boundaries:\n  sensor"),
             "probe and boundaries: unknown factor 'sensor.pose.latency'",

@@ -27,7 +27,7 @@ from diffdrive_mpc.models.logs.drive_log.tick import (
 _NANO = 10**9
 _WELL = ("TRACKING", "FINISHED", "IDLE")
 _CHUNK = 1 << 18
-"""Bytes before they are compressed and written: of a file that is cut off so much is lost at most, some seconds."""
+"""Chunk size [bytes]. A truncated file loses at most one chunk, which is some seconds."""
 
 
 class DriveWriter:
@@ -66,7 +66,7 @@ class DriveWriter:
         self._said, self._diagnosed = "", -_NANO
 
     def close(self) -> None:
-        """Write what readers need to find their way; without it the file can only be read from its beginning."""
+        """Write the index; without it, the file can only be read from its beginning."""
         self._writer.finish()  # type: ignore[no-untyped-call]
 
     def tick(
@@ -89,7 +89,7 @@ class DriveWriter:
         row
             Its row; its `t_s` is the same instant.
         measurement
-            What the controller was given, where the row does not hold it yet.
+            Input of the controller, where the row does not hold it yet.
         plan, period
             (N + 1, 3) predicted poses from `now` on, `period` [ns] apart.
         odometry_pose
@@ -113,7 +113,7 @@ class DriveWriter:
             self._message(topic.DIAGNOSTICS, now, _status(now, row))
 
     def reference(self, now: int, stamps: Sequence[int], poses: FloatArray) -> None:
-        """Write the path (n, 3) that is to be driven, with the times [ns] at which."""
+        """Write the reference path (n, 3) and its time stamps (n,) [ns]."""
         self._message(topic.REFERENCE, now, ros.path(now, stamps, poses.tolist(), self._frame))
 
     def serialized(self, now: int, name: str, data: bytes) -> None:
@@ -149,7 +149,7 @@ class DriveWriter:
             self._message(topic.TRUE_TWIST, now, ros.true_twist(now, twist))
 
     def _belief(self, now: int, row: TickRow) -> None:
-        """Where the robot is believed to be, how far from its reference, and what the controller does."""
+        """Write the estimated pose, the tracking error and the mode."""
         pose = _numbers(row, "estimate_x_m", "estimate_y_m", "estimate_theta_rad")
         if pose:
             self._message(topic.TRANSFORMS, now, ros.transform(now, pose, self._frame))
