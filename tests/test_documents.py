@@ -125,7 +125,7 @@ def test_ci_runs_what_the_documents_leave_to_it():
 def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
     command, *options = line.removeprefix("python -m studies ").partition(" --out ")[0].split(" --")
     test = (ROOT / "tests" / file).read_text(encoding="utf-8")
-    assert f'["{command.split()[0]}", "' in test
+    assert f'"{command.split()[0]}", "--' in test
     assert all('", "'.join(f"--{option}".split()) in test for option in options)
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
