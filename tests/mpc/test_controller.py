@@ -297,6 +297,7 @@ def test_updates_take_effect_between_two_ticks():
     assert (np.abs(np.diff(commands, axis=0)) <= np.array([2.0, 6.0]) * DT + 1e-12).all()
     due = np.maximum(commands[99, 0] - 2.0 * DT * np.arange(1, 51), 0.2)
     assert (commands[100:, 0] <= due + 1e-9).all()
+    assert commands[-1, 0] == pytest.approx(0.2, abs=1e-3)
     assert driver.config.limits.v == 0.2
 
 
