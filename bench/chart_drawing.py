@@ -24,7 +24,7 @@ _BARS = 0.84
 
 def draw_charts(charts: Sequence[Chart | GridMap], path: Path, width: float = _WIDTH) -> None:
     """Draw charts of a width [inches] side by side into the PNG file `path`; their names stand below, once."""
-    names = {line.name: None for chart in charts if isinstance(chart, Chart) for line in chart.series}
+    names = {entry.name: None for chart in charts if isinstance(chart, Chart) for entry in chart.series}
     rows = -(-len(names) // (_NAMES_IN_A_ROW * len(charts))) if len(names) > 1 else 0
     with new_figure(path, width * len(charts), _HEIGHT + _LEGEND_ROW * rows) as figure:
         panels = figure.subplots(1, len(charts), squeeze=False)[0]
@@ -47,7 +47,7 @@ def draw_charts(charts: Sequence[Chart | GridMap], path: Path, width: float = _W
 def draw_chart(axes: Axes, chart: Chart) -> None:
     """Draw the series of a chart, and its marks; without its title."""
     categories = _categories(chart)
-    bars = [line for line in chart.series if line.kind in ("bars", "rows")]
+    bars = [entry for entry in chart.series if entry.kind in ("bars", "rows")]
     for series in chart.series:
         if series.kind in ("bars", "rows"):
             _draw_bars(axes, series, bars.index(series), len(bars), categories)
@@ -98,10 +98,10 @@ def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - what a colour
 
 def _categories(chart: Chart) -> list[str]:
     """Names along the axis that has names in place of numbers, in the order of first appearance."""
-    rows = any(line.kind == "rows" for line in chart.series)
+    rows = any(entry.kind == "rows" for entry in chart.series)
     if not rows and chart.x.type != "category":
         return []
-    named = (value for line in chart.series for value in (line.y if rows else line.x))
+    named = (value for entry in chart.series for value in (entry.y if rows else entry.x))
     return list(dict.fromkeys(map(str, named)))
 
 

@@ -110,8 +110,8 @@ def judge(plan: TunePlan, search: ConfigurationSearch, chosen: TunePoint, bar: P
     constrained = {
         name: search.drive([chosen.values], one.runs, bar, f"constraint {name}")[0] for name, one in own.items()
     }
-    everything = [point for each in (mine, *constrained.values()) for point in each]
-    theirs_all = [point for each in (usual, *(of.usual for of in own.values())) for point in each]
+    everything = [run for each in (mine, *constrained.values()) for run in each]
+    theirs_all = [run for each in (usual, *(of.usual for of in own.values())) for run in each]
     violations = search.step_time(chosen.values) | broken(everything, theirs_all, terms)
     usual_violations = search.step_time(search.usual) | broken(theirs_all, theirs_all, terms)
     for name, constraint in plan.constraints.items():

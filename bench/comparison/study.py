@@ -55,7 +55,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         recorded = [run for run in driven if isinstance(run, RunOutcome)]
         bar.begin("timing, in turns", len(recorded))
         timed, timing = time_outcomes(recorded, bar.advance)
-        rows: dict[Case, Row] = {controller.case: controller.row for controller in timed}
+        rows: dict[Case, Row] = {outcome.case: outcome.row for outcome in timed}
         rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
 
         def of(listed: Iterable[Case]) -> DataFrame:

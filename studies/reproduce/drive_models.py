@@ -151,7 +151,7 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
     numbers = []
     for source, group in _by_source(results).items():
         for name in group[0].errors:
-            mean = np.mean([[*finding.errors[name].v, *finding.errors[name].omega] for finding in group], axis=0)
+            mean = np.mean([[*result.errors[name].v, *result.errors[name].omega] for result in group], axis=0)
             rows.append((source, name, *(f"{value:.2f}" for value in mean)))
         for name in KINDS:
             numbers.append((source, name, *(_numbers(group, name, row) for row in (0, 1))))
@@ -208,18 +208,18 @@ def drive_model_findings(results: Sequence[DriveModelsResult], published: Publis
         ):
             holds = tuple(
                 all(
-                    finding.errors[name].v[0] < finding.errors[worse].v[0]
-                    and finding.errors[name].omega[0] < finding.errors[worse].omega[0]
+                    result.errors[name].v[0] < result.errors[worse].v[0]
+                    and result.errors[name].omega[0] < result.errors[worse].omega[0]
                     for name in better
                 )
-                for finding in group
+                for result in group
             )
             paper = "-" if SM in better else "; ".join(_means(second[name]) for name in (*better, worse))
             ours = "; ".join(
                 _means(
                     VelocityErrors(
-                        (float(np.mean([finding.errors[name].v[0] for finding in group])), 0.0),
-                        (float(np.mean([finding.errors[name].omega[0] for finding in group])), 0.0),
+                        (float(np.mean([result.errors[name].v[0] for result in group])), 0.0),
+                        (float(np.mean([result.errors[name].omega[0] for result in group])), 0.0),
                     )
                 )
                 for name in (*better, worse)

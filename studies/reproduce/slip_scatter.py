@@ -225,7 +225,7 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
     rows, terms = [], []
     for (floor, drifts), group in _groups(results).items():
         nominal, learned, scaled = (pooled(group, name) for name in ("nominal", "learned", "scaled"))
-        by_slip = np.sqrt(np.mean([finding.by_slip**2 for finding in group], axis=0))
+        by_slip = np.sqrt(np.mean([result.by_slip**2 for result in group], axis=0))
         rows.append(
             (
                 floor,
@@ -239,8 +239,8 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
         )
         truth = group[0].truth
         if truth is not None:
-            coefficients = np.mean([finding.coefficients for finding in group], axis=0)
-            sure = np.sqrt(np.mean([finding.deviations**2 for finding in group], axis=0))
+            coefficients = np.mean([result.coefficients for result in group], axis=0)
+            sure = np.sqrt(np.mean([result.deviations**2 for result in group], axis=0))
             if drifts == results[0].drifts:
                 terms.append((floor, "true", *(f"{1e3 * value:.1f}" for value in truth)))
             cells = (f"{1e3 * mean:.1f} ± {1e3 * one:.1f}" for mean, one in zip(coefficients, sure, strict=True))
