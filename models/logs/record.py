@@ -161,6 +161,25 @@ Topics = Mapping[str, tuple[str, str]]
 
 
 @dataclass(frozen=True)
+class MappingChange:
+    """A change of the mapping that may mend what a finding says; whether it does is tried before it is advised.
+
+    Attributes
+    ----------
+    stream
+        "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for what is of no stream.
+    key
+        What of the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit".
+    value
+        What stands there after the change; of "delay" what is added to it [s].
+    """
+
+    stream: str
+    key: str
+    value: float | str | bool
+
+
+@dataclass(frozen=True)
 class Finding:
     """Something in a log that its user should know.
 
@@ -177,6 +196,8 @@ class Finding:
         What was found and what can be done, in one sentence.
     span
         From and to [s] on the log's clock, where the finding has a place in time.
+    changes
+        Of the mapping, all together, that may mend it; empty where no mapping can.
     """
 
     kind: str
@@ -184,6 +205,7 @@ class Finding:
     place: str
     words: str
     span: tuple[float, float] | None = None
+    changes: tuple[MappingChange, ...] = ()
 
     @property
     def verdict(self) -> DoubtRelevance | None:
