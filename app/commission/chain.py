@@ -12,7 +12,8 @@ import numpy as np
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, commission_settings
 from diffdrive_mpc.app.excitation import Excitation, check_drive, driven, excite_model, in_room
 from diffdrive_mpc.app.identification.figures import draw_identification
-from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE, first_circle, trial_doubts, trial_drives
+from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE, first_circle
+from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.app.proof.proof_file import Proof, load_proof
 from diffdrive_mpc.app.proof.report import Outcomes, is_unsafe, percent
 from diffdrive_mpc.app.proof.study import ProofStudy, keep
@@ -102,18 +103,17 @@ def learn(folder: Path, logs: Logs, config: str) -> Gate:
 def identify_all(folder: Path, logs: Logs) -> Gate:
     """Identify from all logs, with where the filter may begin; the configuration must drive."""
     identification = _with_slip(identify(logs.files, logs.mapping, structure="sm"), logs)
-    identification.write(folder, draw_identification(identification.report, folder, lambda: None))
     gate = _explained(identification)
-    if not gate.passed:
-        return gate
-    config = load_config(folder / CONFIG_FILE)
-    (folder / FIRST_CIRCLE).write_text(first_circle(config, identification.model).text(), encoding="utf-8")
-    drives = trial_drives(identification, config)
-    doubts = trial_doubts(drives)
-    worst = max(drive.lateral_share for drive in drives)
-    if doubts or worst > commission_settings().gates.lateral_share:
-        return Gate(False, f"{gate.sentence}, but its configuration does not drive: {doubts[0] if doubts else worst}")
-    return Gate(True, f"{gate.sentence}; with its configuration {len(drives)} trial drives stay on their paths")
+    verdict = judge_by_drives(identification) if gate.passed else None
+    identification = verdict.identification if verdict else identification
+    drives = verdict is not None and not verdict.against
+    identification.write(folder, draw_identification(identification.report, folder, lambda: None), model=drives)
+    if verdict is None or verdict.config is None or verdict.against:
+        return gate if verdict is None else Gate(False, f"{gate.sentence}, but {verdict.against}")
+    circle = first_circle(verdict.config, identification.model)
+    (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
+    words = f"with its configuration {len(verdict.drives)} trial drives stay on their paths"
+    return Gate(True, "; ".join([gate.sentence, words, *verdict.changed]))
 
 
 def twin(folder: Path, logs: Logs, robot: str | None, jobs: int | None, seconds: float) -> Gate:

@@ -161,7 +161,6 @@ class Gates(StrictModel):
     gain_deviation: Positive
     fit: float
     twin_behind: NotNegative
-    lateral_share: Positive
 
 
 class ProofSettings(StrictModel):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from diffdrive_mpc.app.identification.figures import FOLDER, other_charts, simulation_charts
 from diffdrive_mpc.app.identification.trial_drives import TrialDrive, trial_doubts, trial_table
+from diffdrive_mpc.app.identification.verdict import TrialVerdict
 from diffdrive_mpc.bench.html_report.document import picture
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
@@ -25,7 +26,6 @@ from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import read_yaml
-from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.table import TextTable
@@ -43,30 +43,23 @@ def remedies() -> dict[str, str]:
     return texts
 
 
-def identification_page(
-    identification: Identification,
-    folder: Path,
-    drives: Sequence[TrialDrive] | None,
-    seconds: float,
-) -> Page:
+def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> Page:
     """The page of an identification whose files and figures are in `folder`.
 
     Parameters
     ----------
-    found
-        What was found.
+    verdict
+        What was found, and how its configuration drives.
     folder
         Where its files are.
-    drives
-        How its configuration drives; None where there is none, or it does not drive at all.
     seconds
         How long it took.
     """
-    report, trials = identification.report, drives or ()
+    report, trials = verdict.identification.report, verdict.drives
     names, paths = (tuple(dict.fromkeys(getattr(trial, of) for trial in trials)) for of in ("plant", "path"))
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.in_short(), *([identification.refusal] if identification.refusal else [])],
+        summary=[report.in_short()[0], *verdict.answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],
@@ -102,7 +95,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
     )
     if drives:
         worst = max(drives, key=lambda row: row.lateral_share)
-        beside = f"of its turning circle beside the path, at most ({worst.path})"
+        beside = f"of the circle's radius beside the path, at most ({worst.path})"
         made.append(
             KeyFigure(
                 "driving with it",

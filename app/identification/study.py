@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,16 @@ from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification
 from diffdrive_mpc.app.identification.page import identification_page
 from diffdrive_mpc.app.identification.trial_drives import (
     FIRST_CIRCLE,
-    PATHS,
-    TrialDrive,
     first_circle,
     recipe,
     trial_doubts,
-    trial_drives,
     trial_table,
 )
+from diffdrive_mpc.app.identification.verdict import DRIVES, TrialVerdict, judge_by_drives
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
-from diffdrive_mpc.bench.table import number, rich_table
+from diffdrive_mpc.bench.table import rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
@@ -38,16 +36,6 @@ from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.table import plain_line
-from diffdrive_mpc.mpc import load_config
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """What was written: `drives` is None where the configuration drove nowhere, `against` says why."""
-
-    found: Identification
-    drives: list[TrialDrive] | None
-    against: str = ""
 
 
 def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
@@ -63,11 +51,11 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
     began = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, REPORT)
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
-        outcome = _write(_identified(logs, bar, force, options), folder, bar, force)
-        page = identification_page(outcome.found, folder, outcome.drives, time.perf_counter() - began)
-        write_page(page, folder / REPORT)
-    _print(outcome.found, out)
-    _print_verdict(outcome, out, force)
+        verdict = _proven(_identified(logs, bar, force, options), bar, force)
+        _write(verdict, folder, bar, force)
+        write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)
+    _print(verdict.identification, out)
+    _print_verdict(verdict, out, force)
 
 
 def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
@@ -85,46 +73,50 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
         raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
 
 
-def _write(identification: Identification, folder: Path, bar: ProgressBar, force: bool) -> _Outcome:
-    """Write files and figures; where there is a configuration, drive with it and write how, too."""
-    bar.begin("figures", len(figures_of(identification.report)))
-    identification.write(folder, draw_identification(identification.report, folder, bar.advance), force=force)
+def _proven(identification: Identification, bar: ProgressBar, force: bool) -> TrialVerdict:
+    """The configuration that drives, unless the logs alone speak against it."""
     if identification.refusal and not force:
-        return _Outcome(identification, None, identification.refusal)
-    bar.begin("driving", 2 * len(PATHS))
-    config = load_config(folder / CONFIG_FILE)
-    try:
-        drives = trial_drives(identification, config, bar.advance)
-    except ValueError as error:
-        if not force:
-            raise
-        return _Outcome(identification, None, f"written by force, but it does not drive: {error}")
-    circle = first_circle(config, identification.model)
-    (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
-    with (folder / "report.md").open("a", encoding="utf-8") as report:
-        report.write(f"\n{trial_table(drives).markdown()}\n")
-        report.write("".join(f"* {doubt}\n" for doubt in trial_doubts(drives)))
-        report.write(f"\n{recipe(circle, config, drives, identification.report.data.topics)}")
-    return _Outcome(identification, drives)
+        return TrialVerdict(identification, None, (), against=identification.refusal)
+    return judge_by_drives(identification, lambda text: bar.begin(text, DRIVES), bar.advance, force=force)
 
 
-def _print_verdict(outcome: _Outcome, out: Path, force: bool) -> None:
-    """How the configuration drives; raises ConfigError where none was written."""
-    if outcome.drives is not None:
-        output_console().print(rich_table(trial_table(outcome.drives)))
-        for doubt in trial_doubts(outcome.drives):
-            _print_line(f"warning: {doubt}")
-        _print_line(outcome.found.report.next_step(out))
-        first = outcome.drives[0]
-        _print_line(
-            f"(position RMSE {number(first.metrics.position_rmse_m, 4)} m, as '{first.path}' on {first.plant} above; "
-            f"then the robot, as the end of {out / 'report.md'} says)"
-        )
-    elif force:
-        _print_line(f"warning: {outcome.against}")
-    else:
+def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
+    """Write files and figures; model, configuration and first circle only where they drive, or by force."""
+    identification = verdict.identification
+    report = identification.report
+    bar.begin("figures", len(figures_of(report)))
+    figures = draw_identification(report, folder, bar.advance)
+    drives = force or not verdict.against
+    identification.write(folder, figures, force=force, model=drives)
+    parts = [report.markdown(figures, ["```text", *verdict.lines(), "```", "", report.in_short()[0]])]
+    if verdict.drives:
+        parts += [
+            trial_table(verdict.drives).markdown(),
+            "".join(f"* {doubt}\n" for doubt in trial_doubts(verdict.drives)),
+        ]
+    if drives and verdict.config is not None:
+        circle = first_circle(verdict.config, identification.model)
+        (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
+        parts.append(recipe(circle, verdict.config, verdict.drives, report.data.topics))
+    (folder / "report.md").write_text("\n".join(part for part in parts if part), encoding="utf-8")
+    numbers = report.as_json() | {"verdict": verdict.as_json()}
+    (folder / "report.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
+    """How the configuration drives and what to do next; raises ConfigError where none was written."""
+    if verdict.drives:
+        output_console().print(rich_table(trial_table(verdict.drives)))
+    for doubt in trial_doubts(verdict.drives):
+        _print_line(f"warning: {doubt}")
+    if verdict.against and force:
+        _print_line(f"warning: written by force, but {verdict.against}")
+    elif verdict.against:
         old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
-        raise ConfigError(f"{outcome.against}; no model and no configuration are written{old}, --force writes them")
+        raise ConfigError(f"{verdict.against}; no model and no configuration are written{old}, --force writes them")
+    typer.echo()
+    for line in verdict.lines(out):
+        typer.echo(line)
 
 
 def _print_log(log: Log) -> None:
@@ -148,8 +140,7 @@ def _print(identification: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
-    for line in report.in_short()[:-1]:
-        _print_line(line)
+    _print_line(report.in_short()[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
     if identification.configuration.room:

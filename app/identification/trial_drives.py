@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Annotated
 
-import numpy as np
+from pydantic import Field
 
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import node_arguments
 from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.table import TextTable, number
@@ -31,13 +35,30 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 PATHS = ("circle", "square", "s", "cane")
 ITSELF, HELD_OUT = "the model itself", "a model of the data held out"
 _TITLE = "Driving with it"
-_FAR = 0.05
-"""Share of the turning circle beside the path from which a drive is warned of [-]."""
+Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
-    "Paths scaled to size and limits of the robot. Its turning circle is that at its limits: below 5 % is "
-    "good. On the model itself this shows that configuration and model agree; on one of the data held out, that it "
-    "does not depend on the part of the log. Neither shows the floor: begin slowly, with room."
+    "Paths scaled to size and limits of the robot; lateral errors beside the radius of the scaled circle: below {:g} % "
+    "is good. On the model itself this shows that configuration and model agree; on one of the data held out, of "
+    "another structure, that it depends neither on the part of the log nor on the structure. Neither shows the floor: "
+    "begin slowly, with room."
 )
+
+
+class TrialSettings(StrictModel):
+    """What a configuration has to show in its trial drives, and what is tried where it does not."""
+
+    lateral_share: Positive = Field(description="largest lateral error over the radius of the scaled circle [-]")
+    shares: tuple[tuple[Share, Share], ...] = Field(description="of limits.v and limits.omega, in the order tried [-]")
+    curved: tuple[str, ...] = Field(description="paths without corners, of which the promise is")
+    margin: Annotated[float, Field(ge=1)] = Field(description="promised lateral error over the largest seen [-]")
+    stand_in_order: int = Field(ge=1, description="of the SSM that stands in for a robot whose model is an SM or MBM")
+    stand_in_rows: int = Field(ge=1, description="of the data held out that it is fitted to")
+
+
+@cache
+def trial_settings() -> TrialSettings:
+    """Read `trial_drives.yaml`; raises ConfigError on a mistake in it."""
+    return load_checked(TrialSettings, Path(__file__).with_name("trial_drives.yaml"))
 
 
 @dataclass(frozen=True)
@@ -52,14 +73,14 @@ class TrialDrive:
         Which.
     run
         What happened.
-    turning_circle
-        Diameter of the circle that the robot drives at its limits of v and omega [m].
+    radius
+        Of the circle among the paths, scaled to the robot [m].
     """
 
     plant: str
     path: str
     run: Run
-    turning_circle: float
+    radius: float
 
     @property
     def metrics(self) -> Metrics:
@@ -68,35 +89,50 @@ class TrialDrive:
 
     @property
     def lateral_share(self) -> float:
-        """Largest lateral error over the turning circle [-]."""
-        return self.metrics.lateral_max_m / self.turning_circle
+        """Largest lateral error over the radius of the scaled circle [-]."""
+        return self.metrics.lateral_max_m / self.radius
+
+    @property
+    def passed(self) -> bool:
+        """Whether it arrived and stayed near enough to its path."""
+        return self.metrics.completed and self.lateral_share <= trial_settings().lateral_share
+
+
+StandIn = tuple[str, VelocityModel | NonlinearModel, BaseEffects]
+"""What stands in for the robot: what it is, its model, and what its base does around it."""
+
+
+def stand_ins(identification: Identification) -> list[StandIn]:
+    """The model itself, and one of another structure fitted to the data held out, where they allow it."""
+    base = _effects_of(identification.report.fitted.identified)
+    itself: StandIn = (ITSELF, identification.model, base)
+    other = _of_held_out(identification)
+    return [itself] if other is None else [itself, (HELD_OUT, *other)]
 
 
 def trial_drives(
-    identification: Identification, config: ControllerConfig, on_run: Callable[[], None] = lambda: None
-) -> list[TrialDrive]:
-    """Drive `PATHS` with the configuration on stand-ins of the robot; `on_run` is called after each.
-
-    Where the held-out part allows no model of its own there is no stand-in of it.
-    """
-    gain = np.abs(np.diag(identification.model.dc_gain))
-    circle = 2 * gain[0] * config.limits.v / (gain[1] * config.limits.omega)
-    effects = _effects_of(identification.report.fitted.identified)
-    plants: list[tuple[str, VelocityModel | NonlinearModel, BaseEffects]] = [(ITSELF, identification.model, effects)]
-    other = _of_held_out(identification)
-    if other is not None:
-        plants.append((HELD_OUT, *other))
+    identification: Identification,
+    config: ControllerConfig,
+    plants: Sequence[StandIn],
+    on_run: Callable[[], None] = lambda: None,
+) -> Iterator[TrialDrive]:
+    """Drive `PATHS` with the configuration on stand-ins of the robot; `on_run` is called after each."""
+    radius = circle_radius(config)
     slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
     limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
     robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
-    drives = []
     for name, model, around in plants:
         for path in PATHS:
             plant = ModelPlant(model, slip, load_sensor_set("default"), effects=around, robot=robot)
             reference = scaled_to_robot(path, config, identification.model)
-            drives.append(TrialDrive(name, path, simulate(Controller(config), plant, reference), circle))
+            run = simulate(Controller(config), plant, reference)
             on_run()
-    return drives
+            yield TrialDrive(name, path, run, radius)
+
+
+def circle_radius(config: ControllerConfig) -> float:
+    """Radius of the shipped circle, a metre, scaled to the robot's track [m]."""
+    return config.wheels.encoder_track / load_robot().track
 
 
 def _effects_of(identified: IdentifiedModel) -> BaseEffects:
@@ -104,31 +140,35 @@ def _effects_of(identified: IdentifiedModel) -> BaseEffects:
 
 
 def _of_held_out(identification: Identification) -> tuple[VelocityModel | NonlinearModel, BaseEffects] | None:
-    """Fit an SM with the selected effects, or the function, to the held-out records; None if that fails.
+    """Fit another structure, the selected effects, or the function, to the data held out; None if that fails.
 
-    A plain SM would mistake a slew limit of the base for a lag.
+    A model without the effects would mistake a slew limit of the base for a lag.
     """
-    data, base, predictor = (
-        identification.report.data,
-        identification.report.fitted.base,
-        identification.report.fitted.predictor,
-    )
+    data, fitted = identification.report.data, identification.report.fitted
     try:
-        own = predictor.refitted(data.validation, data.yaw) if predictor else None
+        own = fitted.predictor.refitted(data.validation, data.yaw) if fitted.predictor else None
         if own is not None:
             return own, BaseEffects()
-        if base is not None:
-            other = base.refitted(data.validation)
+        if fitted.base is not None:
+            other = fitted.base.refitted(data.validation)
         else:
-            other = fit(replace(data, train=data.validation, validation=data.train), STRUCTURES["sm"]).identified
+            other = _of_other_structure(data, fitted.structure)
         return other.model, _effects_of(other)
     except ValueError:
         return None
 
 
+def _of_other_structure(data: LogData, structure: str) -> IdentifiedModel:
+    """An SSM for a robot of decoupled channels, an SM for any other."""
+    settings = trial_settings()
+    rows = tuple(most_informative(data.validation, settings.stand_in_rows))
+    other, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
+    return fit(replace(data, train=rows, validation=rows), STRUCTURES[other], order).identified
+
+
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
     """Errors, a row for each stand-in and path."""
-    columns = ("stand-in", "path", "position RMSE [m]", "largest lateral [m]", "of the turning circle [%]")
+    columns = ("stand-in", "path", "position RMSE [m]", "largest lateral [m]", "of the circle's radius [%]")
     return TextTable(
         _TITLE,
         (*columns, "fall-backs", "completed"),
@@ -145,7 +185,7 @@ def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
             for drive in drives
         ),
         text_columns=2,
-        note=_NOTE,
+        note=_NOTE.format(100 * trial_settings().lateral_share),
     )
 
 
@@ -153,13 +193,9 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
     """A doubt for each drive that failed."""
     doubts = [
         f"the configuration does not drive '{drive.path}' on {drive.plant}: "
-        + (
-            f"{100 * drive.lateral_share:.0f} % of its turning circle beside the path"
-            if drive.metrics.completed
-            else "it did not arrive"
-        )
+        + (f"{drive.metrics.lateral_max_m:.2g} m beside the path" if drive.metrics.completed else "it did not arrive")
         for drive in drives
-        if not drive.metrics.completed or drive.lateral_share > _FAR
+        if not drive.passed
     ]
     return [Doubt("failed drive", words) for words in doubts]
 
@@ -209,7 +245,7 @@ class FirstCircle:
 
 def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> FirstCircle:
     """The circle for a robot with these limits and gains."""
-    radius = config.wheels.encoder_track / load_robot().track
+    radius = circle_radius(config)
     v_gain, omega_gain = abs(model.dc_gain[0, 0]), abs(model.dc_gain[1, 1])
     reached = min(
         v_gain * config.limits.v / radius, omega_gain * config.limits.omega, config.limits.wheel_speed / radius

@@ -23,6 +23,7 @@ from diffdrive_mpc.models.identification.deliver.configuration import (
     round_period,
 )
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
+from diffdrive_mpc.models.identification.deliver.trust import refusals
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.fit.poses import from_poses
 from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders, with_predictor
@@ -35,7 +36,7 @@ from diffdrive_mpc.models.structures.identified import model_file, percent, prov
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
-from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc.models.velocity_model import VelocityModel
 
 AUTOMATIC = "auto"
 BESIDE = "sm"
@@ -88,20 +89,16 @@ class Identification:
     @property
     def refusal(self) -> str:
         """Why no controller should drive with this model, in a line; empty where nothing speaks against it."""
-        worse = [
-            f"{channel} {fit:.0f} %"
-            for channel, fit in zip(CHANNELS, self.report.fitted.validation.fit_percent, strict=True)
-            if not fit >= 0
-        ]
-        if not worse:
-            return ""
-        return (
-            f"FIT on data held out is below zero ({', '.join(worse)}): the model predicts worse than a "
-            "constant; look at the "
-            "warnings and the first lines on the log"
-        )
+        return "; ".join(refusals(self.report.data.findings, self.report.fitted))
 
-    def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
+    def write(
+        self,
+        folder: str | Path,
+        figures: Mapping[str, str] | None = None,
+        *,
+        force: bool = False,
+        model: bool = True,
+    ) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
 
         Where there is a `refusal`, model, configuration and surface are not written unless with `force`.
@@ -114,6 +111,8 @@ class Identification:
             Titles and relative paths of figures that the report shows.
         force
             Whether to write model and configuration in spite of a `refusal`.
+        model
+            Whether to write model, configuration and surface at all.
 
         Raises
         ------
@@ -124,7 +123,7 @@ class Identification:
         words = self.report.markdown(figures)
         numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
-        if force or not self.refusal:
+        if model and (force or not self.refusal):
             predictor = self.report.fitted.predictor
             if predictor is None:
                 write_model_file(folder / MODEL_FILE, self.content)

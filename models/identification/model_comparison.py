@@ -11,6 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.function_structure import function_structures
+from diffdrive_mpc.models.identification.fit.block_errors import INTERVAL, block_powers, drawn_blocks, pooled_fit
 from diffdrive_mpc.models.identification.fit.fitting import Fitted, fit
 from diffdrive_mpc.models.identification.fit.poses import from_poses
 from diffdrive_mpc.models.identification.fit.predictor import finders, with_predictor
@@ -22,11 +23,8 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twis
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.table import TextTable, number
 
-_DRAWS, _SEED = 2000, 0
 # Open-loop poses are compared after this time, or the longest shorter one that is measured [s].
 _POSE_HORIZON = 5.0
-# Intervals of differences, as quantiles.
-_INTERVAL = (0.025, 0.975)
 
 
 class Kind(NamedTuple):
@@ -115,10 +113,7 @@ class ModelComparison:
 
     def fits(self, scored: Scored, draw: FloatArray | None = None) -> FloatArray:
         """(..., 2) pooled FIT of v and omega [%]; of blocks that are drawn (..., B) so often."""
-        drawn = np.ones(len(self.weights)) if draw is None else draw
-        readings = drawn @ self.weights
-        power = drawn @ (self.weights * scored.powers)
-        return np.asarray(100.0 * (1.0 - np.sqrt(power / readings / self.spread)))
+        return pooled_fit(scored.powers, self.weights, self.spread, draw)
 
     @property
     def recommended(self) -> Scored:
@@ -132,11 +127,9 @@ class ModelComparison:
 
     def gain(self, scored: Scored, other: Scored) -> FloatArray:
         """(2,) 95 % interval of the mean FIT of v and omega over that of `other` [points], blocks drawn anew."""
-        rng = np.random.default_rng(_SEED)
-        count = len(self.weights)
-        draws = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
+        draws = drawn_blocks(len(self.weights))
         difference = (self.fits(scored, draws) - self.fits(other, draws)).mean(axis=1)
-        return np.asarray(np.quantile(difference, _INTERVAL))
+        return np.asarray(np.quantile(difference, INTERVAL))
 
     def table(self) -> TextTable:
         """One row for each kind."""
@@ -217,11 +210,11 @@ def compare_models(
         raise ConfigError(f"parts = {parts}: give 2 or more, one of them is held out at a time")
     folds = list(_folds([*data.train, *data.validation], parts))
     horizon = max(h for h in identification_settings().horizons if h <= _POSE_HORIZON)
-    measured = [twist_experiments(held_out, data.yaw) for _, held_out in folds]
-    readings = np.concatenate([one.outputs[one.counts.all(axis=1)] for fold in measured for one in fold])
+    measured = [part for _, held_out in folds for part in twist_experiments(held_out, data.yaw)]
+    readings = np.concatenate([part.outputs[part.counts.all(axis=1)] for part in measured])
     if not len(readings):
         raise ConfigError("no row has both a reading of v and one of omega; log them at the same rate")
-    obeyed, weights = _powers(measured, [[record.command for record in held_out] for _, held_out in folds])
+    obeyed, weights = block_powers(measured, [record.command for _, held_out in folds for record in held_out])
     scores = [Scored(NO_MODEL, 0, obeyed, float("nan"), 0.0)]
     linear: dict[tuple[str, bool, int], Fitted] = {}
     for kind in KINDS:
@@ -249,12 +242,14 @@ def _score(
     data: LogData,
     folds: Sequence[tuple[list[Record], list[Record]]],
     linear: dict[tuple[str, bool, int], Fitted],
-    measured: Sequence[Sequence[SampledExperiment]],
+    measured: Sequence[SampledExperiment],
     horizon: float,
     announce: Callable[[str], None],
 ) -> Scored:
     """`linear` holds the linear models that were found, by structure, effects and part, as several kinds need them."""
-    simulated, states, errors, seconds = [], 0, [], 0.0
+    simulated: list[FloatArray] = []
+    states, seconds = 0, 0.0
+    errors: list[float] = []
     for k, (rest, part) in enumerate(folds):
         announce(f"{kind.name}, part {k + 1} of {len(folds)}")
         fold = replace(data, train=tuple(rest), validation=tuple(part))
@@ -267,27 +262,8 @@ def _score(
             poses = from_poses(fold, fitted)
         except (ValueError, ConfigError, MissingPackageError) as error:
             return Scored(kind.name, 0, np.empty((0, 2)), float("nan"), seconds, str(error))
-        simulated.append(list(fitted.simulated))
+        simulated += fitted.simulated
         states, seconds = fitted.states, seconds + fitted.seconds
         errors += [drift.position_rmse for drift in poses.drift if drift.horizon == horizon]
     pose = float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
-    return Scored(kind.name, states, _powers(measured, simulated)[0], pose, seconds)
-
-
-def _powers(
-    measured: Sequence[Sequence[SampledExperiment]], simulated: Sequence[Sequence[FloatArray]]
-) -> tuple[FloatArray, FloatArray]:
-    """(B, 2) mean square errors in blocks of time, and the readings behind each."""
-    length = identification_settings().block_time
-    powers, weights = [], []
-    for fold, outputs in zip(measured, simulated, strict=True):
-        for experiment, output in zip(fold, outputs, strict=True):
-            errors = experiment.readings - output
-            span = max(1, round(length / experiment.dt))
-            for first in range(0, len(errors), span):
-                block = errors[first : first + span]
-                count = np.isfinite(block).sum(axis=0)
-                if count.all():
-                    powers.append(np.nanmean(block**2, axis=0))
-                    weights.append(count)
-    return np.array(powers), np.array(weights, dtype=float)
+    return Scored(kind.name, states, block_powers(measured, simulated)[0], pose, seconds)

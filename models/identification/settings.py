@@ -16,6 +16,9 @@ class JudgementSettings(StrictModel):
     """When a model is said not to be trusted."""
 
     low_fit: float = Field(description="[%]")
+    refused_fit: float = Field(description="[%]")
+    unknown_delay: Positive = Field(description="[-]")
+    least_unknown_delay: Positive = Field(description="[s]")
     fit_drop: Positive = Field(description="[percentage points]")
     unexplained: Positive = Field(description="[-]")
     lever_arm: Positive = Field(description="[m]")

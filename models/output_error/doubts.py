@@ -62,7 +62,8 @@ def badly_known(
         Kind of doubt for all of them; by default it follows from the names.
     delays
         Delay of each channel or motor, dead time and lag together, named by the part before the dot of its parameters.
-        The split between dead time and poles may be unknown while their sum is known; only the sum matters.
+        The split between dead time and poles may be unknown while their sum is known; only the sum matters, which
+        `late_answers` looks at.
     """
     limit = estimator_settings().warn.relative_deviation
     verdicts = []
@@ -82,9 +83,8 @@ def _kind(name: str, delays: ParameterEstimate | None) -> str:
         return _KINDS[last]
     of_one = delays is not None and group in delays.names
     if of_one or "pole" in last:
-        # Whatever else a transfer function has shapes its answer. A pole without a channel is one of all.
-        known = delays is not None and not late_answers(delays.part([group]) if of_one else delays)
-        return "divided lag" if known else "lag"
+        # Whatever else a transfer function has shapes its answer; whether that is late is told of the delay as a whole.
+        return "lag" if delays is None else "divided lag"
     return "gain" if group == "gain" else "effect"
 
 

@@ -135,7 +135,7 @@ def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(fo
     assert not (tmp_path / "o").exists()
     assert runner.invoke(app, [*words, "--force"]).exit_code == 0
     assert (tmp_path / "o" / "config.yaml").exists()
-    assert "To be trusted? No" in (tmp_path / "o" / "report.md").read_text()
+    assert "May I drive? No: " in (tmp_path / "o" / "report.md").read_text()
 
 
 def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
@@ -144,7 +144,7 @@ def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
     other = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
     words = ["identify", str(log), "--validate", str(other), "--mapping", str(folder / "map.yaml")]
     result = runner.invoke(app, [*words, "--out", str(tmp_path / "o")])
-    assert result.exit_code == 2 and "below zero (omega -" in result.stderr and "--force" in result.stderr
+    assert result.exit_code == 2 and "below 40 %" in result.stderr and "--force" in result.stderr
     files = [CONTENTS, "report.html", "report.json", "report.md"]
     assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == files
     assert runner.invoke(app, [*words, "--force", "--out", str(tmp_path / "o")]).exit_code == 0

@@ -126,10 +126,8 @@ def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
 def test_the_printed_next_command_gives_the_figure_of_the_table_where_it_is_pasted(identified, monkeypatch):
     folder, screen = identified
     monkeypatch.chdir(folder)
-    (line,) = [line for line in screen.splitlines() if line.startswith("Next: ")]
-    (figure,) = re.findall(r"\(position RMSE (\S+) m, as 'circle' on the model itself", screen)
-    assert figure in screen[: screen.index("Next: ")]
-    _, *words = shlex.split(line[line.index("diffdrive-mpc") :])
+    (figure,) = re.findall(r"the model itself +circle +(\S+)", screen)
+    _, *words = shlex.split(screen[screen.rindex("  diffdrive-mpc simulate") :].replace("\\\n", " "))
     run(*words)
     option = dict(zip(words[1:-1:2], words[2::2], strict=True))
     case = Case(

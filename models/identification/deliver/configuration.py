@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -227,6 +227,19 @@ class IdentifiedConfiguration:
         """Lengths that are more than usual, of all groups: no limit of the robot, but what it needs."""
         lengths = identification_settings().lengths
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
+
+    def slowed(self, shares: Mapping[str, float]) -> IdentifiedConfiguration:
+        """The same with a share of the limits of "v" and "omega", and of what is predicted of them."""
+
+        def slower(setting: Setting) -> Setting:
+            share = shares.get(setting.name.removeprefix("predicted_"), 1.0)
+            if share == 1.0:
+                return setting
+            unit, _, reason = setting.reason.partition(", ")
+            words = f"{unit}, {100 * share:.0f} % of this, as faster trial drives failed: {reason}"
+            return _setting(setting.name, share * float(setting.value), words)
+
+        return replace(self, limits=tuple(map(slower, self.limits)))
 
     def mapping(self) -> dict[str, Any]:
         """Keys and values as `load_config` takes them; the model is the file beside the configuration."""

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.doubt import Doubt, lines
-from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.identification.deliver.tables import (
     delay_table,
     drift_table,
@@ -26,9 +23,9 @@ from diffdrive_mpc.models.identification.deliver.tables import (
     score_table,
     slip_table,
 )
+from diffdrive_mpc.models.identification.deliver.trust import Trust, judge
 from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.fit.poses import PoseResults
-from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
@@ -36,13 +33,6 @@ from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.table import TextTable, plain_line
 from diffdrive_mpc.models.velocity_model import CHANNELS
-
-
-def next_command(folder: Path = Path()) -> str:
-    """Return the command that drives the first path of the trials again, with the files of an identification."""
-    config, model, surface = (str(folder / name) for name in (CONFIG_FILE, MODEL_FILE, SURFACE_FILE))
-    words = ["--config", config, "--plant", f"model:{model}", "--surface", surface, "--scale-to-robot"]
-    return shlex.join(["diffdrive-mpc", "simulate", *words])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,17 +98,8 @@ class IdentificationReport:
     def _findings(self) -> list[Finding]:
         return [finding for finding in self.data.findings if finding.severity != "note"]
 
-    def _counted(self) -> str:
-        """How many warnings there are, and how many of them matter for driving; empty without any."""
-        verdicts = [*(finding.verdict for finding in self._findings), *(doubt.verdict for doubt in self.doubts)]
-        matter = sum(verdict is not None and verdict.matters for verdict in verdicts)
-        if not verdicts:
-            return ""
-        count = "1 warning" if len(verdicts) == 1 else f"{len(verdicts)} warnings"
-        return f"{count}, {matter or 'none'} of which matter{'s' if matter == 1 else ''} for driving"
-
     def in_short(self) -> list[str]:
-        """What was found, whether to trust it, and what to do next, in the folder of the files: a line each."""
+        """What was found and whether to trust it, a line each."""
         model = self.fitted.identified.model
         gain, late, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
@@ -130,33 +111,17 @@ class IdentificationReport:
             linear = "by the linear model beside it, which limits and tracks come from"
             lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
         clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
-        return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {self.verdict}.", self.next_step()]
+        return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {self.verdict}."]
+
+    @property
+    def trust(self) -> Trust:
+        """How far to trust the model, by what the logs say of it."""
+        return judge(self.data, self.fitted, self.doubts)
 
     @property
     def verdict(self) -> str:
-        """Whether to trust the model, in a line."""
-        return self._trust()[0]
-
-    def next_step(self, folder: Path = Path()) -> str:
-        """Return what to do next with the files, which are in `folder`, in a line."""
-        return f"Next: {self._trust()[1]}{next_command(folder)}"
-
-    def _trust(self) -> tuple[str, str]:
-        """Whether to trust the model, and what to do before it is driven with; empty where nothing is."""
-        fit = [float(value) for value in self.fitted.validation.fit_percent]
-        worst, limits = min(fit), identification_settings().warn
-        errors = [finding for finding in self.data.findings if finding.severity == "error"]
-        each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
-        explained = f"of what moves in the data held out it explains (FIT) {each}"
-        count = self._counted()
-        if errors or not worst >= 0:
-            return (
-                f"No: {errors[0].words if errors else explained}",
-                "mend that first; then ",
-            )
-        if worst < limits.low_fit:
-            return f"With care: {explained}", "read the warnings, and drive gently with it; begin with "
-        return f"Yes, at the speeds and on the floor of the log: {explained}" + (f"; {count}" if count else ""), ""
+        """The same in a line."""
+        return str(self.trust)
 
     @property
     def scores(self) -> tuple[TextTable, ...]:
@@ -203,12 +168,20 @@ class IdentificationReport:
             "warnings": list(self.warnings),
         }
 
-    def markdown(self, figures: Mapping[str, str] | None = None) -> str:
-        """The report as Markdown; `figures` are titles and relative paths, in the order to be shown."""
+    def markdown(self, figures: Mapping[str, str] | None = None, first: Sequence[str] = ()) -> str:
+        """The report as Markdown.
+
+        Parameters
+        ----------
+        figures
+            Titles and relative paths, in the order to be shown.
+        first
+            Lines that stand in place of whether to trust the model, where more is known than the logs say.
+        """
         parts = [
             f"# {plain_line(self.name)}",
             "",
-            *_bullets(self.in_short()),
+            *(first or _bullets(self.in_short())),
             "",
             *self._facts(),
             "",

@@ -1,0 +1,228 @@
+"""What a robot may be trusted to do with an identified model: what its logs say, and what its trial drives prove."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.app.identification.trial_drives import (
+    HELD_OUT,
+    PATHS,
+    StandIn,
+    TrialDrive,
+    stand_ins,
+    trial_doubts,
+    trial_drives,
+    trial_settings,
+)
+from diffdrive_mpc.models.identification import Identification
+from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.identification.deliver.trust import Grade
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE
+from diffdrive_mpc.models.identification.from_logs import identify_data
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.mpc import ControllerConfig, load_config
+
+SIMPLEST = "sm"
+_WIDTH = 80
+_HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
+DRIVES = 2 * len(PATHS)
+"""Trial drives of one configuration."""
+
+
+@dataclass(frozen=True)
+class TrialVerdict:
+    """An identification whose configuration the trial drives were driven with.
+
+    Attributes
+    ----------
+    identification
+        As it was found, or with lower limits or a simpler model where only these pass.
+    config
+        Its configuration; None where none can be written.
+    drives
+        All that were driven with it.
+    changed
+        What was lowered or simplified so that they pass, a clause each.
+    against
+        Why nothing drives, in a clause; empty where the drives pass.
+    """
+
+    identification: Identification
+    config: ControllerConfig | None
+    drives: tuple[TrialDrive, ...]
+    changed: tuple[str, ...] = ()
+    against: str = ""
+
+    @property
+    def grade(self) -> Grade:
+        """Whether to drive."""
+        trust = self.identification.report.trust
+        if self.against or trust.grade == "No":
+            return "No"
+        return "With care" if self.reasons else "Yes"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What stands against a better grade, a clause each."""
+        trust = self.identification.report.trust
+        if self.against:
+            return (self.against,)
+        alone = self.drives and not any(drive.plant == HELD_OUT for drive in self.drives)
+        words = ("the data held out are too few for a stand-in of their own",) if alone else ()
+        return (*self.changed, *words, *trust.reasons)
+
+    @property
+    def promise(self) -> str:
+        """What the robot may be trusted to do, in a sentence without a full stop; empty where nothing drives."""
+        curved = [drive for drive in self.drives if drive.path in trial_settings().curved]
+        if self.against or not curved:
+            return ""
+        v, omega = np.max([np.abs(drive.run.reference_twist).max(axis=0) for drive in curved], axis=0)
+        beside = trial_settings().margin * max(drive.metrics.lateral_max_m for drive in curved)
+        return f"follows curved paths at up to {v:.2g} m/s and {omega:.2g} rad/s within {math.ceil(100 * beside)} cm"
+
+    def as_json(self) -> dict[str, Any]:
+        """Grade, reasons and promise for a program."""
+        return {"grade": self.grade, "reasons": list(self.reasons), "promise": self.promise}
+
+    def answers(self) -> list[str]:
+        """May I drive, how fast, how good is it, what next: a sentence or two each."""
+        fit = self.identification.report.fitted.validation.fit_percent
+        each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
+        explained = f"FIT on data held out: {each}."
+        why = f": {'; '.join(self.reasons)}" if self.reasons else " at the speeds and on the floor of the log"
+        fast = f"In trial drives in simulation it {self.promise}." if self.promise else "Not at all."
+        if self.promise and self.grade == "Yes":
+            following = "Drive it in simulation, then as the end of report.md says:"
+        elif self.promise:
+            following = "Read the warnings, mend what you can, then drive gently. Begin with"
+        else:
+            following = "Mend what is named above; report.md says how."
+        return [f"{self.grade}{why}.", fast, explained, following]
+
+    def lines(self, folder: Path = Path()) -> list[str]:
+        """The answers in at most ten lines of 80 columns, with the command for files in `folder`."""
+        driven, *others = self.answers()
+        answers = (_shortened(driven, 3), *others)
+        lines = [line for head, words in zip(_HEADS, answers, strict=True) for line in _answer(head, words)]
+        return [*lines, *(next_command(folder) if self.promise else ())]
+
+
+def _answer(head: str, words: str) -> list[str]:
+    indent = " " * (max(map(len, _HEADS)) + 1)
+    return textwrap.wrap(words, _WIDTH, initial_indent=head.ljust(len(indent)), subsequent_indent=indent)
+
+
+def _shortened(words: str, lines: int) -> str:
+    """As much as `lines` of an answer hold."""
+    room = lines * (_WIDTH - max(map(len, _HEADS)) - 8)
+    return words if len(words) <= room else f"{words[:room].rsplit(' ', 1)[0]} ... (report.md)"
+
+
+def next_command(folder: Path = Path()) -> list[str]:
+    """Return the command that drives the first path of the trials again, with the files of an identification."""
+    options = [
+        ["diffdrive-mpc", "simulate", "--config", str(folder / CONFIG_FILE)],
+        ["--plant", f"model:{folder / MODEL_FILE}"],
+        ["--surface", str(folder / SURFACE_FILE), "--scale-to-robot"],
+    ]
+    return textwrap.indent(" \\\n  ".join(map(shlex.join, options)), "  ").splitlines()
+
+
+def judge_by_drives(
+    identification: Identification,
+    on_try: Callable[[str], None] = lambda _: None,
+    on_run: Callable[[], None] = lambda: None,
+    *,
+    force: bool = False,
+) -> TrialVerdict:
+    """Drive with the configuration; where drives fail, lower its limits, then simplify its model, until all pass.
+
+    Parameters
+    ----------
+    identification
+        What was found.
+    on_try
+        Called before the drives of a configuration, with which it is.
+    on_run
+        Called after each drive.
+    force
+        Whether the configuration is kept as it was found, whatever the drives say.
+
+    Raises
+    ------
+    OSError
+        If the files of a configuration cannot be written for its drives.
+    """
+    first: TrialVerdict | None = None
+    for candidate, simplified in _candidates(identification, force=force):
+        plants = stand_ins(candidate)
+        for shares in trial_settings().shares[: 1 if force else None]:
+            lowered, words = _lowered(candidate, shares)
+            on_try(", ".join(["driving", *simplified, *words]))
+            verdict = _driven(lowered, plants, on_run, whole=first is None)
+            if not verdict.against:
+                return replace(verdict, changed=(*simplified, *words))
+            first = first or verdict
+    assert first is not None
+    return first
+
+
+def _candidates(identification: Identification, *, force: bool) -> Iterator[tuple[Identification, tuple[str, ...]]]:
+    """What was found, and where it is no plain SM the SM of the same data, with what was changed."""
+    yield identification, ()
+    report = identification.report
+    fitted = report.fitted
+    if force or (fitted.structure == SIMPLEST and fitted.base is None):
+        return
+    try:
+        simpler = identify_data(report.data, STRUCTURES[SIMPLEST], report.name)
+    except ValueError:
+        return
+    if not simpler.refusal:
+        more = " with effects" if fitted.base is not None else ""
+        yield simpler, (f"a plain {SIMPLEST.upper()} in place of the {fitted.structure.upper()}{more}, which fails",)
+
+
+def _lowered(identification: Identification, shares: tuple[float, float]) -> tuple[Identification, tuple[str, ...]]:
+    """The same with a share of its limits of v and omega, and what was changed."""
+    if shares == (1.0, 1.0):
+        return identification, ()
+    configuration = identification.configuration.slowed(dict(zip(CHANNELS, shares, strict=True)))
+    words = [
+        f"limits.{channel} lowered to {100 * share:.0f} %, as faster trial drives fail"
+        for channel, share in zip(CHANNELS, shares, strict=True)
+        if share < 1.0
+    ]
+    return replace(identification, configuration=configuration, config=configuration.mapping()), tuple(words)
+
+
+def _driven(
+    identification: Identification, plants: Sequence[StandIn], on_run: Callable[[], None], *, whole: bool
+) -> TrialVerdict:
+    """How a configuration drives; only `whole` drives on after the first that fails."""
+    drives: list[TrialDrive] = []
+    config: ControllerConfig | None = None
+    with TemporaryDirectory() as folder:
+        identification.write(folder, force=True)
+        try:
+            config = load_config(Path(folder) / CONFIG_FILE)
+            for drive in trial_drives(identification, config, plants, on_run):
+                drives.append(drive)
+                if not (drive.passed or whole):
+                    break
+        except ValueError as error:
+            return TrialVerdict(identification, config, (), against=f"the configuration does not drive: {error}")
+    failed = trial_doubts(drives)
+    more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+    return TrialVerdict(identification, config, tuple(drives), against=f"{failed[0].words}{more}" if failed else "")

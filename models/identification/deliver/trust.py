@@ -1,0 +1,105 @@
+"""How far a model may be trusted, from everything that its logs say: the one rule behind every verdict on a model."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.identification.fit.block_errors import INTERVAL, block_powers, drawn_blocks, pooled_fit
+from diffdrive_mpc.models.identification.fit.fitting import Fitted
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+Grade = Literal["Yes", "With care", "No"]
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whether to drive with a model.
+
+    Attributes
+    ----------
+    grade
+        "Yes", "With care" or "No".
+    reasons
+        What stands against a better grade, a clause each; empty for "Yes".
+    """
+
+    grade: Grade
+    reasons: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """One line without a full stop."""
+        return ": ".join(part for part in (self.grade, "; ".join(self.reasons)) if part)
+
+
+def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
+    """The grade of a model, from its FIT on blocks of time held out and what is doubtful and matters for driving.
+
+    Parameters
+    ----------
+    data
+        The logs.
+    fitted
+        The model.
+    doubts
+        All of them.
+    """
+    against = refusals(data.findings, fitted)
+    if against:
+        return Trust("No", against)
+    low, least = fit_interval(data, fitted)[0], identification_settings().warn.low_fit
+    reasons = [
+        f"FIT of {channel} on data held out may be as low as {value:.0f} %"
+        for channel, value in zip(CHANNELS, low, strict=True)
+        if not value >= least
+    ]
+    known = [
+        *((finding.kind, finding.verdict) for finding in data.findings),
+        *((one.kind, one.verdict) for one in doubts),
+    ]
+    matters = Counter(kind for kind, verdict in known if verdict is not None and verdict.matters and kind != "low FIT")
+    if matters:
+        count = sum(matters.values())
+        reasons.append(f"{'1 warning matters' if count == 1 else f'{count} warnings matter'} ({', '.join(matters)})")
+    return Trust("With care" if reasons else "Yes", tuple(reasons))
+
+
+def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
+    """Why no controller should drive with a model, a clause each; empty where nothing speaks against it."""
+    limits = identification_settings().warn
+    reasons = [finding.words for finding in findings if finding.severity == "error"]
+    fit = fitted.validation.fit_percent
+    if not min(fit) >= limits.refused_fit:
+        each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
+        reasons.append(
+            f"FIT on data held out is {each}; below {limits.refused_fit:g} % a model predicts little more than chance"
+        )
+    delays = None if fitted.predictor else fitted.identified.delays
+    for name, value, deviation in delays.rows if delays else ():
+        part, _, kind = name.rpartition(".")
+        if kind == "sum" and not deviation <= max(limits.unknown_delay * value, limits.least_unknown_delay):
+            reasons.append(
+                f"how late {part} answers is not known: {value:.2g} s, with a standard deviation of {deviation:.2g} s"
+            )
+    return tuple(reasons)
+
+
+def fit_interval(data: LogData, fitted: Fitted) -> FloatArray:
+    """(2, 2) lower and upper end of the 95 % interval of FIT of v and omega on data held out [%]; blocks drawn anew."""
+    measured = twist_experiments(data.validation, data.yaw)
+    powers, weights = block_powers(measured, fitted.simulated)
+    readings = np.concatenate([part.readings for part in measured])
+    spread = np.asarray(np.nanvar(readings, axis=0))
+    if not len(weights):
+        return np.tile(fitted.validation.fit_percent, (2, 1))
+    return np.asarray(np.quantile(pooled_fit(powers, weights, spread, drawn_blocks(len(weights))), INTERVAL, axis=0))
