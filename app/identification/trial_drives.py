@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +24,7 @@ from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.table import TextTable, number
-from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import Metrics, Run, simulate
@@ -48,7 +48,9 @@ class TrialSettings(StrictModel):
     """What a configuration has to show in its trial drives, and what is tried where it does not."""
 
     lateral_share: Positive = Field(description="largest lateral error over the radius of the scaled circle [-]")
-    shares: tuple[tuple[Share, Share], ...] = Field(description="of limits.v and limits.omega, in the order tried [-]")
+    shares: tuple[tuple[Share, Share], ...] = Field(
+        description="of limits.v and limits.omega to go down to, the fastest first [-]"
+    )
     curved: tuple[str, ...] = Field(description="paths without corners, of which the promise is")
     margin: Annotated[float, Field(ge=1)] = Field(description="promised lateral error over the largest seen [-]")
     stand_in_order: int = Field(ge=1, description="of the SSM that stands in for a robot whose model is an SM or MBM")
@@ -98,16 +100,34 @@ class TrialDrive:
         return self.metrics.completed and self.lateral_share <= trial_settings().lateral_share
 
 
-StandIn = tuple[str, VelocityModel | NonlinearModel, BaseEffects]
-"""What stands in for the robot: what it is, its model, and what its base does around it."""
+@dataclass(frozen=True)
+class StandIn:
+    """What stands in for the robot in a trial drive.
+
+    Attributes
+    ----------
+    name
+        `ITSELF` or `HELD_OUT`.
+    model
+        Of its velocities.
+    base
+        What its base does around the model.
+    limits
+        Levels at which it clips its commands of "v" [m/s] and "omega" [rad/s], where it does.
+    """
+
+    name: str
+    model: VelocityModel | NonlinearModel
+    base: BaseEffects
+    limits: Mapping[str, float] = field(default_factory=dict)
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
     """The model itself, and one of another structure fitted to the data held out, where they allow it."""
-    base = _effects_of(identification.report.fitted.identified)
-    itself: StandIn = (ITSELF, identification.model, base)
+    identified = identification.report.fitted.identified
+    itself = StandIn(ITSELF, identification.model, _effects_of(identified), identified.limits)
     other = _of_held_out(identification)
-    return [itself] if other is None else [itself, (HELD_OUT, *other)]
+    return [itself] if other is None else [itself, other]
 
 
 def trial_drives(
@@ -119,15 +139,16 @@ def trial_drives(
     """Drive `PATHS` with the configuration on stand-ins of the robot; `on_run` is called after each."""
     radius = circle_radius(config)
     slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
-    limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
-    robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
-    for name, model, around in plants:
+    for stand_in in plants:
+        reached = {name: min(getattr(config.limits, name), stand_in.limits.get(name, math.inf)) for name in CHANNELS}
+        limits = usual.limits.model_copy(update=reached)
+        robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS:
-            plant = ModelPlant(model, slip, load_sensor_set("default"), effects=around, robot=robot)
+            plant = ModelPlant(stand_in.model, slip, load_sensor_set("default"), effects=stand_in.base, robot=robot)
             reference = scaled_to_robot(path, config, identification.model)
             run = simulate(Controller(config), plant, reference)
             on_run()
-            yield TrialDrive(name, path, run, radius)
+            yield TrialDrive(stand_in.name, path, run, radius)
 
 
 def circle_radius(config: ControllerConfig) -> float:
@@ -139,7 +160,7 @@ def _effects_of(identified: IdentifiedModel) -> BaseEffects:
     return BaseEffects.model_validate(identified.content.get("base_effects", {}))
 
 
-def _of_held_out(identification: Identification) -> tuple[VelocityModel | NonlinearModel, BaseEffects] | None:
+def _of_held_out(identification: Identification) -> StandIn | None:
     """Fit another structure, the selected effects, or the function, to the data held out; None if that fails.
 
     A model without the effects would mistake a slew limit of the base for a lag.
@@ -148,12 +169,12 @@ def _of_held_out(identification: Identification) -> tuple[VelocityModel | Nonlin
     try:
         own = fitted.predictor.refitted(data.validation, data.yaw) if fitted.predictor else None
         if own is not None:
-            return own, BaseEffects()
+            return StandIn(HELD_OUT, own, BaseEffects())
         if fitted.base is not None:
             other = fitted.base.refitted(data.validation)
         else:
             other = _of_other_structure(data, fitted.structure)
-        return other.model, _effects_of(other)
+        return StandIn(HELD_OUT, other.model, _effects_of(other), other.limits)
     except ValueError:
         return None
 

@@ -164,26 +164,49 @@ def judge_by_drives(
     OSError
         If the files of a configuration cannot be written for its drives.
     """
-    first: TrialVerdict | None = None
-    for candidate, simplified in _candidates(identification, force=force):
-        plants = stand_ins(candidate)
-        for shares in trial_settings().shares[: 1 if force else None]:
-            lowered, words = _lowered(candidate, shares)
-            on_try(", ".join(["driving", *simplified, *words]))
-            verdict = _driven(lowered, plants, on_run, whole=first is None)
-            if not verdict.against:
-                return replace(verdict, changed=(*simplified, *words))
-            first = first or verdict
-    assert first is not None
+    on_try("driving")
+    first = _driven(identification, stand_ins(identification), on_run, whole=True)
+    if force or not first.against:
+        return first
+    for candidate, simplified in _candidates(identification):
+        slower = _fastest(candidate, simplified, on_try, on_run)
+        if slower is not None:
+            return slower
     return first
 
 
-def _candidates(identification: Identification, *, force: bool) -> Iterator[tuple[Identification, tuple[str, ...]]]:
+def _fastest(
+    candidate: Identification,
+    simplified: tuple[str, ...],
+    on_try: Callable[[str], None],
+    on_run: Callable[[], None],
+) -> TrialVerdict | None:
+    """With the largest of the settings' shares of the limits whose drives pass, by halving; None if the least fails."""
+    plants, shares = stand_ins(candidate), trial_settings().shares
+
+    def attempt(i: int) -> TrialVerdict:
+        lowered, words = _lowered(candidate, shares[i])
+        on_try(", ".join(["driving", *simplified, *words]))
+        return replace(_driven(lowered, plants, on_run, whole=False), changed=(*simplified, *words))
+
+    fails, passes = -1, len(shares) - 1
+    best = attempt(passes)
+    if best.against:
+        return None
+    while passes - fails > 1:
+        middle = (fails + passes) // 2
+        tried = attempt(middle)
+        fails, passes = (middle, passes) if tried.against else (fails, middle)
+        best = best if tried.against else tried
+    return best
+
+
+def _candidates(identification: Identification) -> Iterator[tuple[Identification, tuple[str, ...]]]:
     """What was found, and where it is no plain SM the SM of the same data, with what was changed."""
     yield identification, ()
     report = identification.report
     fitted = report.fitted
-    if force or (fitted.structure == SIMPLEST and fitted.base is None):
+    if fitted.structure == SIMPLEST and fitted.base is None:
         return
     try:
         simpler = identify_data(report.data, STRUCTURES[SIMPLEST], report.name)
@@ -196,8 +219,6 @@ def _candidates(identification: Identification, *, force: bool) -> Iterator[tupl
 
 def _lowered(identification: Identification, shares: tuple[float, float]) -> tuple[Identification, tuple[str, ...]]:
     """The same with a share of its limits of v and omega, and what was changed."""
-    if shares == (1.0, 1.0):
-        return identification, ()
     configuration = identification.configuration.slowed(dict(zip(CHANNELS, shares, strict=True)))
     words = [
         f"limits.{channel} lowered to {100 * share:.0f} %, as faster trial drives fail"

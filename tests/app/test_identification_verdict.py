@@ -1,0 +1,147 @@
+"""The verdict of an identification: what the trial drives prove, and what the logs say against it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from log_parts import MAPPING, drive, write_csv, write_mapping
+from typer.testing import CliRunner
+
+from diffdrive_mpc import identify
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.identification import trial_drives
+from diffdrive_mpc.app.identification import verdict as verdicts
+from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, ITSELF, PATHS, StandIn, stand_ins, trial_settings
+from diffdrive_mpc.app.identification.verdict import judge_by_drives
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.identification.deliver.trust import fit_interval, judge
+
+TRACK = "wheels: {track: 0.5}\n"
+
+
+@pytest.fixture(scope="module")
+def identification(tmp_path_factory):
+    """A robot with nothing to say against it."""
+    folder = tmp_path_factory.mktemp("sound")
+    log, mapping = (
+        write_csv(folder / "drive.csv", drive(seconds=40.0)),
+        write_mapping(folder / "map.yaml", MAPPING + TRACK),
+    )
+    return identify(log, mapping=mapping)
+
+
+@pytest.fixture(scope="module")
+def sound(identification):
+    return judge_by_drives(identification)
+
+
+def test_a_sound_log_is_a_yes_with_a_promise_that_its_drives_keep(identification, sound):
+    assert sound.grade == "Yes" and sound.reasons == () and sound.identification is identification
+    assert [(drive.plant, drive.path) for drive in sound.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
+    centimetres = float(sound.promise.split()[-2])
+    curved = [drive for drive in sound.drives if drive.path in trial_settings().curved]
+    assert centimetres >= 100 * max(drive.metrics.lateral_max_m for drive in curved)
+
+
+def test_the_stand_in_is_of_another_structure_and_other_rows(identification):
+    itself, held_out = stand_ins(identification)
+    assert itself.model is identification.model
+    assert not np.array_equal(held_out.model.dc_gain, itself.model.dc_gain)
+    assert held_out.model.dc_gain[0, 1] != 0.0  # channels are coupled, as in no SM
+
+
+def clips(identification, share):
+    """The robot itself, which does no more than a share of what the configuration allows omega."""
+    limit = share * identification.config["limits"]["omega"]
+    return [StandIn(HELD_OUT, identification.model, BaseEffects(), {"omega": limit})]
+
+
+@pytest.fixture
+def one_path(monkeypatch):
+    """Drives that fail take long."""
+    monkeypatch.setattr(trial_drives, "PATHS", PATHS[:1])
+
+
+@pytest.mark.usefixtures("one_path")
+@pytest.mark.parametrize("share", [0.3, 0.2])
+def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeypatch):
+    monkeypatch.setattr(verdicts, "stand_ins", lambda _: clips(identification, share))
+    verdict = judge_by_drives(identification)
+    assert verdict.grade == "With care" and not verdict.against
+    old, new = identification.config["limits"], verdict.identification.config["limits"]
+    assert new["omega"] < old["omega"] and new["predicted_omega"] < old["predicted_omega"]
+    assert all(drive.passed for drive in verdict.drives)
+    assert any("limits.omega lowered to" in reason for reason in verdict.reasons)
+    assert "faster trial drives failed" in verdict.identification.configuration.text()
+
+
+@pytest.mark.usefixtures("one_path")
+def test_where_nothing_drives_nothing_is_written(tmp_path, monkeypatch):
+    """A robot that hardly turns: exit 2, the report alone, and by force the configuration as it was."""
+
+    def hardly_turns(found):
+        model = replace(found.model, C=found.model.C * np.array([[1.0], [0.1]]))
+        return [StandIn(HELD_OUT, model, BaseEffects())]
+
+    monkeypatch.setattr(verdicts, "stand_ins", hardly_turns)
+    log, mapping = write_csv(tmp_path / "a.csv", drive()), write_mapping(tmp_path / "m.yaml", MAPPING + TRACK)
+    words = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2 and "does not drive 'circle'" in result.stderr and result.stderr.count("\n") == 1
+    assert not (tmp_path / "out" / "config.yaml").exists() and not (tmp_path / "out" / "model.yaml").exists()
+    assert "May I drive? No: " in (tmp_path / "out" / "report.md").read_text()
+    result = CliRunner().invoke(app, [*words, "--force"])
+    assert result.exit_code == 0 and "written by force" in result.stdout
+    assert (tmp_path / "out" / "config.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("doubts", "grade", "reason"),
+    [
+        ([], "Yes", ""),
+        ([Doubt("divided lag", "x")], "Yes", ""),
+        ([Doubt("gain", "x"), Doubt("gain", "y")], "With care", "2 warnings matter (gain)"),
+        ([Doubt("lag", "x"), Doubt("pose point", "y")], "With care", "2 warnings matter (lag, pose point)"),
+    ],
+)
+def test_what_matters_for_driving_is_never_beside_a_yes(identification, doubts, grade, reason):
+    trust = judge(identification.report.data, identification.report.fitted, doubts)
+    assert (trust.grade, "; ".join(trust.reasons)) == (grade, reason)
+
+
+@pytest.mark.parametrize(("fit", "grade"), [(95.0, "Yes"), (39.0, "No"), (16.0, "No"), (float("nan"), "No")])
+def test_little_explained_is_a_no(identification, fit, grade):
+    fitted = identification.report.fitted
+    poor = replace(fitted, validation=replace(fitted.validation, fit_percent=np.array([fit, 95.0])))
+    assert judge(identification.report.data, poor, []).grade == grade
+
+
+def test_an_unknown_delay_is_a_no(identification):
+    fitted = identification.report.fitted
+    parameters = fitted.identified.parameters
+    scale = np.where([name.startswith("omega") for name in parameters.names], 300.0, 1.0)
+    vague = replace(parameters, covariance=parameters.covariance * np.outer(scale, scale))
+    trust = judge(
+        identification.report.data, replace(fitted, identified=replace(fitted.identified, parameters=vague)), []
+    )
+    assert trust.grade == "No" and "how late omega answers is not known" in trust.reasons[0]
+
+
+def test_the_interval_of_fit_holds_the_fit(identification):
+    report = identification.report
+    low, high = fit_interval(report.data, report.fitted)
+    fit = report.fitted.validation.fit_percent
+    assert np.all(low < fit) and np.all(fit < high)
+
+
+def test_the_answers_fit_ten_lines_of_eighty_columns(sound):
+    many = replace(sound, changed=("a reason that is rather long, as some of them are",) * 9)
+    for lines in (sound.lines(), many.lines()):
+        assert len(lines) <= 10 and max(map(len, lines)) <= 80
+        assert [line.split("?")[0] for line in lines if "?" in line[:13]] == [
+            "May I drive",
+            "How fast",
+            "How good",
+            "What next",
+        ]
