@@ -135,18 +135,25 @@ def trial_drives(
     config: ControllerConfig,
     plants: Sequence[StandIn],
     on_run: Callable[[], None] = lambda: None,
+    *,
+    paths: Sequence[str] | None = None,
+    seed: int = 0,
 ) -> Iterator[TrialDrive]:
-    """Drive `PATHS` with the configuration on stand-ins of the robot; `on_run` is called after each."""
+    """Drive paths, by default `PATHS`, with the configuration on stand-ins of the robot.
+
+    `on_run` is called after each drive; `seed` is that of the sensors' noise.
+    """
     radius = circle_radius(config)
     slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
     for stand_in in plants:
         reached = {name: min(getattr(config.limits, name), stand_in.limits.get(name, math.inf)) for name in CHANNELS}
         limits = usual.limits.model_copy(update=reached)
         robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
-        for path in PATHS:
-            plant = ModelPlant(stand_in.model, slip, load_sensor_set("default"), effects=stand_in.base, robot=robot)
+        for path in PATHS if paths is None else paths:
+            sensors = load_sensor_set("default")
+            plant = ModelPlant(stand_in.model, slip, sensors, seed, effects=stand_in.base, robot=robot)
             reference = scaled_to_robot(path, config, identification.model)
-            run = simulate(Controller(config), plant, reference)
+            run = simulate(Controller(config, identification.model), plant, reference)
             on_run()
             yield TrialDrive(stand_in.name, path, run, radius)
 

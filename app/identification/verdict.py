@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,17 @@ _WIDTH = 80
 _HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
 DRIVES = 2 * len(PATHS)
 """Trial drives of one configuration."""
+
+
+class Promise(NamedTuple):
+    """Speeds of curved paths, and how far beside them the robot is at most."""
+
+    v: float
+    """[m/s]"""
+    omega: float
+    """[rad/s]"""
+    beside: float
+    """[m]"""
 
 
 @dataclass(frozen=True)
@@ -82,14 +93,23 @@ class TrialVerdict:
         return (*self.changed, *words, *trust.reasons)
 
     @property
-    def promise(self) -> str:
-        """What the robot may be trusted to do, in a sentence without a full stop; empty where nothing drives."""
+    def promised(self) -> Promise | None:
+        """What the robot may be trusted to do; None where nothing drives."""
         curved = [drive for drive in self.drives if drive.path in trial_settings().curved]
         if self.against or not curved:
-            return ""
+            return None
         v, omega = np.max([np.abs(drive.run.reference_twist).max(axis=0) for drive in curved], axis=0)
         beside = trial_settings().margin * max(drive.metrics.lateral_max_m for drive in curved)
-        return f"follows curved paths at up to {v:.2g} m/s and {omega:.2g} rad/s within {math.ceil(100 * beside)} cm"
+        return Promise(float(v), float(omega), math.ceil(100 * beside) / 100)
+
+    @property
+    def promise(self) -> str:
+        """The same in a sentence without a full stop; empty where nothing drives."""
+        promised = self.promised
+        if promised is None:
+            return ""
+        v, omega, beside = promised
+        return f"follows curved paths at up to {v:.2g} m/s and {omega:.2g} rad/s within {100 * beside:.0f} cm"
 
     def as_json(self) -> dict[str, Any]:
         """Grade, reasons and promise for a program."""

@@ -1,0 +1,100 @@
+"""What the verdict of an identification promises, held against drawn variations of an independent stand-in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import count, islice
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, StandIn, trial_drives, trial_settings
+from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.identification import identify
+from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
+from studies.real_logs.protocol import RealLog
+
+
+@dataclass(frozen=True)
+class KeptPromise:
+    """How often a promise held.
+
+    Attributes
+    ----------
+    verdict
+        With the promise.
+    beside
+        (n,) largest lateral error of each variation on a curved path [m]; infinity where it did not arrive.
+    """
+
+    verdict: TrialVerdict
+    beside: tuple[float, ...]
+
+    @property
+    def kept(self) -> int:
+        """In how many variations the promise held."""
+        promised = self.verdict.promised
+        return 0 if promised is None else sum(lateral <= promised.beside for lateral in self.beside)
+
+    def table(self) -> Table:
+        """One row."""
+        beside = np.array(self.beside)
+        return Table(
+            title="What the verdict promises",
+            columns=("promise", "kept", "median [m]", "95 % below [m]"),
+            rows=(
+                (
+                    self.verdict.promise,
+                    f"{self.kept}/{len(beside)}",
+                    f"{np.median(beside):.3f}",
+                    f"{np.quantile(beside, 0.95, method='higher'):.3f}",
+                ),
+            ),
+            text_columns=1,
+            note="Of models of the data held out, of another structure, their parameters drawn from the covariance of "
+            "the estimate; one of the curved paths each, other sensor noise.",
+        )
+
+
+def keep_promise(
+    log: RealLog, data: Path, draws: int, seed: int, on_run: Callable[[], None] = lambda: None
+) -> KeptPromise:
+    """Identify an SM, and drive its configuration on `draws` variations of a model of the rows held out.
+
+    Raises
+    ------
+    ValueError, OSError
+        If the log cannot be used, or nothing is promised of it.
+    """
+    verdict = judge_by_drives(identify(data / log.file, mapping=log.mapping))
+    if verdict.promised is None or verdict.config is None:
+        raise ValueError(f"{log.robot}: nothing is promised: {verdict.against}")
+    paths, beside = trial_settings().curved, []
+    for i, stand_in in enumerate(islice(_variations(verdict.identification.report.data, seed), draws)):
+        (drive,) = trial_drives(
+            verdict.identification, verdict.config, [stand_in], paths=[paths[i % len(paths)]], seed=seed + i
+        )
+        beside.append(drive.metrics.lateral_max_m if drive.metrics.completed else np.inf)
+        on_run()
+    return KeptPromise(verdict, tuple(beside))
+
+
+def _variations(data: LogData, seed: int) -> Iterator[StandIn]:
+    """Models of the rows held out whose parameters are drawn; what is no robot's is drawn again."""
+    held_out = replace(data, train=data.validation, validation=data.train)
+    identified = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order).identified
+    (estimate,) = identified.fits
+    rng = np.random.default_rng(seed)
+    for _ in count():
+        system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.covariance))
+        try:
+            model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
+        except ModelError:
+            continue
+        yield StandIn(HELD_OUT, model, BaseEffects(), identified.limits)
