@@ -1,6 +1,7 @@
 """Logs made worse on purpose: the cause is named with its remedy, nothing else is, and nonsense is refused."""
 
 import pytest
+from degraded_causes import CAUSES
 from degraded_logs import CASES, FIRST_TEN, logs_of, verdict
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -22,7 +23,12 @@ def judged(case, folder):
     return [*(finding for log in logs for finding in log.findings), *compare_logs(logs)], None
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
+NEW = pytest.mark.xfail(reason="written before any result was looked at")
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=case.name, marks=[NEW] if case in CAUSES else []) for case in CASES]
+)
 def test_the_cause_is_named_and_no_other(case, tmp_path):
     findings, raised = judged(case, tmp_path)
     said = [f"{finding.severity}: {finding}" for finding in findings] + [raised]
@@ -35,3 +41,4 @@ def test_the_cause_is_named_and_no_other(case, tmp_path):
 def test_the_suite_is_large_enough():
     assert len({case.name for case in CASES}) == len(CASES)
     assert len(FIRST_TEN) == 10
+    assert len(CASES) >= 120
