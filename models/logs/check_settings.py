@@ -25,7 +25,7 @@ class CheckSettings(StrictModel):
     jitter: Positive = Field(description="95th percentile of a step's deviation [sample times]")
     clock_offset: Positive = Field(description="between the stamps of two sources [s]")
     clock_spread: Positive = Field(description="of stamps against receive times [s]")
-    held_share: Share = Field(description="share of repeated readings while the robot moves")
+    held_share: Share = Field(description="of the times between changes that are multiples of one period")
     stuck_time: Positive = Field(description="a reading that stays the same [s]")
     stuck_command: Share = Field(description="of the largest command; the robot should move")
     significant_change: Share = Field(description="of the largest command")
