@@ -302,7 +302,8 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         add("gyro", columns.gyro, {"yaw_rate": reader.column(columns.gyro.yaw_rate)[0][:, None]})
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
-        add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
+        poses = np.column_stack([reader.column(axis)[0] for axis in axes])
+        add("pose", columns.pose, {"pose": poses - [0.0, 0.0, columns.pose.heading_offset]})
     if columns.battery is not None:
         parts = (columns.battery.voltage, columns.battery.current)
         add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})

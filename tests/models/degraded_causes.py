@@ -162,7 +162,15 @@ CAUSES = (
     Case("heavy: slow yaw", "heavy", simulated(**HEAVY, yaw_lag=0.5), ("slow yaw",), ("yaw",)),
     Case("simulated: slow yaw", "simulated", simulated(yaw_lag=0.4, seed=44), ("slow yaw",), ("yaw",)),
     Case("simulated: straight ahead", "simulated", straight, ("constant input",), ("omega",), True),
-    Case("small: encoders constant", "small", constant("left", "right"), ("no response",), ("encoders",), True),
+    Case(
+        "small: encoders constant",
+        "small",
+        constant("left", "right"),
+        ("no response",),
+        ("encoders",),
+        True,
+        also=("stuck sensor",),
+    ),
     Case("heavy: heading constant", "heavy", constant("theta"), ("no response",), ("pose",), True),
     Case("small: right encoder constant", "small", one_wheel(1, 0.0), ("dead wheel",), ("right",), True),
     # Sound.

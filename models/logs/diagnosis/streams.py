@@ -42,6 +42,8 @@ class Streams:
         Of the stretches.
     reach
         Half the window over which poses become speeds [samples].
+    commands_wheels
+        Whether the log commands wheel speeds, so that v and omega share their columns.
     """
 
     dt: float
@@ -53,6 +55,7 @@ class Streams:
     pose: FloatArray | None
     slices: tuple[slice, ...]
     reach: int
+    commands_wheels: bool = False
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
         """(N,) v (0) or omega (1) of a stream; None where it has none. Those of the pose are means over its window."""
@@ -165,6 +168,8 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     command = gather("command")
     time = gather("time")
     assert command is not None and time is not None
+    # What is left of a rounding is no command.
+    command = np.where(np.nanmax(np.abs(command), axis=0) > settings.least_command, command, 0.0 * command)
     four = gather("wheel_speeds")
     return Streams(
         dt=dt,
@@ -176,6 +181,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
         pose=gather("pose"),
         slices=slices,
         reach=max(1, round(0.5 * settings.pose_window / dt)),
+        commands_wheels=all(record.wheel_commands is not None for record in records),
     )
 
 

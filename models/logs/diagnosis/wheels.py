@@ -6,6 +6,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.diagnosis.agreement import cut
 from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, answer
 from diffdrive_mpc.models.logs.record import Finding
 
@@ -21,6 +22,34 @@ def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Fi
         _sides_of_twist(log, streams, settings) if streams.wheels is None else _each_wheel(log, streams, settings)
     )
     return [] if finding is None else [finding]
+
+
+def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding: encoders whose sides are exchanged from some time on."""
+    if streams.twist is None or streams.wheels is None:
+        return []
+    command, omega = streams.command[:, 1], streams.twist[:, 1]
+    plain = answer(streams, command, omega, settings)
+    if plain is None or abs(plain.correlation[0]) > settings.clear_correlation:
+        return []
+    known = np.flatnonzero(np.isfinite(streams.time))
+    starts = known[np.linspace(0, len(known) - 1, 4 * settings.parts + 1).astype(int)[1:-1]]
+
+    def correlation(start: int) -> float:
+        turned = np.where(np.arange(len(omega)) < start, omega, -omega)
+        response = answer(streams, command, turned, settings)
+        return 0.0 if response is None else abs(float(response.correlation[0]))
+
+    each = [correlation(int(start)) for start in starts]
+    at = int(np.argmax(each))
+    if each[at] < settings.clear_correlation:
+        return []
+    times = streams.time[starts]
+    words = (
+        f"left and right of the encoders change places at about {times[at]:.0f} s, from then on omega runs the other "
+        "way: the order of the joints changed; cut the log there and identify from one part"
+    )
+    return [Finding("order change", "error", log, words, *cut(times, at))]
 
 
 def _running_counts(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
