@@ -94,6 +94,9 @@ def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding
     v = streams.smoothed(streams.delayed(streams.lagged(streams.command[:, 0], 0.1), 0.2))
     used = np.isfinite(moved) & np.isfinite(v) & np.isfinite(step[:, 2])
     rows, moved = np.column_stack([v, step[:, 2]])[used].astype(complex), moved[used]
+    commands = streams.command[used]
+    if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinear:
+        return []  # which of the two moves it sideways cannot be told
     by, *_ = np.linalg.lstsq(rows, moved, rcond=None)
     explained = 1 - np.sum(np.abs(moved - rows @ by) ** 2) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)
     offset = -float(np.angle(by[0]))

@@ -109,8 +109,9 @@ class Streams:
         def low_pass(part: FloatArray) -> FloatArray:
             from scipy.signal import lfilter  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
-            once = lfilter([1 - keep], [1, -keep], part - part[0], axis=0)
-            return np.asarray(lfilter([1 - keep], [1, -keep], once, axis=0) + part[0])
+            start = np.where(np.isfinite(part[0]), part[0], 0.0)
+            once = lfilter([1 - keep], [1, -keep], _bridged(part) - start, axis=0)
+            return np.asarray(lfilter([1 - keep], [1, -keep], once, axis=0) + start)
 
         return self.each(low_pass, values)
 
@@ -142,6 +143,16 @@ class Streams:
             return trimmed
 
         return self.each(trim, values)
+
+
+def _bridged(values: FloatArray) -> FloatArray:
+    """Values (n, ...) with straight lines where there are none."""
+    if np.isfinite(values).all():
+        return values
+    rows = np.arange(len(values))
+    columns = values.reshape(len(values), -1).T
+    filled = [np.interp(rows, rows[k], part[k]) if (k := np.isfinite(part)).any() else part for part in columns]
+    return np.column_stack(filled).reshape(values.shape)
 
 
 def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
@@ -237,32 +248,37 @@ def answer(
     *,
     intervals: bool = False,
     both_measured: bool = False,
+    lags: Sequence[float] | None = None,
 ) -> StreamResponse | None:
     """How `outputs` (N,) or (N, m) answer to `inputs` (N,) or (N, c); None where either never changes.
 
     Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
-    there is a shift alone. The correlations with all shifts come from Fourier transforms, over what both hold.
+    there is a shift alone, unless `lags` are given. The correlations with all shifts come from Fourier transforms, over what both hold.
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
-        lags, span = [0.0], (-settings.longest_shift, settings.longest_shift)
-        u = streams.inside(u, settings.longest_shift)
+        lags, span = lags or [0.0], (-settings.longest_shift, settings.longest_shift)
     else:
-        lags, span = list(settings.lags), (-settings.longest_lead, settings.longest_lag)
+        lags, span = lags or settings.lags, (-settings.longest_lead, settings.longest_lag)
         if not (np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)).any():
             return None
         u, streams = _with_heads(streams, u, y, settings)
+
+    def lagged(lag: float) -> FloatArray:
+        behind = streams.lagged(u, lag)
+        return streams.inside(behind, settings.longest_shift) if both_measured else behind
+
     low, high = (round(seconds / streams.dt) for seconds in span)
     best: tuple[float, float, FloatArray] | None = None
     for lag in lags:
-        behind = streams.lagged(u, lag)
+        behind = lagged(lag)
         strength = _strength(behind, y, low, high)
         if strength is not None and (best is None or strength.max() > best[0]):
             best = (float(strength.max()), lag, strength)
     if best is None:
         return None
     _, lag, strength = best
-    behind = streams.lagged(u, lag)
+    behind = lagged(lag)
     at = int(np.argmax(strength))
     gain, correlation = _regress(behind, y, low + at)
     deviation = np.nan

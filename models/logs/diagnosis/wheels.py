@@ -10,17 +10,16 @@ from diffdrive_mpc.models.logs.diagnosis.agreement import cut
 from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, answer
 from diffdrive_mpc.models.logs.record import Finding
 
-_SIDES = ("left", "right")
-_NAMES = {2: _SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
+SIDES = ("left", "right")
+_NAMES = {2: SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
 
 
 def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """At most one finding about the encoders; they are mended in `streams`, or taken out."""
     if streams.twist is None:
         return []
-    finding = _running_counts(log, streams, settings) or (
-        _sides_of_twist(log, streams, settings) if streams.wheels is None else _each_wheel(log, streams, settings)
-    )
+    check = _sides_of_twist if streams.wheels is None else _each_wheel
+    finding = check(log, streams, settings)
     return [] if finding is None else [finding]
 
 
@@ -52,23 +51,25 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     return [Finding("order change", "error", log, words, *cut(times, at))]
 
 
-def _running_counts(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
-    assert streams.twist is not None
+def check_counts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding: encoders whose columns count; they are taken out of `streams`."""
+    if streams.twist is None:
+        return []
     response = answer(streams, streams.command, streams.twist, settings)
     if response is None or response.correlation.max() > settings.clear_correlation:
-        return None
+        return []
     rate = streams.each(
         lambda part: np.gradient(part, streams.dt, axis=0) if len(part) > 1 else part * np.nan, streams.twist
     )
     instead = answer(streams, streams.command, rate, settings)
     if instead is None or instead.correlation.min() < settings.clear_correlation:
-        return None
+        return []
     streams.twist = streams.wheels = None
     words = (
         "not the encoders' readings but their changes follow the command: they are running counts; give their columns "
         "`unit: ticks`, and `ticks_per_turn` under 'wheels'"
     )
-    return Finding("running counts", "error", log, words)
+    return [Finding("running counts", "error", log, words)]
 
 
 def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
@@ -85,7 +86,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         )
         streams.twist = streams.wheels = None
         return Finding("dead wheel", "error", log, words)
-    sides = _commanded_sides(streams)
+    sides = commanded_sides(streams)
     response = None if sides is None else answer(streams, sides, streams.wheels, settings)
     if sides is None or response is None or response.correlation.max() < settings.clear_correlation:
         return None
@@ -148,7 +149,7 @@ def _odd_side(response: StreamResponse) -> int:
     return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 
 
-def _commanded_sides(streams: Streams) -> FloatArray | None:
+def commanded_sides(streams: Streams) -> FloatArray | None:
     """(N, 2) commanded speeds of the two sides [m/s over the wheels' radius]; by the track behind the log's omega."""
     assert streams.wheels is not None and streams.twist is not None
     present = np.isfinite(streams.wheels).all(axis=1) & np.isfinite(streams.twist).all(axis=1)
