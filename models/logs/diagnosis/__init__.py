@@ -51,12 +51,12 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     findings += check_rectified(log, streams, settings)
     findings += check_clipped_side(log, streams, settings)
     findings += check_wheels(log, streams, settings)
+    if latch := check_latch(log, streams, settings):
+        return [*findings, *latch]
     findings += check_axes(log, streams, settings)
     findings += check_signs(log, streams, settings)
     findings += check_units(log, streams, settings)
     findings += check_parts(log, streams, settings)
-    if latch := check_latch(log, streams, settings):
-        return [*findings, *latch]
     findings += check_shifts(log, streams, settings)
     findings += check_rounding(log, streams, settings)
     findings += check_clipping(log, streams, settings)

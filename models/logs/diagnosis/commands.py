@@ -98,15 +98,9 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
         response = None if step is None else answer(streams, command, values, settings)
         if step is None or response is None or response.correlation[0] < settings.clear_correlation:
             continue
-        settled = _settled(streams, command, response.delay + streams.dt)
-        behind = streams.delayed(streams.lagged(command, response.lag), response.dead_time)
-        at_zero, rest = settled & (command == 0), values - response.gain[0, 0] * behind
         least = settings.rounded_rest * step * abs(float(response.gain[0, 0]))
-        scatter = [
-            float(np.nanstd(rest[part])) if np.isfinite(rest[part]).sum() > settings.fewest_samples else 0.0
-            for part in (at_zero, settled)
-        ]
-        if min(scatter) > least:
+        scatter = _between_holds(streams, command, values, response.delay + 2 * response.lag + streams.dt, settings)
+        if scatter > least:
             words = (
                 f"{CHANNELS[channel]} of the command knows only multiples of {step:.3g} {_UNITS[channel]}, but the robot "
                 "moves at speeds between, also where it is told zero: the command was rounded in the log; record it "
@@ -126,8 +120,28 @@ def _step(command: FloatArray, settings: CheckSettings) -> float | None:
     return step if np.allclose(multiples, np.round(multiples), atol=1e-3) else None
 
 
-def _settled(streams: Streams, command: FloatArray, seconds: float) -> np.ndarray:
-    """(N,) True where the command has been the same for so long."""
-    changed = np.concatenate([[True], np.diff(command) != 0])  # also where it is not finite
-    last = np.maximum.accumulate(np.where(changed, np.arange(len(command)), 0))
-    return np.asarray((np.arange(len(command)) - last) * streams.dt > seconds)
+def _between_holds(
+    streams: Streams, command: FloatArray, values: FloatArray, seconds: float, settings: CheckSettings
+) -> float:
+    """Standard deviation of what the robot does under one and the same command; of zero, where that is less.
+
+    Means over each hold from `seconds` after its begin, without what follows the command before: that is not settled.
+    """
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # also where it is not finite
+    rows = []
+    for before, start, stop in zip(starts[:-2], starts[1:-1], starts[2:], strict=True):
+        part = values[start + round(seconds / streams.dt) : stop]
+        if len(part) and np.isfinite(part).all() and np.isfinite(command[before] + command[start]):
+            noise = np.sum(np.diff(part) ** 2), len(part) - 1
+            rows.append((command[start], command[before], part.mean(), 1 / len(part), *noise))
+    if len(rows) < settings.fewest_samples:
+        return 0.0
+    level, last, mean, share, squares, count = np.array(rows).T
+    known = np.column_stack([np.ones(len(level)), level, last])
+    rest = mean - known @ np.linalg.lstsq(known, mean, rcond=None)[0]
+    noise = squares.sum() / max(2 * count.sum(), 1)
+    scatter = [
+        np.mean(rest[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0
+        for part in (level == 0, level == level)
+    ]
+    return float(np.sqrt(max(0.0, min(scatter))))
