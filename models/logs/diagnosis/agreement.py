@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -108,7 +109,7 @@ def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     return _changed(log, pairs, settings.unit_change, settings)
 
 
-def _rms(values: FloatArray | None, part: FloatArray) -> float:
+def _rms(values: FloatArray | None, part: NDArray[np.intp]) -> float:
     """Of the finite values (N,) of a part; 0 where most are not."""
     assert values is not None
     finite = values[part][np.isfinite(values[part])]

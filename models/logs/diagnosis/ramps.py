@@ -24,15 +24,15 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     if sides is None:
         return []
     sides, slices = sides[:_MOST], [part for part in streams.slices if part.stop <= max(_MOST, streams.slices[0].stop)]
-    streams = replace(streams, wheels=streams.wheels[:_MOST], slices=tuple(slices))
-    plain = answer(streams, sides, streams.wheels, settings)
+    wheels = streams.wheels[:_MOST]
+    streams = replace(streams, wheels=wheels, slices=tuple(slices))
+    plain = answer(streams, sides, wheels, settings)
     if plain is None or plain.correlation.min() < settings.weak_correlation:
         return []
     rest = 1 - float(np.mean(plain.correlation**2))
     if rest < settings.ramp_least:
         return []
-    assert streams.wheels is not None
-    rates = np.abs(np.diff(streams.wheels, axis=0)).max(axis=1) / streams.dt
+    rates = np.abs(np.diff(wheels, axis=0)).max(axis=1) / streams.dt
     rates = rates[np.isfinite(rates)]
     if not len(rates) or rates.max() == 0:
         return []
