@@ -89,7 +89,9 @@ class CheckSettings(StrictModel):
     rounded_rest: Share = Field(description="scatter at one command over the step between commands")
     shape: Share = Field(description="of the variance that a better shape leaves of what the other does not explain")
     lag_share: Share = Field(description="of the variance that a lag between sensors explains and a shift does not")
-    longest_latch: Positive = Field(description="before a change of the command, within which an answer is looked for [s]")
+    longest_latch: Positive = Field(
+        description="before a change of the command, within which an answer is looked for [s]"
+    )
     collinear: Share = Field(description="correlation of the two commands")
     pose_window: Positive = Field(description="over which poses are turned into speeds [s]")
 

@@ -61,7 +61,8 @@ def command_changes(records: Sequence[Record], channel: int, settings: CheckSett
     commands = np.concatenate([record.command[:, channel] for record in records])
     largest = float(np.abs(commands).max())
     return (
-        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * largest))))) if largest > settings.least_command
+        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * largest)))))
+        if largest > settings.least_command
         else 0
     )
 

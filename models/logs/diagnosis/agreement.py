@@ -143,7 +143,7 @@ def _drift(log: str, pairs: Sequence[Relation], settings: CheckSettings) -> list
     first, last = np.exp(ends)
     words = (
         f"{relation.what} {'falls' if last < first else 'grows'} steadily from {first:.3g} to {last:.3g} along the "
-        "log: a battery that sags, or motors that warm up; record with a full battery, or identify from a part of the log"
+        "log: a battery that sags, or motors that warm up; record with a full battery, or identify from a part"
     )
     return [Finding("gain drift", "warning", log, words)]
 

@@ -37,8 +37,8 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
             return []
         lates.append(-shift.dead_time)
     words = (
-        f"the command is what the encoders read {max(0.0, float(np.mean(lates))):.2f} s before, lag and noise included: "
-        "odometry was logged as command, from which nothing can be predicted; name the column or topic of what was "
+        f"the command is what the encoders read {max(0.0, float(np.mean(lates))):.2f} s before, lag and noise "
+        "included: odometry was logged as command, from which nothing can be predicted; name the column or topic of what was "
         "sent to the robot"
     )
     return [Finding("echoed command", "error", log, words)]
@@ -102,8 +102,8 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
         scatter = _between_holds(streams, command, values, response.delay + 2 * response.lag + streams.dt, settings)
         if scatter > least:
             words = (
-                f"{CHANNELS[channel]} of the command knows only multiples of {step:.3g} {_UNITS[channel]}, but the robot "
-                "moves at speeds between, also where it is told zero: the command was rounded in the log; record it "
+                f"{CHANNELS[channel]} of the command knows only multiples of {step:.3g} {_UNITS[channel]}, but the "
+                "robot moves at speeds between, also where it is told zero: the command was rounded in the log; record it "
                 "with its decimals"
             )
             findings.append(Finding("rounded command", "error", log, words))
@@ -142,6 +142,6 @@ def _between_holds(
     noise = squares.sum() / max(2 * count.sum(), 1)
     scatter = [
         np.mean(rest[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0
-        for part in (level == 0, level == level)
+        for part in (level == 0, np.isfinite(level))
     ]
     return float(np.sqrt(max(0.0, min(scatter))))

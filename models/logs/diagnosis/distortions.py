@@ -6,7 +6,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import ENCODERS, GYRO, Streams, answer
 from diffdrive_mpc.models.logs.diagnosis.wheels import SIDES, commanded_sides
 from diffdrive_mpc.models.logs.record import Finding
 
@@ -69,8 +69,8 @@ def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> l
     if float(np.nanmedian(wanted[at_most[:, side]])) * scale < settings.beyond_clip * most[side]:
         return []
     words = (
-        f"the encoder of the {SIDES[side]} side never reads more than {most[side]:.3g} rad/s, in {100 * share[side]:.0f} % "
-        "of the rows exactly that, while more is asked for and the other side reads more: it is clipped; record with a "
+        f"the encoder of the {SIDES[side]} side never reads more than {most[side]:.3g} rad/s, in "
+        f"{100 * share[side]:.0f} % of the rows exactly that, while more is asked for and the other side reads more: it is clipped; record with a "
         "wider range, or drive slower"
     )
     streams.twist = streams.wheels = None

@@ -126,7 +126,9 @@ def _all_swapped(log: str, votes: dict[str, _Vote], streams: Streams) -> Finding
         "of the encoders and of the commands"
     )
     command = (
-        MappingChange(COMMAND, "sides", "exchanged") if streams.commands_wheels else _sign_change(COMMAND, 1, streams)[0]
+        MappingChange(COMMAND, "sides", "exchanged")
+        if streams.commands_wheels
+        else _sign_change(COMMAND, 1, streams)[0]
     )
     changes = (MappingChange(ENCODERS, "sides", "exchanged"), command)
     return Finding("swapped sides", "error", log, words, changes=changes)

@@ -7,7 +7,16 @@ from itertools import combinations
 import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, StreamResponse, Streams, answer, foresight
+from diffdrive_mpc.models.logs.diagnosis.streams import (
+    COMMAND,
+    ENCODERS,
+    GYRO,
+    POSE,
+    StreamResponse,
+    Streams,
+    answer,
+    foresight,
+)
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 
@@ -93,17 +102,21 @@ def _lagging(
     if plain_rest - behind_rest < max(settings.lag_share, (1 - settings.shape) * plain_rest):
         return None
     lag = float(np.mean(lags))
-    if is_late and name == ENCODERS or (is_late and name == POSE) or (name == GYRO and is_late and POSE in streams.present(1)):
+    if (
+        (is_late and name == ENCODERS)
+        or (is_late and name == POSE)
+        or (name == GYRO and is_late and POSE in streams.present(1))
+    ):
         words = (
-            f"the readings of the {name} lag behind the other sensors by {lag:.2f} s, and are not merely later: they were "
-            "filtered; record them before the filter, no `delay` mends it"
+            f"the readings of the {name} lag behind the other sensors by {lag:.2f} s, and are not merely later: they "
+            "were filtered; record them before the filter, no `delay` mends it"
         )
         return Finding("filtered sensor", "warning", log, words)
     if GYRO not in later:
         return None
     words = (
-        f"the body yaws behind its wheels with a lag of {lag:.2f} s, and is not merely later: a slippery ground or soft "
-        "tyres, or a filtered gyro; no `delay` mends it"
+        f"the body yaws behind its wheels with a lag of {lag:.2f} s, and is not merely later: a slippery ground or "
+        "soft tyres, or a filtered gyro; no `delay` mends it"
     )
     return Finding("slow yaw", "note", log, words)
 

@@ -253,7 +253,8 @@ def answer(
     """How `outputs` (N,) or (N, m) answer to `inputs` (N,) or (N, c); None where either never changes.
 
     Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
-    there is a shift alone, unless `lags` are given. The correlations with all shifts come from Fourier transforms, over what both hold.
+    there is a shift alone, unless `lags` are given. The correlations with all shifts come from Fourier transforms, over
+    what both hold.
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
