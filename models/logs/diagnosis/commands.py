@@ -38,8 +38,8 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         lates.append(-shift.dead_time)
     words = (
         f"the command is what the encoders read {max(0.0, float(np.mean(lates))):.2f} s before, lag and noise "
-        "included: odometry was logged as command, from which nothing can be predicted; name the column or topic of what was "
-        "sent to the robot"
+        "included: odometry was logged as command, from which nothing can be predicted; name the column or topic "
+        "of what was sent to the robot"
     )
     return [Finding("echoed command", "error", log, words)]
 
@@ -103,8 +103,8 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
         if scatter > least:
             words = (
                 f"{CHANNELS[channel]} of the command knows only multiples of {step:.3g} {_UNITS[channel]}, but the "
-                "robot moves at speeds between, also where it is told zero: the command was rounded in the log; record it "
-                "with its decimals"
+                "robot moves at speeds between, also where it is told zero: the command was rounded in the log; "
+                "record it with its decimals"
             )
             findings.append(Finding("rounded command", "error", log, words))
     return findings

@@ -70,8 +70,8 @@ def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> l
         return []
     words = (
         f"the encoder of the {SIDES[side]} side never reads more than {most[side]:.3g} rad/s, in "
-        f"{100 * share[side]:.0f} % of the rows exactly that, while more is asked for and the other side reads more: it is clipped; record with a "
-        "wider range, or drive slower"
+        f"{100 * share[side]:.0f} % of the rows exactly that, while more is asked for and the other side reads more: "
+        "it is clipped; record with a wider range, or drive slower"
     )
     streams.twist = streams.wheels = None
     return [Finding("clipped sensor", "error", log, words)]
