@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
-from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, held_share, in_degrees
+from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees
 from diffdrive_mpc.models.logs.long_logs import chosen_rows
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
@@ -28,7 +28,7 @@ from diffdrive_mpc.models.logs.mapping import (
     WheelColumn,
     load_mapping,
 )
-from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -159,21 +159,18 @@ class RowReader:
 
 
 def fresh_rows(value: FloatArray) -> BoolArray:
-    """(n,) True where a row of held values (n, width) holds a new reading.
+    """(n,) True where a row of held values (n, width) holds a new reading: one a period, also where it repeats.
 
-    A changed value is new. So is one that stays for as long as hardly any reading does (95th percentile of the distance
-    between changes): a robot at rest is read too.
+    A changed value is new. So is one that stays for a period, or, where none is clear, for as long as hardly any
+    reading does (95th percentile of the distance between changes): a robot at rest or at one speed is read too.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)
-    longest = int(np.percentile(np.diff(rows), 95)) if len(rows) > 1 else 1
-    fresh = changed.copy()
-    last = 0
-    for i in range(1, len(fresh)):
-        fresh[i] |= i - last >= longest
-        if fresh[i]:
-            last = i
-    return fresh
+    period = hold_period(value, check_settings())
+    if period is None:
+        period = int(np.percentile(np.diff(rows), 95)) if len(rows) > 1 else 1
+    since = np.arange(len(value)) - np.repeat(rows, np.diff([*rows, len(value)]))
+    return np.asarray(since % period == 0)
 
 
 def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
@@ -305,7 +302,8 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         add("gyro", columns.gyro, {"yaw_rate": reader.column(columns.gyro.yaw_rate)[0][:, None]})
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
-        add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
+        poses = np.column_stack([reader.column(axis)[0] for axis in axes])
+        add("pose", columns.pose, {"pose": poses - [0.0, 0.0, columns.pose.heading_offset]})
     if columns.battery is not None:
         parts = (columns.battery.voltage, columns.battery.current)
         add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})
@@ -323,18 +321,16 @@ def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
 
 
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """A finding where readings (n, width) repeat the one before bit for bit although they change quickly."""
-    known = readings[np.isfinite(readings).all(axis=1)]
-    moving = np.asarray(known.any(axis=1))
-    share = held_share(known, moving)
-    if share <= check_settings().held_share:
+    """A finding where rows repeat the readings (n, width) of others for a period that is certain."""
+    period = hold_period(readings, check_settings())
+    if period is None or period == 1:
         return []
     words = (
-        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before even while it changes "
-        "quickly: they are held "
-        "from row to row: say `held: true` in the mapping"
+        f"the readings of the {sensor} change only every {period} rows or a multiple of it: they are held from row to "
+        "row: say `held: true` in the mapping"
     )
-    return [Finding("held readings", "note", table.path.name, words)]
+    change = MappingChange(sensor, "held", True)
+    return [Finding("held readings", "note", table.path.name, words, changes=(change,))]
 
 
 def _forward(

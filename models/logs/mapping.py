@@ -18,10 +18,10 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 LengthUnit = Literal["m", "cm", "mm"]
 AngleUnit = Literal["rad", "deg"]
 SpeedUnit = Literal["m/s", "cm/s", "mm/s", "km/h"]
-RateUnit = Literal["rad/s", "deg/s", "rpm"]
+RateUnit = Literal["rad/s", "deg/s", "rpm", "rev/s"]
 VoltageUnit = Literal["V", "mV"]
 CurrentUnit = Literal["A", "mA"]
-WheelUnit = Literal["rad/s", "deg/s", "rpm", "ticks/s", "ticks", "m/s"]
+WheelUnit = Literal["rad/s", "deg/s", "rpm", "rev/s", "ticks/s", "ticks", "m/s"]
 
 FACTORS: dict[str, float] = {
     "s": 1.0,
@@ -40,6 +40,7 @@ FACTORS: dict[str, float] = {
     "rad/s": 1.0,
     "deg/s": math.pi / 180.0,
     "rpm": 2.0 * math.pi / 60.0,
+    "rev/s": 2.0 * math.pi,
     "V": 1.0,
     "mV": 1e-3,
     "A": 1.0,
@@ -203,6 +204,7 @@ class PoseColumns(SensorColumns):
     x: LengthColumn
     y: LengthColumn
     theta: AngleColumn
+    heading_offset: float = Field(0.0, description="by how much theta is ahead of where the robot heads [rad]")
 
 
 class PowerColumns(SensorColumns):

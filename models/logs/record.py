@@ -169,9 +169,11 @@ class MappingChange:
     stream
         "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for what is of no stream.
     key
-        What of the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit".
+        What of the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
+        "sides": left and right are exchanged; of the "log" "times": it is cut.
     value
-        What stands there after the change; of "delay" what is added to it [s].
+        What stands there after the change; of "delay" and "heading_offset" what is added to it [s, rad], of "sides"
+        "exchanged", of "times" where the log is cut [s]: the parts before and after are each to be tried.
     """
 
     stream: str

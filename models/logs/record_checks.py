@@ -27,7 +27,7 @@ _SENSORS = {
 def check_commands(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
     """Findings about commands that never or hardly change, that change together, or that rest at a limit."""
     commands = np.concatenate([record.command for record in records])
-    still = [bool(np.ptp(column) == 0) for column in commands.T]
+    still = [bool(np.ptp(column) < settings.least_command) for column in commands.T]
     if all(still):
         v, omega = commands[0]
         words = f"the command never changes (v {v:g} m/s, omega {omega:g} rad/s), so it excites nothing; {_REMEDY}"
@@ -35,9 +35,8 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
     findings = []
     for j, channel in enumerate(CHANNELS):
         if still[j]:
-            words = (
-                f"{channel} is always commanded {commands[0, j]:g} {UNITS[channel]}: nothing can be learned about it"
-            )
+            level = commands[0, j] if abs(commands[0, j]) > settings.least_command else 0.0
+            words = f"{channel} is always commanded {level:g} {UNITS[channel]}: nothing can be learned about it"
             findings.append(Finding("constant input", "warning", log, f"{words}; {_REMEDY}"))
             continue
         changes = command_changes(records, j, settings)
@@ -62,7 +61,9 @@ def command_changes(records: Sequence[Record], channel: int, settings: CheckSett
     commands = np.concatenate([record.command[:, channel] for record in records])
     largest = float(np.abs(commands).max())
     return (
-        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * largest))))) if largest else 0
+        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * largest)))))
+        if largest > settings.least_command
+        else 0
     )
 
 

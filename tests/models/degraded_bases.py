@@ -62,35 +62,78 @@ def poses_of(twist, dt):
 
 
 def robot(
-    seconds=120.0, dt=0.02, seed=0, gain=(1.0, 1.0), lag=0.1, dead_time=0.06, skid=0.6, clip=np.inf, drive=(1, 1)
+    seconds=120.0,
+    dt=0.02,
+    seed=0,
+    gain=(1.0, 1.0),
+    lag=0.1,
+    dead_time=0.06,
+    skid=0.6,
+    clip=np.inf,
+    drive=(1, 1),
+    radius=RADIUS,
+    track=TRACK,
+    sag=0.0,
+    ramp=np.inf,
+    yaw_lag=0.0,
+    quantum=0.0,
 ):
-    """Columns of a two-wheeled robot under random steps of a second: two equal lags, a dead time, skid, noise."""
+    """Columns of a two-wheeled robot under random steps of a second: two equal lags, a dead time, skid, noise.
+
+    Both gains fall by the share `sag` along the log; each rim changes its speed by at most `ramp` [m/s^2]; the body
+    yaws behind its wheels by `yaw_lag` [s]; levels of the commands are multiples of `quantum`.
+    """
     rng = np.random.default_rng(seed)
     count, hold = round(seconds / dt), round(1.0 / dt)
     levels = rng.uniform([-0.9, -1.6], [0.9, 1.6], (-(-count // hold), 2)) * drive
     levels[rng.random(len(levels)) < 0.15] = 0.0
+    if quantum:
+        levels = np.round(levels / quantum) * quantum
     command = np.repeat(levels, hold, axis=0)[:count]
     late = round(dead_time / dt)
     taken = np.vstack([np.zeros((late, 2)), command])[:count] * gain
     taken[:, 1] = np.clip(taken[:, 1], -clip, clip)
+    taken *= np.linspace(1.0, 1.0 - sag, count)[:, None]
+    if np.isfinite(ramp):
+        taken = ramped(taken, ramp * dt, track)
     first, wheels, keep = np.zeros(2), np.zeros((count, 2)), np.exp(-2 * dt / lag)
     for k in range(1, count):
         first = keep * first + (1 - keep) * taken[k - 1]
         wheels[k] = keep * wheels[k - 1] + (1 - keep) * first
-    pose = poses_of(0.5 * (wheels[1:] + wheels[:-1]) * [1.0, skid], dt)
-    side = 0.5 * TRACK * wheels[:, 1]
+    body = wheels * [1.0, skid]
+    if yaw_lag:
+        body[:, 1] = low_passed(body[:, 1], yaw_lag, dt)
+    pose = poses_of(0.5 * (body[1:] + body[:-1]), dt)
+    side = 0.5 * track * wheels[:, 1]
     noise = rng.normal(0, 1.0, (count, 6))
     return {
         "t": dt * np.arange(count),
         "v_ref": command[:, 0],
         "omega_ref": command[:, 1],
-        "left": (wheels[:, 0] - side) / RADIUS + 0.05 * noise[:, 0],
-        "right": (wheels[:, 0] + side) / RADIUS + 0.05 * noise[:, 1],
-        "gyro": skid * wheels[:, 1] + 0.01 + 0.01 * noise[:, 2],
+        "left": (wheels[:, 0] - side) / radius + 0.05 * noise[:, 0],
+        "right": (wheels[:, 0] + side) / radius + 0.05 * noise[:, 1],
+        "gyro": body[:, 1] + 0.01 + 0.01 * noise[:, 2],
         "x": pose[:, 0] + 0.002 * noise[:, 3],
         "y": pose[:, 1] + 0.002 * noise[:, 4],
         "theta": (pose[:, 2] + 0.003 * noise[:, 5] + np.pi) % (2 * np.pi) - np.pi,
     }
+
+
+def low_passed(values, lag, dt):
+    """Values (n, ...) behind one lag [s]."""
+    result, keep = np.array(values, dtype=float), np.exp(-dt / lag)
+    for k in range(1, len(result)):
+        result[k] = keep * result[k - 1] + (1 - keep) * values[k]
+    return result
+
+
+def ramped(twist, step, track):
+    """Twists (n, 2) whose rims change by at most `step` [m/s] a row."""
+    half = 0.5 * track * twist[:, 1]
+    rims = np.column_stack([twist[:, 0] - half, twist[:, 0] + half])
+    for k in range(1, len(rims)):
+        rims[k] = rims[k - 1] + np.clip(rims[k] - rims[k - 1], -step, step)
+    return np.column_stack([rims.mean(axis=1), (rims[:, 1] - rims[:, 0]) / track])
 
 
 def real(path, rows):
@@ -131,7 +174,14 @@ class Base:
         }[name]
 
 
-BASES = {"simulated": Base(robot, SIMULATED, ("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)}
+_OWN = (("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)
+SMALL = {"lag": 0.05, "dead_time": 0.04, "skid": 0.95, "radius": 0.05, "track": 0.3, "gain": (0.97, 1.02), "seed": 31}
+HEAVY = {"lag": 0.25, "dead_time": 0.14, "skid": 0.5, "radius": 0.25, "track": 0.8, "gain": (1.05, 0.9), "seed": 32}
+BASES = {
+    "simulated": Base(robot, SIMULATED, *_OWN),
+    "small": Base(lambda: robot(**SMALL), SIMULATED.replace(WHEELS, "wheels: {radius: 0.05, track: 0.3}\n"), *_OWN),
+    "heavy": Base(lambda: robot(**HEAVY), SIMULATED.replace(WHEELS, "wheels: {radius: 0.25, track: 0.8}\n"), *_OWN),
+}
 if "DIFFDRIVE_MPC_DATA" in os.environ:
     _DATA = Path(os.environ["DIFFDRIVE_MPC_DATA"])
     _NAMES = (("cmd_left", "cmd_right"), ("wheel_left", "wheel_right"), "gyro_z", "yaw", 0.05)

@@ -1,11 +1,12 @@
 """Logs made worse on purpose, each with a known cause: what must be said about them, and whether they may give a model.
 
-Bases are a small simulated robot and slices of the logs of a Husky and two Warthogs. `FIRST_TEN` were written before
-any of their results had been looked at.
+Bases are simulated robots and slices of the logs of a Husky and two Warthogs. `FIRST_TEN` and
+`CAUSES` were written before any of their results had been looked at.
 """
 
 import numpy as np
 from degraded_bases import BASES, SIDES_ONLY, robot
+from degraded_causes import CAUSES
 from degraded_changes import (
     SHIFT,
     UNIT,
@@ -63,7 +64,7 @@ SOUND = (
     Case("two drives of one robot", "simulated", lambda columns, base: [columns, robot(seed=22)]),
 )
 
-CASES = tuple(case for case in (*FIRST_TEN, *SOUND, *SCALES, *TIMES, *READINGS) if case.base in BASES)
+CASES = tuple(case for case in (*FIRST_TEN, *SOUND, *SCALES, *TIMES, *READINGS, *CAUSES) if case.base in BASES)
 
 
 def write_columns(path, columns):

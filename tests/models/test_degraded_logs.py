@@ -35,3 +35,4 @@ def test_the_cause_is_named_and_no_other(case, tmp_path):
 def test_the_suite_is_large_enough():
     assert len({case.name for case in CASES}) == len(CASES)
     assert len(FIRST_TEN) == 10
+    assert len(CASES) >= 120

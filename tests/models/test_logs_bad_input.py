@@ -110,7 +110,11 @@ def test_an_unknown_mapping_names_the_nearest(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        ("yaw_rate: gyro", "yaw_rate: {column: gyro, unit: deg}", "unit: Input should be 'rad/s', 'deg/s' or 'rpm'"),
+        (
+            "yaw_rate: gyro",
+            "yaw_rate: {column: gyro, unit: deg}",
+            "unit: Input should be 'rad/s', 'deg/s', 'rpm' or 'rev/s'",
+        ),
         ("yaw_rate: gyro", "yaw_rate: {column: gyro, sing: -1}", "did you mean 'columns.gyro.yaw_rate.sign'?"),
         ("yaw_rate: gyro", "yaw_rate: {column: gyro, sign: 0}", "sign: Input should be 1 or -1 (found 0)"),
         ("v: v_ref, omega: omega_ref", "v: v_ref", "columns.command: 'v' needs 'omega' beside it"),

@@ -126,6 +126,19 @@ def test_held_readings_of_a_robot_at_rest_count_as_well(tmp_path):
     assert record.fresh_twist[500:600].sum() == 20
 
 
+@pytest.mark.parametrize(("period", "quantum"), [(1, 0.2), (2, 0.2), (4, 0.2), (5, 0.02)])
+def test_one_reading_a_period_is_fresh_also_where_a_coarse_one_repeats(tmp_path, period, quantum):
+    """At one speed quantised readings stay the same for seconds; `held` loses none of them."""
+    columns = dict(COLUMNS)
+    rows = np.arange(len(COLUMNS["t"])) // period * period
+    for name in ("v", "omega_wheels"):
+        columns[name] = np.round(COLUMNS[name][rows] / quantum) * quantum
+    mapping = "columns:\n  time: t\n  command: {v: v_ref, omega: omega_ref}\n"
+    mapping += "  encoders: {v: v, omega: omega_wheels, held: true}\n"
+    (record,) = read(tmp_path, columns, mapping).records
+    assert record.fresh_twist.sum() == pytest.approx(len(rows) / period, rel=0.02)
+
+
 def test_a_delay_moves_readings_back_to_when_they_were_true(tmp_path):
     mapping = "columns:\n  time: t\n  command: {v: v_ref, omega: omega_ref}\n  gyro: {yaw_rate: gyro, delay: 0.1}\n"
     (record,) = read(tmp_path, COLUMNS, mapping).records

@@ -11,12 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
-from diffdrive_mpc.models.logs.diagnosis.agreement import check_parts, compare, relations
+from diffdrive_mpc.models.logs.diagnosis.agreement import check_jumps, check_parts, compare, relations
+from diffdrive_mpc.models.logs.diagnosis.commands import check_echo, check_latch, check_rounding
+from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
+from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
 from diffdrive_mpc.models.logs.diagnosis.readings import check_clipping
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer
-from diffdrive_mpc.models.logs.diagnosis.wheels import check_wheels
+from diffdrive_mpc.models.logs.diagnosis.wheels import check_counts, check_order, check_wheels
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import UNITS, check_excitation, command_changes
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -40,13 +43,24 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     findings = check_presence(log, streams)
     if not _long_enough(streams, settings):
         return findings
+    findings += check_counts(log, streams, settings)
+    if changed := check_order(log, streams, settings) or check_jumps(log, streams, settings):
+        return [*findings, *changed]  # nothing holds for both parts
+    if echo := check_echo(log, streams, settings):
+        return [*findings, *echo]
+    findings += check_rectified(log, streams, settings)
+    findings += check_clipped_side(log, streams, settings)
     findings += check_wheels(log, streams, settings)
+    if latch := check_latch(log, streams, settings):
+        return [*findings, *latch]
     findings += check_axes(log, streams, settings)
     findings += check_signs(log, streams, settings)
     findings += check_units(log, streams, settings)
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)
+    findings += check_rounding(log, streams, settings)
     findings += check_clipping(log, streams, settings)
+    findings += check_ramps(log, streams, settings)
     return findings
 
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, paired
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
@@ -85,13 +86,75 @@ def _by_part(
     return np.array(gains), np.array(times)
 
 
+def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding: a stream whose size leaps in the middle of the log as no robot's does."""
+    known = np.flatnonzero(np.isfinite(streams.time))
+    parts = np.array_split(known, settings.parts)
+    times = np.array([streams.time[part[0]] for part in parts if len(part)])
+    if len(times) < settings.parts:
+        return []
+    pairs = []
+    for channel in (0, 1):
+        sizes = {
+            name: np.array([_rms(streams.channel(name, channel), part) for part in parts])
+            for name in (COMMAND, *streams.present(channel))
+        }
+        for first, second in combinations(sizes, 2):
+            a, b = sizes[first], sizes[second]
+            driven = (a > 0) & (b > 0)
+            if driven.sum() > settings.parts // 2:
+                # One of the two keeps its size; where both are small the robot rests.
+                driven &= (a > 0.3 * np.median(a[driven])) | (b > 0.3 * np.median(b[driven]))
+                pairs.append(Relation(first, second, channel, b[driven] / a[driven], times[driven], np.nan))
+    return _changed(log, pairs, settings.unit_change, settings)
+
+
+def _rms(values: FloatArray | None, part: NDArray[np.intp]) -> float:
+    """Of the finite values (N,) of a part; 0 where most are not."""
+    assert values is not None
+    finite = values[part][np.isfinite(values[part])]
+    return float(np.sqrt(np.mean(finite**2))) if 2 * len(finite) > len(part) else 0.0
+
+
 def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: a stream whose scale changes in the middle of the log."""
+    """At most one finding: a stream whose scale changes in the middle of the log, or commands whose gain drifts."""
+    pairs = relations(streams, settings)
+    return _changed(log, pairs, settings.scale_change, settings) or _drift(log, pairs, settings)
+
+
+def _drift(log: str, pairs: Sequence[Relation], settings: CheckSettings) -> list[Finding]:
+    """The finding for what the robot answers to its commands where it grows or falls all along the log."""
+    drifts = []
+    for relation in pairs:
+        if relation.first != COMMAND or relation.second == POSE or len(relation.gains) < settings.parts // 2:
+            continue
+        gains, times = np.log(relation.gains), relation.times
+        rows = np.column_stack([np.ones(len(times)), (times - times.mean()) / np.ptp(times)])
+        by = np.linalg.lstsq(rows, gains, rcond=None)[0]
+        free = len(gains) - 2
+        rest = gains - rows @ by
+        deviation = float(np.sqrt(rest @ rest / free / (rows[:, 1] @ rows[:, 1])))
+        chance = deviation * float(-special.stdtrit(free, special.ndtr(-settings.certain)))
+        if abs(by[1]) > max(np.log(settings.gain_drift), chance):
+            drifts.append((relation, rows[[0, -1]] @ by))
+    if not drifts:
+        return []
+    relation, ends = max(drifts, key=lambda drift: abs(drift[1][1] - drift[1][0]))
+    first, last = np.exp(ends)
+    words = (
+        f"{relation.what} {'falls' if last < first else 'grows'} steadily from {first:.3g} to {last:.3g} along the "
+        "log: a battery that sags, or motors that warm up; record with a full battery, or identify from a part"
+    )
+    return [Finding("gain drift", "warning", log, words)]
+
+
+def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckSettings) -> list[Finding]:
+    """The finding for the stream whose gains change by more than the factor `least` at one time."""
     changes: list[tuple[Relation, int, float]] = []
     steady: list[Relation] = []
-    for relation in relations(streams, settings):
+    for relation in pairs:
         change = _change(np.log(relation.gains), settings.certain)
-        if change and abs(change[1]) > max(np.log(settings.scale_change), change[2]):
+        if change and abs(change[1]) > max(np.log(least), change[2]):
             changes.append((relation, change[0], change[1]))
         else:
             steady.append(relation)
@@ -115,7 +178,13 @@ def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         f"{np.exp(size if relation.second == name else -size):.3g} at about {relation.times[at]:.0f} s: "
         f"{relation.what} is {before:.3g} before and {after:.3g} after; cut the log there and identify from one part"
     )
-    return [Finding("scale change", "error", log, words)]
+    return [Finding("scale change", "error", log, words, *cut(relation.times, at))]
+
+
+def cut(times: FloatArray, at: int) -> tuple[tuple[float, float], tuple[MappingChange, ...]]:
+    """From and to [s] where parts that begin at `times` [s] change from the one before `at` on, and the cut there."""
+    after = float(times[min(at + 1, len(times) - 1)])
+    return (float(times[at - 1]), after), (MappingChange("log", "times", float(times[at])),)
 
 
 def _change(values: FloatArray, certain: float) -> tuple[int, float, float] | None:

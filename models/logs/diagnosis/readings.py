@@ -81,27 +81,30 @@ def _without(stretch: RawStretch, fields: list[str], times: FloatArray) -> RawSt
     return replace(stretch, measured=measured)
 
 
-def held_share(readings: FloatArray, moving: BoolArray) -> float:
-    """Share of readings (n, width) that repeat the one before although the sensor is changing quickly.
+def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
+    """Rows for which each of the readings (n, width) is held; 1 where each row has its own, None where unclear.
 
-    Quantised readings of a robot that keeps its speed repeat, too; while the speed changes by many steps at a time they
-    do not. `moving` (n,) says which rows count.
+    It shows where readings change. Held ones change after one period or a multiple of it, however coarse they are; a
+    period that is no whole number of rows, after one of two neighbours while the sensor changes quickly.
     """
-    if len(readings) < _FEWEST:
-        return 0.0
-    change = np.abs(np.diff(readings, axis=0))
-    repeats = (change == 0).all(axis=1)
+    readings = readings[np.isfinite(readings).all(axis=1)]
+    changes = 1 + np.flatnonzero((np.diff(readings, axis=0) != 0).any(axis=1))
+    gaps = np.diff(changes)
+    if len(readings) < _FEWEST or len(gaps) < settings.fewest_samples:
+        return None
     reach = 4
-    slope = np.zeros(len(change))
-    slope[reach:-reach] = np.max(
-        np.abs(readings[2 * reach + 1 :] - readings[: -2 * reach - 1]) / np.maximum(np.ptp(readings, axis=0), 1e-12),
-        axis=1,
-    )[: len(change) - 2 * reach]
-    counted = moving[1:] & np.isfinite(slope)
-    if not counted.any():
-        return 0.0
-    quick = counted & (slope >= np.percentile(slope[counted], 90))
-    return float(repeats[quick].mean()) if quick.any() else 0.0
+    padded = np.pad(readings, ((reach, reach), (0, 0)), mode="edge")
+    slope = np.max(np.abs(padded[2 * reach :] - padded[: -2 * reach]) / np.maximum(np.ptp(readings, 0), 1e-12), axis=1)
+    at_end = slope[changes[1:]]
+    quick = gaps[at_end >= np.percentile(at_end, 80)]
+    for period in range(int(np.percentile(gaps, 90)), 1, -1):
+        if np.mean(gaps % period == 0) >= settings.held_share:
+            return period
+    shorter = int(np.median(quick))
+    for period in (shorter, shorter + 1):
+        if period > 2 and np.isin(quick, [period - 1, period]).mean() >= settings.held_share:
+            return period
+    return 1 if shorter == 1 else None
 
 
 def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: CheckSettings) -> Finding | None:

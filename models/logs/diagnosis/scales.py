@@ -10,20 +10,22 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, answer
-from diffdrive_mpc.models.logs.mapping import FACTORS
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, SIDES
+from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS: dict[tuple[str, int], tuple[str, ...]] = {
     (COMMAND, 0): ("mm/s", "cm/s", "km/h"),
-    (COMMAND, 1): ("deg/s", "rpm"),
-    (ENCODERS, 0): ("rpm", "deg/s", "mm/s", "cm/s", "km/h"),
-    (ENCODERS, 1): ("deg/s", "rpm"),
-    (GYRO, 1): ("deg/s", "rpm"),
+    (COMMAND, 1): ("deg/s", "rpm", "rev/s"),
+    (ENCODERS, 0): ("rpm", "deg/s", "rev/s", "mm/s", "cm/s", "km/h"),
+    (ENCODERS, 1): ("deg/s", "rpm", "rev/s"),
+    (GYRO, 1): ("deg/s", "rpm", "rev/s"),
     (POSE, 0): ("mm", "cm"),
     (POSE, 1): ("deg",),
 }
 """Units that the columns of a stream may be in, by stream and channel."""
+_ALIKE = 0.1
+"""Between the logarithms of two units' factors: on a wheel of 0.16 m m/s and rev/s are the same."""
 _WHAT = {
     (COMMAND, 0): "v of the command",
     (COMMAND, 1): "omega of the command",
@@ -62,7 +64,7 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     along = complex((motion * heading * direction)[used].sum()) / size
     across = complex((np.conj(motion) * heading * direction)[used].sum()) / size
     if abs(across) < settings.clear_correlation or abs(across) < 1.5 * abs(along):
-        return []
+        return _turned(log, streams, settings)
     if turned:
         streams.pose = streams.pose * [1.0, 1.0, -1.0]
         words = (
@@ -81,6 +83,57 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     return [Finding("mirrored pose", "error", log, words)]
 
 
+def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """The finding where the heading of the pose is ahead of where the robot drives by an angle that stays the same.
+
+    A pose point beside the centre of rotation moves sideways with omega, which is left to omega.
+    """
+    assert streams.pose is not None
+    step = streams.motion()
+    moved = (step[:, 0] + 1j * step[:, 1]) * np.exp(-1j * streams.pose[:, 2])
+    v = streams.smoothed(streams.delayed(streams.lagged(streams.command[:, 0], 0.1), 0.2))
+    used = np.isfinite(moved) & np.isfinite(v) & np.isfinite(step[:, 2])
+    rows, moved = np.column_stack([v, step[:, 2]])[used].astype(complex), moved[used]
+    commands = streams.command[used]
+    if np.ptp(commands, axis=0).min() > 0 and abs(np.corrcoef(commands.T)[0, 1]) > settings.collinear:
+        return []  # which of the two moves it sideways cannot be told
+    by, *_ = np.linalg.lstsq(rows, moved, rcond=None)
+    explained = 1 - np.sum(np.abs(moved - rows @ by) ** 2) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)
+    offset = -float(np.angle(by[0]))
+    # Half a turn is a wrong sign.
+    if explained < settings.clear_correlation**2 or not settings.turned_pose < abs(offset) < np.pi - 0.5:
+        return []
+    streams.pose = streams.pose - [0.0, 0.0, offset]
+    words = (
+        f"the pose moves at {math.degrees(-offset):.0f} deg to its own heading: its frame is turned against the robot; "
+        f"give the pose `heading_offset: {offset:.3g}` in the mapping"
+    )
+    change = MappingChange(POSE, "heading_offset", round(offset, 4))
+    return [Finding("turned pose", "warning", log, words, changes=(change,))]
+
+
+def _all_swapped(log: str, votes: dict[str, _Vote], streams: Streams) -> Finding | None:
+    """The finding where gyro and pose turn against commands and encoders; mended in `streams`."""
+    body, sides = [name for name in (GYRO, POSE) if name in votes], votes.get(ENCODERS)
+    if len(body) < 2 or sides is None or streams.wheels is None or sides.correlation < 0:
+        return None
+    if any(votes[name].correlation > 0 for name in body):
+        return None
+    for name in (COMMAND, ENCODERS):
+        _turn(streams, name, 1)
+    words = (
+        "gyro and pose turn against the command and the encoders, which agree: exchange left and right of both, "
+        "of the encoders and of the commands"
+    )
+    command = (
+        MappingChange(COMMAND, "sides", "exchanged")
+        if streams.commands_wheels
+        else _sign_change(COMMAND, 1, streams)[0]
+    )
+    changes = (MappingChange(ENCODERS, "sides", "exchanged"), command)
+    return Finding("swapped sides", "error", log, words, changes=changes)
+
+
 def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Findings about streams that do not follow, or run against the majority; mended in `streams`, or taken out."""
     findings = []
@@ -97,6 +150,9 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 findings.append(_weak(log, name, channel, vote, best, settings))
                 _take_out(streams, name)
                 del votes[name]
+        if channel == 1 and (swapped := _all_swapped(log, votes, streams)):
+            findings.append(swapped)
+            continue
         against = [name for name, vote in votes.items() if vote.correlation < 0]
         if not against:
             continue
@@ -110,7 +166,8 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 f"{what} runs against {reference} (correlation {worst:.2f}); give it `sign: -1` in the mapping"
                 f"{', both sides' if both else ''}"
             )
-            findings.append(Finding("wrong sign", "error", log, words))
+            changes = _sign_change(name, channel, streams)
+            findings.append(Finding("wrong sign", "error", log, words, changes=changes))
             _turn(streams, name, channel)
             if both and ENCODERS in (others := _votes(streams, 1, settings)) and others[ENCODERS].correlation < 0:
                 _turn(streams, ENCODERS, 1)  # wheels that run backwards turn both
@@ -139,6 +196,8 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             odd = _odd_one_out(sizes, low, high)
             if odd is None:
                 break
+            if odd == ENCODERS and len(sizes) == 2 and streams.commands_wheels and _command_is_odd(streams, settings):
+                odd = COMMAND
             # Gyro and pose are of one body, whatever its wheels do; wheels follow commands, however it skids.
             partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(odd, "") if channel == 1 else ""
             others = [partner] if partner in sizes else [name for name in sizes if name != odd]
@@ -148,6 +207,13 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             findings.append(_unit(log, odd, channel, ratio, skids, streams, settings))
             _scale(streams, odd, channel, 1 / ratio)
     return findings
+
+
+def _command_is_odd(streams: Streams, settings: CheckSettings) -> bool:
+    """Whether omega tells that of commanded and measured wheels the commands are in another unit."""
+    votes = _votes(streams, 1, settings)
+    sizes = {COMMAND: 1.0} | {name: abs(vote.size) for name, vote in votes.items() if vote.size}
+    return len(sizes) > 2 and _odd_one_out(sizes, *settings.gain_of_omega) == COMMAND
 
 
 def _odd_one_out(sizes: dict[str, float], low: float, high: float) -> str | None:
@@ -172,26 +238,55 @@ def _unit(
     what = _WHAT[name, channel]
     factors = {unit: 1 / FACTORS[unit] for unit in _UNITS[name, channel]}
     radius = _radius(streams)
-    if name == ENCODERS and radius is not None:
-        factors = {unit: factor for unit, factor in factors.items() if unit in ("rpm", "deg/s")} | {"m/s": radius}
+    wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
+    if wheels and radius is not None:
+        factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
     # A body on skidding wheels turns less than they say.
     usual = settings.usual_skid if skids else 1.0
     apart = {unit: abs(math.log(ratio / (usual * factor))) for unit, factor in factors.items()}
     # Declared in that unit and logged in SI is the same mistake the other way round.
     apart |= {
-        f"{_si(unit)} (and not {unit})": abs(math.log(ratio * factor / usual)) for unit, factor in factors.items()
+        f"{_si(unit)} (and not {unit})": abs(math.log(ratio * factor / usual))
+        for unit, factor in factors.items()
+        if unit != "rev/s"
     }
     unit = min(apart, key=apart.__getitem__)
+    alike = [f"`unit: {other}`" for other in apart if apart[other] < apart[unit] + _ALIKE]
+    changes: tuple[MappingChange, ...] = ()
     close = settings.unit_tolerance * (3 if skids else 1 + channel)
     against = "what the others say"
     if apart[unit] < close:
-        remedy = f"its column is in another unit: `unit: {unit}` in the mapping"
-    elif name == ENCODERS and ratio > settings.most_unit_gain:
+        remedy = f"its column is in another unit: {' or '.join(alike)} in the mapping"
+        changes = tuple(
+            MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
+        )
+    elif (name == ENCODERS or wheels) and ratio > settings.most_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no unit of the mapping explains it; check its column, its unit and the lengths under 'wheels'"
     words = f"{what} is {ratio:.3g} times {against}; {remedy}"
-    return Finding("wrong unit", "error", log, words)
+    return Finding("wrong unit", "error", log, words, changes=changes)
+
+
+def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
+    """Keys of the mapping for the columns of a channel."""
+    if name == COMMAND:
+        return SIDES if streams.commands_wheels else (CHANNELS[channel],)
+    if name == ENCODERS:
+        if streams.wheels is None:
+            return (CHANNELS[channel],)
+        return SIDES if streams.wheels.shape[1] == len(SIDES) else FOUR_WHEELS
+    if name == GYRO:
+        return ("yaw_rate",)
+    return ("x", "y") if channel == 0 else ("theta",)
+
+
+def _sign_change(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
+    """The change that turns a channel; none where wheels drive it, whose sides would have to be exchanged."""
+    columns = _columns(name, channel, streams)
+    if channel == 1 and columns[0] in (*SIDES, *FOUR_WHEELS):
+        return ()
+    return tuple(MappingChange(name, f"{column}.sign", -1) for column in columns)
 
 
 def _si(unit: str) -> str:
@@ -237,7 +332,8 @@ def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
     """Multiply one channel of a stream, or the whole of one whose channels share their columns."""
     columns = np.where(np.arange(2) == channel, factor, 1.0)
     if name == COMMAND:
-        streams.command = streams.command * columns
+        shared = streams.commands_wheels and factor > 0
+        streams.command = streams.command * (factor if shared else columns)
     elif name == ENCODERS and streams.twist is not None:
         shared = streams.wheels is not None and factor > 0
         streams.twist = streams.twist * (factor if shared else columns)
@@ -256,7 +352,9 @@ def check_presence(log: str, streams: Streams) -> list[Finding]:
             continue
         for name in streams.present(channel):
             # A stretch too short for the pose's window has no speeds, and that is no fault of the pose.
-            values = streams.pose if name == POSE else streams.channel(name, channel)
+            values = streams.channel(name, channel)
+            if name == POSE and streams.pose is not None:
+                values = streams.pose[:, :2] if channel == 0 else streams.pose[:, 2]
             assert values is not None
             readings: FloatArray = values[np.isfinite(values)]
             if (

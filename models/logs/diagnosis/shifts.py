@@ -7,8 +7,17 @@ from itertools import combinations
 import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, StreamResponse, Streams, answer, foresight
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.diagnosis.streams import (
+    COMMAND,
+    ENCODERS,
+    GYRO,
+    POSE,
+    StreamResponse,
+    Streams,
+    answer,
+    foresight,
+)
+from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 
 def check_shifts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -52,6 +61,8 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
         for pair, (shift, deviation) in shifted.items()
         if name in pair
     ]
+    if lagging := _lagging(log, name, signed[0][0] > 0, shifted, streams, settings):
+        return [lagging]
     late, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
     others = sorted({other for pair in shifted for other in pair} - {name})
     remedy = f"add {late:.2f} to the `delay` of the {name} in the mapping"
@@ -60,7 +71,54 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
         f"{' and the '.join(others)}: {remedy}"
     )
     _shift(streams, name, -late)
-    return [Finding("time shift", "warning", log, words)]
+    change = MappingChange(name, "delay", round(late, 3))
+    return [Finding("time shift", "warning", log, words, changes=(change,))]
+
+
+def _lagging(
+    log: str,
+    name: str,
+    is_late: bool,
+    shifted: dict[tuple[str, str], tuple[float, float]],
+    streams: Streams,
+    settings: CheckSettings,
+) -> Finding | None:
+    """The finding where a lag tells the sensors apart clearly better than a shift does; None where it does not."""
+    rests, lags, later = [], [], set()
+    for (first, second), (shift, _) in shifted.items():
+        if name not in (first, second):
+            continue
+        early, late = (first, second) if shift > 0 else (second, first)
+        channel = 1 if all(sensor in streams.present(1) for sensor in (early, late)) else 0
+        pair = streams.pair(early, late, channel)
+        plain = answer(streams, *pair, settings, both_measured=True)
+        behind = answer(streams, *pair, settings, both_measured=True, lags=settings.lags)
+        if plain is None or behind is None:
+            return None
+        rests.append([1 - float(of.correlation[0]) ** 2 for of in (behind, plain)])
+        lags.append(2 * behind.lag)
+        later.add(late)
+    behind_rest, plain_rest = np.mean(rests, axis=0)
+    if plain_rest - behind_rest < max(settings.lag_share, (1 - settings.shape) * plain_rest):
+        return None
+    lag = float(np.mean(lags))
+    if (
+        (is_late and name == ENCODERS)
+        or (is_late and name == POSE)
+        or (name == GYRO and is_late and POSE in streams.present(1))
+    ):
+        words = (
+            f"the readings of the {name} lag behind the other sensors by {lag:.2f} s, and are not merely later: they "
+            "were filtered; record them before the filter, no `delay` mends it"
+        )
+        return Finding("filtered sensor", "warning", log, words)
+    if GYRO not in later:
+        return None
+    words = (
+        f"the body yaws behind its wheels with a lag of {lag:.2f} s, and is not merely later: a slippery ground or "
+        "soft tyres, or a filtered gyro; no `delay` mends it"
+    )
+    return Finding("slow yaw", "note", log, words)
 
 
 def _odd_one(shifted: dict[tuple[str, str], tuple[float, float]], streams: Streams, settings: CheckSettings) -> str:
@@ -103,7 +161,8 @@ def _commands(
             f"are stamped late; give the command `delay: {-middle + settings.usual_response:.2f}` in the "
             "mapping, or more"
         )
-        return [Finding("time shift", "error", log, words)]
+        change = MappingChange(COMMAND, "delay", round(-middle + settings.usual_response, 3))
+        return [Finding("time shift", "error", log, words, changes=(change,))]
     if middle > settings.late_response:
         words = (
             f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if "
@@ -111,7 +170,8 @@ def _commands(
             "than that, the commands are stamped early: give the command `delay: "
             f"{settings.usual_response - middle:.2f}` in the mapping"
         )
-        return [Finding("time shift", "note", log, words)]
+        change = MappingChange(COMMAND, "delay", round(settings.usual_response - middle, 3))
+        return [Finding("time shift", "note", log, words, changes=(change,))]
     return []
 
 

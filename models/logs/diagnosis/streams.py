@@ -42,6 +42,8 @@ class Streams:
         Of the stretches.
     reach
         Half the window over which poses become speeds [samples].
+    commands_wheels
+        Whether the log commands wheel speeds, so that v and omega share their columns.
     """
 
     dt: float
@@ -53,6 +55,7 @@ class Streams:
     pose: FloatArray | None
     slices: tuple[slice, ...]
     reach: int
+    commands_wheels: bool = False
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
         """(N,) v (0) or omega (1) of a stream; None where it has none. Those of the pose are means over its window."""
@@ -106,8 +109,9 @@ class Streams:
         def low_pass(part: FloatArray) -> FloatArray:
             from scipy.signal import lfilter  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
-            once = lfilter([1 - keep], [1, -keep], part - part[0], axis=0)
-            return np.asarray(lfilter([1 - keep], [1, -keep], once, axis=0) + part[0])
+            start = np.where(np.isfinite(part[0]), part[0], 0.0)
+            once = lfilter([1 - keep], [1, -keep], _bridged(part) - start, axis=0)
+            return np.asarray(lfilter([1 - keep], [1, -keep], once, axis=0) + start)
 
         return self.each(low_pass, values)
 
@@ -141,6 +145,16 @@ class Streams:
         return self.each(trim, values)
 
 
+def _bridged(values: FloatArray) -> FloatArray:
+    """Values (n, ...) with straight lines where there are none."""
+    if np.isfinite(values).all():
+        return values
+    rows = np.arange(len(values))
+    columns = values.reshape(len(values), -1).T
+    filled = [np.interp(rows, rows[k], part[k]) if (k := np.isfinite(part)).any() else part for part in columns]
+    return np.column_stack(filled).reshape(values.shape)
+
+
 def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     """The streams that all records hold, of stretches long enough to say something."""
     stride = max(1, round(settings.compared_every / records[0].dt))
@@ -165,6 +179,8 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     command = gather("command")
     time = gather("time")
     assert command is not None and time is not None
+    # What is left of a rounding is no command.
+    command = np.where(np.nanmax(np.abs(command), axis=0) > settings.least_command, command, 0.0 * command)
     four = gather("wheel_speeds")
     return Streams(
         dt=dt,
@@ -176,6 +192,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
         pose=gather("pose"),
         slices=slices,
         reach=max(1, round(0.5 * settings.pose_window / dt)),
+        commands_wheels=all(record.wheel_commands is not None for record in records),
     )
 
 
@@ -231,32 +248,38 @@ def answer(
     *,
     intervals: bool = False,
     both_measured: bool = False,
+    lags: Sequence[float] | None = None,
 ) -> StreamResponse | None:
     """How `outputs` (N,) or (N, m) answer to `inputs` (N,) or (N, c); None where either never changes.
 
     Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
-    there is a shift alone. The correlations with all shifts come from Fourier transforms, over what both hold.
+    there is a shift alone, unless `lags` are given. The correlations with all shifts come from Fourier transforms, over
+    what both hold.
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
-        lags, span = [0.0], (-settings.longest_shift, settings.longest_shift)
-        u = streams.inside(u, settings.longest_shift)
+        lags, span = lags or [0.0], (-settings.longest_shift, settings.longest_shift)
     else:
-        lags, span = list(settings.lags), (-settings.longest_lead, settings.longest_lag)
+        lags, span = lags or settings.lags, (-settings.longest_lead, settings.longest_lag)
         if not (np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)).any():
             return None
         u, streams = _with_heads(streams, u, y, settings)
+
+    def lagged(lag: float) -> FloatArray:
+        behind = streams.lagged(u, lag)
+        return streams.inside(behind, settings.longest_shift) if both_measured else behind
+
     low, high = (round(seconds / streams.dt) for seconds in span)
     best: tuple[float, float, FloatArray] | None = None
     for lag in lags:
-        behind = streams.lagged(u, lag)
+        behind = lagged(lag)
         strength = _strength(behind, y, low, high)
         if strength is not None and (best is None or strength.max() > best[0]):
             best = (float(strength.max()), lag, strength)
     if best is None:
         return None
     _, lag, strength = best
-    behind = streams.lagged(u, lag)
+    behind = lagged(lag)
     at = int(np.argmax(strength))
     gain, correlation = _regress(behind, y, low + at)
     deviation = np.nan

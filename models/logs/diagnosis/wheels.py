@@ -6,40 +6,70 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.diagnosis.agreement import cut
 from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, answer
 from diffdrive_mpc.models.logs.record import Finding
 
-_SIDES = ("left", "right")
-_NAMES = {2: _SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
+SIDES = ("left", "right")
+_NAMES = {2: SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
 
 
 def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """At most one finding about the encoders; they are mended in `streams`, or taken out."""
     if streams.twist is None:
         return []
-    finding = _running_counts(log, streams, settings) or (
-        _sides_of_twist(log, streams, settings) if streams.wheels is None else _each_wheel(log, streams, settings)
-    )
+    check = _sides_of_twist if streams.wheels is None else _each_wheel
+    finding = check(log, streams, settings)
     return [] if finding is None else [finding]
 
 
-def _running_counts(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
-    assert streams.twist is not None
+def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding: encoders whose sides are exchanged from some time on."""
+    if streams.twist is None or streams.wheels is None:
+        return []
+    command, omega = streams.command[:, 1], streams.twist[:, 1]
+    plain = answer(streams, command, omega, settings)
+    if plain is None or abs(plain.correlation[0]) > settings.clear_correlation:
+        return []
+    known = np.flatnonzero(np.isfinite(streams.time))
+    starts = known[np.linspace(0, len(known) - 1, 4 * settings.parts + 1).astype(int)[1:-1]]
+
+    def correlation(start: int) -> float:
+        turned = np.where(np.arange(len(omega)) < start, omega, -omega)
+        response = answer(streams, command, turned, settings)
+        return 0.0 if response is None else abs(float(response.correlation[0]))
+
+    each = [correlation(int(start)) for start in starts]
+    at = int(np.argmax(each))
+    if each[at] < settings.clear_correlation:
+        return []
+    times = streams.time[starts]
+    words = (
+        f"left and right of the encoders change places at about {times[at]:.0f} s, from then on omega runs the other "
+        "way: the order of the joints changed; cut the log there and identify from one part"
+    )
+    return [Finding("order change", "error", log, words, *cut(times, at))]
+
+
+def check_counts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding: encoders whose columns count; they are taken out of `streams`."""
+    if streams.twist is None:
+        return []
     response = answer(streams, streams.command, streams.twist, settings)
     if response is None or response.correlation.max() > settings.clear_correlation:
-        return None
+        return []
     rate = streams.each(
         lambda part: np.gradient(part, streams.dt, axis=0) if len(part) > 1 else part * np.nan, streams.twist
     )
     instead = answer(streams, streams.command, rate, settings)
     if instead is None or instead.correlation.min() < settings.clear_correlation:
-        return None
+        return []
     streams.twist = streams.wheels = None
     words = (
         "not the encoders' readings but their changes follow the command: they are running counts; give their columns "
         "`unit: ticks`, and `ticks_per_turn` under 'wheels'"
     )
-    return Finding("running counts", "error", log, words)
+    return [Finding("running counts", "error", log, words)]
 
 
 def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
@@ -56,7 +86,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         )
         streams.twist = streams.wheels = None
         return Finding("dead wheel", "error", log, words)
-    sides = _commanded_sides(streams)
+    sides = commanded_sides(streams)
     response = None if sides is None else answer(streams, sides, streams.wheels, settings)
     if sides is None or response is None or response.correlation.max() < settings.clear_correlation:
         return None
@@ -119,7 +149,7 @@ def _odd_side(response: StreamResponse) -> int:
     return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 
 
-def _commanded_sides(streams: Streams) -> FloatArray | None:
+def commanded_sides(streams: Streams) -> FloatArray | None:
     """(N, 2) commanded speeds of the two sides [m/s over the wheels' radius]; by the track behind the log's omega."""
     assert streams.wheels is not None and streams.twist is not None
     present = np.isfinite(streams.wheels).all(axis=1) & np.isfinite(streams.twist).all(axis=1)
