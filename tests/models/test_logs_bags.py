@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+import struct
 from dataclasses import fields
 
 import numpy as np
@@ -264,7 +265,9 @@ def test_commands_sent_on_change_stay_in_force(tmp_path):
     assert np.array_equal(record.command, whole[: len(record.command)])
 
 
-def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path):
+@pytest.mark.parametrize("stated_size", [None, 1, 0])
+def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path, stated_size):
+    """Some recorders state any size for chunks that are not compressed."""
     store = get_typestore(Stores.ROS1_NOETIC)
     topics = bag_topics(COLUMNS)
     types = store.types
@@ -288,6 +291,11 @@ def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path):
 topics:
   odometry: {topic: /wheels, fields: [twist.linear.x, twist.angular.z]}
 """
+    if stated_size is not None:
+        path, field = tmp_path / "drive.bag", b"\x09\0\0\0size="
+        first, *chunks = path.read_bytes().split(field)
+        assert chunks
+        path.write_bytes(field.join([first, *(struct.pack("<I", stated_size) + chunk[4:] for chunk in chunks)]))
     (record,) = read_log(tmp_path / "drive.bag", write_mapping(tmp_path / "map.yaml", text)).records
     assert np.array_equal(record.twist[:, 0], COLUMNS["v"][: len(record.twist)])
     assert np.array_equal(record.command[:, 1], COLUMNS["omega_ref"][: len(record.command)])
