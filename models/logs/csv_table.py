@@ -116,8 +116,8 @@ class CsvTable:
         """
         values = self.cells(name)
         empty = self.empty.get(name, np.zeros(len(values), dtype=bool))
-        wrong = values <= _WORDS
-        if self.words and wrong.any():
+        wrong = np.isin(values, list(self.words.values())) if self.words else np.zeros(len(values), dtype=bool)
+        if wrong.any():
             absent = np.isin(values, [number for word, number in self.words.items() if word.lower() in _MISSING])
             values, empty, wrong = np.where(absent, np.nan, values), empty | absent, wrong & ~absent
         if wrong.any():
