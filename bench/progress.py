@@ -57,9 +57,9 @@ class ProgressBar:
         self._progress.advance(self._task)
         self._draw()
 
-    def begin(self, text: str, total: int) -> None:
-        """Start over with another activity."""
-        self._progress.update(self._task, description=text, completed=0, total=total)
+    def begin(self, text: str, total: int, done: int = 0) -> None:
+        """Start over with another activity, or go on with another part of one of which so much is done."""
+        self._progress.update(self._task, description=text, completed=done, total=total)
         self._progress.refresh()
 
     def _draw(self) -> None:

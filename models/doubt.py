@@ -50,6 +50,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "spikes": _LEFT_OUT,
     "stuck sensor": _LEFT_OUT,
     "stretch left out": _LEFT_OUT,
+    "silent commands": _LEFT_OUT,
     "jitter": _LATE,
     "clock drift": _LATE,
     "time shift": _LATE,

@@ -8,8 +8,8 @@ import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 # Which files a command reads: none of them may be what it writes.
 
@@ -58,15 +58,17 @@ def _identity(file: os.stat_result) -> _Identity:
 
 
 MEGABYTE = 1_000_000
+_LFS_POINTER = b"version https://git-lfs"
+"""How the few lines begin that Git LFS leaves in place of a file that was not fetched."""
 
 
-def open_input(path: Path) -> BinaryIO:
+def open_input(path: Path) -> BufferedReader:
     """Open a regular file for reading; a pipe or a device, which may never end or never begin, is refused.
 
     Raises
     ------
     OSError
-        If it is no regular file or cannot be opened.
+        If it is no regular file, cannot be opened, or was not fetched by Git LFS.
     """
     # Without waiting for a writer at the other end of a pipe; what is opened is what is looked at.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
@@ -78,10 +80,14 @@ def open_input(path: Path) -> BinaryIO:
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device; give a file on a disk")
         remember(state, path)
-        return os.fdopen(handle, "rb")
     except BaseException:
         os.close(handle)
         raise
+    file = os.fdopen(handle, "rb")
+    if file.peek(len(_LFS_POINTER)).startswith(_LFS_POINTER):
+        file.close()
+        raise OSError(errno.EINVAL, "it is a pointer of Git LFS, not the file; `git lfs pull` fetches that")
+    return file
 
 
 def read_input(path: Path, most: int) -> bytes:

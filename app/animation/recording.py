@@ -14,10 +14,10 @@ from diffdrive_mpc.app.animation.playback import NO_PLANS, Playback, from_column
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
-from diffdrive_mpc.models.logs.csv_table import read_header
 from diffdrive_mpc.models.logs.drive_log.reader import DriveLog, is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.logs.table_file import read_header
 from diffdrive_mpc.sim.log_csv import read_rows
 from diffdrive_mpc.sim.plants.make import PHYSICS
 

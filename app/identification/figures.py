@@ -7,8 +7,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from diffdrive_mpc.bench.chart_drawing import draw_charts
+from diffdrive_mpc.bench.chart_drawing import draw_chart, draw_charts
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
 from diffdrive_mpc.bench.table import number
@@ -33,6 +34,7 @@ class FigureSettings(StrictModel):
     """Sizes, as in `figures.yaml`."""
 
     window: Positive
+    rows: int
     step_response: Positive
 
 
@@ -65,7 +67,7 @@ def draw_identification(report: IdentificationReport, folder: Path, on_done: Cal
 def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw | Sequence[Chart]]]:
     """Title, file name and charts or drawing function of each figure that the report has something for."""
     jobs: dict[str, tuple[str, Draw | Sequence[Chart]]] = {
-        "Measured against simulated": ("simulation.png", simulation_charts(report, figure_settings().window)),
+        "Measured against simulated": ("simulation.png", draw_simulation),
         "What residuals still hold": ("residuals.png", draw_residuals),
     }
     if report.fitted.predictor is None:
@@ -84,32 +86,68 @@ def other_charts(report: IdentificationReport) -> list[Chart]:
     return [*steps, *orders, *(drift_charts(report) if report.poses.drift else [])]
 
 
-def simulation_charts(report: IdentificationReport, window: float | None = None) -> list[Chart]:
-    """The longest stretch held out, or its busiest `window` [s]: command, measured and simulated of both channels."""
+def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> list[Chart]:
+    """All that was held out: command, measured and simulated of both channels, each by at most so many points.
+
+    Stretches stand one after another. Of the rows that a point stands for, the smallest and the largest value are kept.
+    """
     data, fitted = report.data, report.fitted
-    longest = int(np.argmax([len(record.command) for record in data.validation]))
-    record, simulated = data.validation[longest], fitted.simulated[longest]
-    (experiment,) = twist_experiments([record], data.yaw)
-    if window is None:
-        rows = slice(None, None, max(1, -(-len(record.time) // _POINTS)))
-    else:
-        first = busiest(record.command, round(window / record.dt))
-        rows = slice(first, first + round(window / record.dt))
-    since_begin, when = from_zero(record.time if window is None else record.time[rows])
-    time = [round(float(one), 3) for one in (since_begin[rows] if window is None else since_begin)]
+    records = data.validation
+    when = "time held out [s], stretches one after another"
+    begins = np.cumsum([0.0, *(record.dt * len(record.command) for record in records)])
+    if len(records) == 1:
+        when = from_zero(records[0].time)[1]
+    columns: list[list[FloatArray]] = [[], [], []]
+    experiments = twist_experiments(records, data.yaw)
+    for record, experiment, simulated, begin in zip(records, experiments, fitted.simulated, begins, strict=False):
+        time = begin + record.dt * np.arange(len(record.command))
+        for column, values in zip(columns, (record.command, experiment.readings, simulated), strict=True):
+            # A line ends where its stretch does.
+            column.append(np.vstack([np.column_stack([time, values]), [time[-1], np.nan, np.nan]]))
     made = []
     for i, channel in enumerate(CHANNELS):
-        measured = experiment.readings[:, i]
-        lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
-        series = [
-            Series(name, time, [rounded(one) for one in values[rows]], style, "points" if style == 0 else "line")
-            for (name, values), style in zip(lines.items(), (6, 0, 1), strict=True)
-        ]
+        series = []
+        for name, column, style in zip(("command", "measured", "simulated"), columns, (6, 0, 1), strict=True):
+            rows = np.vstack(column)[:, [0, 1 + i]]
+            if name == "measured":  # points, which no gap has to part
+                rows = rows[np.isfinite(rows[:, 1])]
+            time, values = rows[envelope(rows[:, 1], points)].T
+            times = [round(float(one), 3) for one in time]
+            series.append(
+                Series(name, times, [rounded(one) for one in values], style, "points" if style == 0 else "line")
+            )
         fit = number(float(fitted.validation.fit_percent[i]), 1)
-        note = f"Longest stretch held out; simulated from the commands alone. FIT of all of them: {fit} %."
+        note = f"All that was held out; simulated from the commands alone. FIT {fit} %."
         axis, title = Axis(f"{channel} [{UNITS[channel]}]"), f"{channel}: measured and simulated, FIT {fit} %"
         made.append(Chart(title, Axis(when), axis, series, note, broad=True))
     return made
+
+
+def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
+    """Rows of values (n,) that show them all by about `points`: smallest and largest of each bin, and every gap."""
+    known = np.flatnonzero(np.isfinite(values))
+    size = 1 if len(known) <= points else -(-2 * len(known) // points)
+    bins = np.split(known, np.arange(size, len(known), size))
+    bins = [part for part in bins if len(part)]
+    kept = [part[extreme(values[part])] for part in bins for extreme in (np.argmin, np.argmax)]
+    return np.union1d(np.array(kept, dtype=np.intp), np.flatnonzero(np.isnan(values)))
+
+
+def draw_simulation(report: IdentificationReport, path: Path) -> None:
+    """Draw all that was held out, v beside omega, in as many rows of time as can be read on a page."""
+    records, window = report.data.validation, figure_settings().window
+    total = sum(record.dt * len(record.command) for record in records)
+    rows = min(figure_settings().rows, max(1, int(np.ceil(total / window))))
+    charts = simulation_charts(report, rows * _POINTS)
+    with new_figure(path, 4.6 * len(charts), 1.2 + 1.8 * rows) as figure:
+        panels = figure.subplots(rows, len(charts), squeeze=False, sharey="col")
+        for column, chart in zip(panels.T, charts, strict=True):
+            for k, axes in enumerate(column):
+                draw_chart(axes, chart)
+                axes.set_xlim(k * total / rows, (k + 1) * total / rows)
+                axes.set_xlabel(chart.x.title if k == rows - 1 else "")
+            column[0].set_title(chart.title)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 def step_charts(report: IdentificationReport) -> list[Chart]:

@@ -37,20 +37,26 @@ class Kind(NamedTuple):
     """Of `predictor.finders`: what predicts in place of the structure's model"""
     slow: bool = False
     """Compared only where it is named, or all are asked for"""
+    effort: float = 1.0
+    """Time that its identification takes, over that of the simplest; only for estimates of the time that is left"""
+
+
+_SSM, _EFFECTS, _SLOW = 5.0, 10.0, 20.0
+# Efforts are rough: what is left is told to the order of size, and better with every kind that is done.
 
 
 def _functions(*, slow: bool) -> Iterator[Kind]:
     for one in function_structures().values():
         if one.slow == slow:
-            yield Kind(one.name, predictor=one.name, slow=slow)
+            yield Kind(one.name, predictor=one.name, slow=slow, effort=_SLOW if slow else 1.0)
 
 
 KINDS = (
     Kind("sm"),
-    Kind("ssm", "ssm"),
+    Kind("ssm", "ssm", effort=_SSM),
     Kind("mbm", "mbm"),
     *_functions(slow=False),
-    Kind("sm+effects", effects=True),
+    Kind("sm+effects", effects=True, effort=_EFFECTS),
     *_functions(slow=True),
 )
 """What is compared, the simplest first. A later one has to predict better by more than chance."""
@@ -163,6 +169,13 @@ class ModelComparison:
         )
         return TextTable("Which model for this robot", columns, tuple(rows), note=note)
 
+    def line(self, scored: Scored) -> str:
+        """The score of one kind, before there is a table."""
+        if scored.failure:
+            return f"{scored.kind}: not found: {scored.failure}"
+        v, omega = self.fits(scored)
+        return f"{scored.kind}: FIT v {v:.2f} %, omega {omega:.2f} %, found in {scored.seconds:.0f} s"
+
     def sentence(self) -> str:
         """The recommendation with its margin."""
         chosen = self.recommended
@@ -183,7 +196,11 @@ class ModelComparison:
 
 
 def compare_models(
-    data: LogData, kinds: Sequence[str] = (), parts: int = 3, on_progress: Callable[[str], None] | None = None
+    data: LogData,
+    kinds: Sequence[str] = (),
+    parts: int = 3,
+    on_progress: Callable[[str, float], None] = lambda _text, _share: None,
+    on_scored: Callable[[ModelComparison], None] = lambda _: None,
 ) -> ModelComparison:
     """Identify every kind without each part of the records in turn, and score it on that part.
 
@@ -196,7 +213,9 @@ def compare_models(
     parts
         Of equal length in time, at least 2.
     on_progress
-        Called with what is done next.
+        Called with what is done next, and the share of the work that is done.
+    on_scored
+        Called with what there is so far whenever a kind is scored, the last of its scores.
 
     Raises
     ------
@@ -217,11 +236,20 @@ def compare_models(
     obeyed, weights = block_powers(measured, [record.command for _, held_out in folds for record in held_out])
     scores = [Scored(NO_MODEL, 0, obeyed, float("nan"), 0.0)]
     linear: dict[tuple[str, bool, int], Fitted] = {}
-    for kind in KINDS:
-        if ALL not in kinds and (kind.name not in kinds if kinds else kind.slow):
-            continue
-        scores.append(_score(kind, data, folds, linear, measured, horizon, on_progress or (lambda _: None)))
-    return ModelComparison(tuple(scores), weights, readings.var(axis=0), parts, horizon)
+    chosen = [kind for kind in KINDS if ALL in kinds or (kind.name in kinds if kinds else not kind.slow)]
+    total, done = sum(kind.effort for kind in chosen), 0.0
+    comparison = ModelComparison(tuple(scores), weights, readings.var(axis=0), parts, horizon)
+    for i, kind in enumerate(chosen):
+
+        def announce(part: int, kind: Kind = kind, i: int = i, done: float = done) -> None:
+            text = f"{kind.name}, kind {i + 1} of {len(chosen)}, part {part + 1} of {parts}"
+            on_progress(text, (done + kind.effort * part / parts) / total)
+
+        scores.append(_score(kind, data, folds, linear, measured, horizon, announce))
+        done += kind.effort
+        comparison = replace(comparison, scores=tuple(scores))
+        on_scored(comparison)
+    return comparison
 
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
@@ -244,14 +272,14 @@ def _score(
     linear: dict[tuple[str, bool, int], Fitted],
     measured: Sequence[SampledExperiment],
     horizon: float,
-    announce: Callable[[str], None],
+    announce: Callable[[int], None],
 ) -> Scored:
     """`linear` holds the linear models that were found, by structure, effects and part, as several kinds need them."""
     simulated: list[FloatArray] = []
     states, seconds = 0, 0.0
     errors: list[float] = []
     for k, (rest, part) in enumerate(folds):
-        announce(f"{kind.name}, part {k + 1} of {len(folds)}")
+        announce(k)
         fold = replace(data, train=tuple(rest), validation=tuple(part))
         try:
             find = finders()[kind.predictor]() if kind.predictor else None

@@ -42,8 +42,10 @@ _SMALLER = "record it in smaller chunks, or uncompressed"
 class Budget:
     """How much more a file of `size` bytes at `path` may unpack to."""
 
-    def __init__(self, path: Path, size: int) -> None:
-        self._path, self._left = path, max(ALWAYS, MOST_RATIO * size)
+    def __init__(
+        self, path: Path, size: int, remedy: str = "convert it to an uncompressed bag (`ros2 bag convert`)"
+    ) -> None:
+        self._path, self._left, self._remedy = path, max(ALWAYS, MOST_RATIO * size), remedy
         self._most = self._left
 
     def take(self, count: int) -> None:
@@ -52,7 +54,7 @@ class Budget:
         if self._left < 0:
             raise ConfigError(
                 f"{self._path}: unpacks to more than {self._most / MEGABYTE:g} MB, {MOST_RATIO} times its size; "
-                "if it is sound, convert it to an uncompressed bag (`ros2 bag convert`)"
+                f"if it is sound, {self._remedy}"
             )
 
 
@@ -272,8 +274,9 @@ def _check_ros1(path: Path, file: BinaryIO, size: int) -> None:
         if length > left:
             return
         if fields.get(b"op") == b"\x05":
-            whole = struct.unpack("<I", fields.get(b"size", b"").ljust(4, b"\0")[:4])[0]
             how = fields.get(b"compression", b"none").decode("ascii", "replace")
+            # What is not packed is as long as it is; some recorders write 1 as its size, and no reader minds.
+            whole = length if how == "none" else struct.unpack("<I", fields.get(b"size", b"").ljust(4, b"\0")[:4])[0]
             content = unpacked(path, file.read(min(length, MOST_UNPACKED + 1)), how, whole)
             budget.take(0 if how == "none" else len(content))
         file.seek(at + 8 + header_size + length)

@@ -23,6 +23,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
     require_topics,
 )
 from diffdrive_mpc.models.logs.check_settings import check_settings
+from diffdrive_mpc.models.logs.command_bursts import check_bursts, silences
 from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
 from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MappedWheels, MotorTopic, Topic, Topics
@@ -99,11 +100,16 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     if topics.command.on_change:
         command = _repeated(command, response.time)
     stretch = _stretch(path, command, measured)
-    stretch = RawStretch(stretch.clock, stretch.command, {**stretch.measured, **power})
+    # Commands on change come when they come; whether time runs evenly the sensor shows.
+    clock = response.time[response.time >= command.time[0]] if topics.command.on_change else stretch.clock
+    stretch = RawStretch(clock, stretch.command, {**stretch.measured, **power})
     stretches = _most_driven(path, stretch, findings)
     # The faster of the two, so that neither the commands' times nor the readings are blurred.
     sample_time = usual_step([response.time])
-    if not topics.command.on_change:
+    quiet = None if topics.command.on_change else silences(stretch.command, check_settings())
+    if quiet is not None:
+        findings += check_bursts(f"{path.name}, {topics.command.topic}", quiet, measured, check_settings())
+    elif not topics.command.on_change:
         sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
     kinds = {role: (of.topic, of.kind) for role, of in rows.items()}
     return RawLog(path.name, stretches, tuple(findings), float(sample_time), kinds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
-from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.csv_layout import open_csv, read_layout, rest_of_line
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
 from diffdrive_mpc.models.table import plain_line
 
@@ -65,12 +66,13 @@ class Growing(Generic[_Scalar]):
         return self._values
 
 
-_SEPARATORS = ",;\t"
 _BLOCK = 1 << 24
 """Bytes that are parsed at a time."""
-_LONGEST_LINE, _MOST_COLUMNS = 1 << 20, 10_000
 # Characters of a cell that is no number.
 _SHOWN = 60
+_MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
+"""Words, in lower case, that say as an empty cell does: no reading. NaN is a number, and says that one went wrong."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
 
 @dataclass
@@ -113,15 +115,21 @@ class CsvTable:
             If there is no such column, or a cell holds something else than a number.
         """
         values = self.cells(name)
-        wrong = values <= _WORDS
-        if self.words and wrong.any():
+        empty = self.empty.get(name, np.zeros(len(values), dtype=bool))
+        wrong = np.isin(values, list(self.words.values())) if self.words else np.zeros(len(values), dtype=bool)
+        if wrong.any():
+            absent = np.isin(values, [number for word, number in self.words.items() if word.lower() in _MISSING])
+            values, empty, wrong = np.where(absent, np.nan, values), empty | absent, wrong & ~absent
+        if wrong.any():
             at = int(np.argmax(wrong))
             cell = next(word for word, number in self.words.items() if number == values[at])
+            remedy = "leave the cell empty where a reading is missing"
+            if _DECIMAL_COMMA.fullmatch(cell):
+                remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
             raise ConfigError(
                 f"{self.path}, line {self.lines[at]}, column '{name}': '{plain_line(cell, _SHOWN)}' is no number; "
-                "leave the cell empty where a reading is missing"
+                f"{remedy}"
             )
-        empty = self.empty.get(name, np.zeros(len(values), dtype=bool))
         return np.where(np.isfinite(values), values, np.nan), empty
 
     def cells(self, name: str) -> FloatArray:
@@ -151,8 +159,8 @@ _WORDS = -1e300
 
 def read_header(path: Path) -> list[str]:
     """Names of the columns; raises ConfigError as `read_table`."""
-    with _opened(path) as file:
-        return _header(path, file)[0]
+    with open_csv(path) as file:
+        return read_layout(path, file).names
 
 
 def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -> None:
@@ -169,6 +177,8 @@ def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -
 def read_table(path: Path, names: Collection[str]) -> CsvTable:
     """Read columns of a CSV file; its separator is a comma, a semicolon or a tab.
 
+    Where it is no comma, decimals may be written with one.
+
     Memory holds one block of text at a time, eight bytes for each cell of the columns named, and as much again for two.
 
     Raises
@@ -180,15 +190,16 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
     lines: Growing[np.int64] = Growing(np.int64)
     words: dict[str, float] = {}
     findings: list[Finding] = []
-    with _opened(path) as file:
-        header, separator = _header(path, file)
-        if len(set(header)) < len(header):
-            twice = Counter(header).most_common(1)[0][0]
+    with open_csv(path) as file:
+        layout = read_layout(path, file)
+        header, separator = layout.names, layout.separator
+        twice, count = Counter(filter(None, header)).most_common(1)[0] if any(header) else ("", 0)
+        if count > 1:
             raise ConfigError(f"{path}: column '{twice}' is there twice; rename one")
-        wanted = [name for name in header if name in names]
+        wanted = list(dict.fromkeys(name for name in header if name in names))
         values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
         missing: dict[str, Growing[np.bool_]] = {}
-        line = 2
+        line = layout.first_row
         try:
             for text, last in _blocks(path, file):
                 parsed = _quick(text, separator, header, wanted)
@@ -212,43 +223,12 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
     return CsvTable(path, header, np.arange(len(lines)), lines.array(), cells, empty_cells, words, tuple(findings))
 
 
-def _opened(path: Path) -> BinaryIO:
-    try:
-        return open_input(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
-
-
-def _header(path: Path, file: BinaryIO) -> tuple[list[str], str]:
-    """Names in the first line, and the separator."""
-    try:
-        first = _line(path, file).decode("utf-8-sig")
-        if "\0" in first:
-            raise ConfigError(f"{path}: cannot be read as CSV (it holds bytes that are no text)")
-        separator = max(_SEPARATORS, key=first.count)
-        if first.count(separator) >= _MOST_COLUMNS:
-            raise ConfigError(
-                f"{path}: {first.count(separator) + 1:,} columns, at most {_MOST_COLUMNS:,}; is it a log?"
-            )
-        return [name.strip() for name in next(csv.reader([first], delimiter=separator), [])], separator
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
-
-
-def _line(path: Path, file: BinaryIO) -> bytes:
-    """The rest of a line; raises ConfigError where it does not end."""
-    line = file.readline(_LONGEST_LINE)
-    if len(line) == _LONGEST_LINE:
-        raise ConfigError(f"{path}: a line of more than {_LONGEST_LINE:,} bytes; is it a log?")
-    return line
-
-
 def _blocks(path: Path, file: BinaryIO) -> Iterator[tuple[str, bool]]:
     """Whole lines, a block at a time, and whether the block is the last."""
-    text = file.read(_BLOCK) + _line(path, file)
+    text = file.read(_BLOCK) + rest_of_line(path, file)
     while text:
         following = file.read(_BLOCK)
-        following += _line(path, file) if following else b""
+        following += rest_of_line(path, file) if following else b""
         yield text.decode("utf-8").replace("\r\n", "\n"), not following
         text = following
 
@@ -259,8 +239,12 @@ _Parsed = tuple[dict[str, FloatArray], dict[str, BoolArray], NDArray[np.int64]]
 def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
     """A block of numbers and empty cells; None where it holds anything else: quotes, words, shorter lines."""
     count = text.count("\n") + (not text.endswith("\n"))
-    if '"' in text or "\n\n" in text or text.count(separator) != count * (len(header) - 1) or not wanted:
+    if '"' in text or "\n\n" in text or not wanted or not _is_even(text, separator, len(header), count):
         return None
+    if separator != "," and "," in text:
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
     filled = _filled(text, separator)
     # What is not a number in such a block must be an empty cell.
     if filled is not text and "nan" in text.lower():
@@ -276,6 +260,15 @@ def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _
     if filled is not text:
         empty = {name: np.isnan(table[:, i]) for i, name in enumerate(wanted) if np.isnan(table[:, i]).any()}
     return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(wanted)}, empty, np.arange(count)
+
+
+def _is_even(text: str, separator: str, columns: int, count: int) -> bool:
+    """Whether `count` lines together have as many cells as columns; each may have as many empty ones behind them."""
+    tail, left = divmod(text.count(separator) - count * (columns - 1), count)
+    if tail <= 0 or left:
+        return tail == left == 0
+    end = tail * separator
+    return text.count(f"{end}\n") + text.endswith(end) == count
 
 
 def _filled(text: str, separator: str) -> str:
@@ -309,25 +302,41 @@ def _careful(
         findings.append(Finding("incomplete line", "note", place, "cut off; it is left out"))
         numbered.pop()
     for at, row in numbered:
-        if len(row) != len(header):
-            raise ConfigError(f"{path}, line {line + at}: {len(row)} cells, expected {len(header)} as in the header")
+        if len(row) < len(header) or any(row[len(header) :]):
+            hint = ""
+            if separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
+                hint = "; where decimals are written with a comma, put semicolons between the cells"
+            raise ConfigError(
+                f"{path}, line {line + at}: {len(row)} cells, expected {len(header)} as in the header{hint}"
+            )
     values, missing = {}, {}
     for name in wanted:
         index = header.index(name)
         cells = [row[index].strip() for _, row in numbered]
-        try:
-            values[name] = np.array([cell or "nan" for cell in cells], dtype=float)
-        except ValueError:
-            values[name] = np.array([_number(cell, words) for cell in cells])
+        values[name] = as_numbers(cells, words, decimal_comma=separator != ",")
         empty = np.array([not cell for cell in cells], dtype=bool)
         if empty.any():
             missing[name] = empty
     return values, missing, np.array([at for at, _ in numbered], dtype=np.int64)
 
 
-def _number(cell: str, words: dict[str, float]) -> float:
+def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool = False) -> FloatArray:
+    """Cells (n,) as numbers, NaN where they are empty; what is none stands in `words`, to which new ones are added.
+
+    With `decimal_comma` a comma may stand for the point of a column that has none.
+    """
+    texts = cells
+    if decimal_comma and not any("." in cell for cell in cells):
+        texts = [cell.replace(",", ".") for cell in cells]
     try:
-        return float(cell or "nan")
+        return np.array([text or "nan" for text in texts], dtype=float)
+    except ValueError:
+        return np.array([_number(text, cell, words) for text, cell in zip(texts, cells, strict=True)])
+
+
+def _number(text: str, cell: str, words: dict[str, float]) -> float:
+    try:
+        return float(text or "nan")
     except ValueError:
         # Doubles near the largest are far apart: each word is a power of two further down.
         return words.setdefault(cell, _WORDS * (1 + len(words) / 1e6))

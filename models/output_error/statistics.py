@@ -39,7 +39,7 @@ def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     quantised readings of a robot that stands do not, and say nothing about noise.)
     """
     spikes = _from_neighbours(residuals)
-    scale = np.maximum(_size(spikes), _LEAST_SHARE * np.sqrt(np.nanmean(np.concatenate(residuals) ** 2, axis=0)))
+    scale = np.maximum(_size(spikes), _LEAST_SHARE * _root_mean_square(np.concatenate(residuals)))
     scale += np.finfo(float).tiny
     return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
 
@@ -73,7 +73,12 @@ def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray
     Never below a tiny part of the outputs' `spread` (p,), which keeps noise-free data from dividing by zero.
     """
     weighted = np.concatenate([weight * rows for weight, rows in zip(weights, residuals, strict=True)])
-    return np.asarray(np.maximum(np.sqrt(np.nanmean(weighted**2, axis=0)), 1e-9 * spread))
+    return np.asarray(np.maximum(_root_mean_square(weighted), 1e-9 * spread))
+
+
+def _root_mean_square(rows: FloatArray) -> FloatArray:
+    """(p,) of rows (K, p), NaN where they do not count; 0 where none does: a short stretch may hold no reading."""
+    return np.asarray(np.sqrt(np.nansum(rows**2, axis=0) / np.maximum((~np.isnan(rows)).sum(axis=0), 1)))
 
 
 def output_spread(experiments: Sequence[SampledExperiment]) -> FloatArray:

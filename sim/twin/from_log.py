@@ -15,7 +15,7 @@ from diffdrive_mpc.models.identification.from_logs import identify_data
 from diffdrive_mpc.models.identification.log_data import LogData, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.load import load_linear_model, model_path, read_model_file
-from diffdrive_mpc.models.logs import Finding
+from diffdrive_mpc.models.logs import Finding, Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
 from diffdrive_mpc.models.structures.model_file import ModelFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -158,7 +158,7 @@ def twin_of(
     fit = fit_twin(problem, beside.start(nominal), on_stage)
     announce("driving the rows held out", 1)
     held_out = sensed(data.validation, data.yaw)
-    notes = list(_notes(beside))
+    notes = [*_notes(beside), energy_note([*data.train, *data.validation])]
 
     def held(predictions: Sequence[HeldOutPrediction], metres: float) -> HeldOutScore:
         drift = drift_of(data.validation, predictions, mount, travel=metres, on_missing=notes.append)
@@ -179,6 +179,16 @@ def twin_of(
         by_model,
         tuple(held_out),
         tuple(dict.fromkeys(notes)),
+    )
+
+
+def energy_note(records: Sequence[Record]) -> str:
+    """The caveat on energies of drives with the plant: its motors' losses are the prior's, whatever the log holds."""
+    silent = all(record.motor_current is None and record.battery is None for record in records)
+    why = "the log held no currents" if silent else "the currents of the log are not fitted"
+    return (
+        f"energy and power of a drive with this plant are the prior's and may be wrong several times over: {why}; "
+        "compare drives by them, and plan no battery with them"
     )
 
 

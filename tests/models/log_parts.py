@@ -141,3 +141,32 @@ def read_columns(path):
         name: list(cells) if name in TEXTS else np.array([float(cell or "nan") for cell in cells])
         for name, cells in columns.items()
     }
+
+
+def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
+    """Topics of a robot (lags 0.1 s) whose commands come at `rate` [Hz] while a key is pressed, and then not at all.
+
+    The last command stays in force between, as that of a base without a time-out does.
+    """
+    rng = np.random.default_rng(seed)
+    fine = 0.01
+    time = fine * np.arange(round(seconds / fine))
+    presses = np.arange(0.5, seconds - 2.0, 1.6)
+    held = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
+    held[1::3] = 0.0
+    lengths = rng.uniform(0.3, 0.9, len(presses))
+    sent = [at + np.arange(0.0, length, 1 / rate) for at, length in zip(presses, lengths, strict=True)]
+    commands = np.repeat(held, [len(part) for part in sent], axis=0)
+    sent = np.concatenate(sent) + rng.uniform(0.0, 0.001, len(commands))
+    force = np.searchsorted(sent, time, side="right")
+    in_force = np.where(force[:, None] > 0, commands[force - 1], 0.0)
+    twist = np.zeros_like(in_force)
+    for k in range(1, len(time)):
+        twist[k] = twist[k - 1] + (1 - np.exp(-fine / 0.1)) * (in_force[k - 1] - twist[k - 1])
+    at = np.arange(0.0, seconds - 0.1, sensor_dt)
+    odometry = np.column_stack([np.interp(at, time, column) for column in twist.T])
+    odometry += rng.normal(0, 0.003, odometry.shape)
+    return {
+        "/cmd_vel": ("geometry_msgs/msg/Twist", sent, sent, commands),
+        "/odom": ("nav_msgs/msg/Odometry", at + 0.002, at, odometry),
+    }

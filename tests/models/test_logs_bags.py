@@ -2,11 +2,12 @@
 
 import shutil
 import sqlite3
+import struct
 from dataclasses import fields
 
 import numpy as np
 import pytest
-from log_parts import BAG_START, bag_topics, drive, message, write_bag, write_csv, write_mapping
+from log_parts import BAG_START, bag_topics, drive, message, teleoperated, write_bag, write_csv, write_mapping
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -15,6 +16,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import bags, read_log
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.long_logs import most_driven
+from diffdrive_mpc.models.logs.record import MappingChange
 
 COLUMNS = drive(seconds=6.0)
 TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"
@@ -264,7 +266,58 @@ def test_commands_sent_on_change_stay_in_force(tmp_path):
     assert np.array_equal(record.command, whole[: len(record.command)])
 
 
-def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path):
+ON_CHANGE = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom}\n"
+
+
+@pytest.mark.parametrize(("seed", "sensor_dt"), [(1, 1 / 30), (2, 0.04)])
+def test_commands_in_bursts_give_no_sample_time_and_the_mapping_that_uses_all_of_the_log_is_named(
+    tmp_path, seed, sensor_dt
+):
+    path = write_bag(tmp_path / "bag", teleoperated(seconds=40.0, seed=seed, sensor_dt=sensor_dt))
+    log = read_log(path)
+    (finding,) = [finding for finding in log.findings if finding.kind == "silent commands"]
+    assert "bag, /cmd_vel: commands come in bursts, with 23 silences" in str(finding)
+    assert finding.changes == (MappingChange("command", "on_change", True),)
+    assert log.records[0].dt == pytest.approx(sensor_dt, rel=1e-4)
+    assert sum(record.end - record.start for record in log.records) < 20.0
+    whole = read_log(path, write_mapping(tmp_path / "map.yaml", ON_CHANGE))
+    (record,) = whole.records
+    assert record.end - record.start > 38.0
+    assert whole.findings == ()
+
+
+def with_time_out(topics):
+    """The base stops a tenth of a second after the last command."""
+    kind, received, sent, readings = topics["/odom"]
+    commands = topics["/cmd_vel"][2]
+    silent = sent - commands[np.maximum(np.searchsorted(commands, sent) - 1, 0)]
+    return topics | {"/odom": (kind, received, sent, np.where(silent[:, None] > 0.1, 0.0, readings))}
+
+
+def without_silence(topics):
+    """Commands all the time, but for one pause."""
+    kind, _, sent, readings = topics["/cmd_vel"]
+    time = np.arange(sent[0], sent[-1], 0.02)
+    time = time[(time < 10.0) | (time > 15.0)]
+    return topics | {"/cmd_vel": (kind, time, time, readings[np.searchsorted(sent, time, side="right") - 1])}
+
+
+@pytest.mark.parametrize("change", [with_time_out, without_silence])
+def test_of_a_base_that_stops_without_commands_and_of_a_pause_nothing_is_said(tmp_path, change):
+    topics = change(teleoperated(seconds=40.0, seed=3))
+    path = write_bag(tmp_path / "bag", topics)
+    assert "silent commands" not in {finding.kind for finding in read_log(path).findings}
+
+
+def test_bursts_that_are_all_too_short_are_named_where_nothing_is_left(tmp_path):
+    topics = teleoperated(seconds=40.0, seed=4, sensor_dt=0.06)
+    with pytest.raises(ConfigError, match="samples in the longest stretch.*say `on_change: true` for this topic"):
+        read_log(write_bag(tmp_path / "bag", topics))
+
+
+@pytest.mark.parametrize("stated_size", [None, 1, 0])
+def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path, stated_size):
+    """Some recorders state any size for chunks that are not compressed."""
     store = get_typestore(Stores.ROS1_NOETIC)
     topics = bag_topics(COLUMNS)
     types = store.types
@@ -288,6 +341,11 @@ def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path):
 topics:
   odometry: {topic: /wheels, fields: [twist.linear.x, twist.angular.z]}
 """
+    if stated_size is not None:
+        path, field = tmp_path / "drive.bag", b"\x09\0\0\0size="
+        first, *chunks = path.read_bytes().split(field)
+        assert chunks
+        path.write_bytes(field.join([first, *(struct.pack("<I", stated_size) + chunk[4:] for chunk in chunks)]))
     (record,) = read_log(tmp_path / "drive.bag", write_mapping(tmp_path / "map.yaml", text)).records
     assert np.array_equal(record.twist[:, 0], COLUMNS["v"][: len(record.twist)])
     assert np.array_equal(record.command[:, 1], COLUMNS["omega_ref"][: len(record.command)])

@@ -156,6 +156,15 @@ def test_segments_and_a_fixed_sample_time_replace_time_stamps(tmp_path):
     assert [record.dt for record in records] == [0.02] * 3
 
 
+def test_a_sensor_may_be_silent_in_a_whole_stretch(tmp_path):
+    half = len(COLUMNS["t"]) // 2
+    silent = [*COLUMNS["gyro"][:half], *[""] * half]
+    columns = COLUMNS | {"gyro": silent, "run": [float(k >= half) for k in range(2 * half)]}
+    first, second = read(tmp_path, columns, MAPPING + "  segment: run\n").records
+    assert first.fresh_yaw_rate.all() and not second.fresh_yaw_rate.any()
+    assert second.fresh_twist.all()
+
+
 def test_wrapped_headings_are_unwrapped(tmp_path):
     wrapped = COLUMNS | {"theta": (COLUMNS["theta"] - np.median(COLUMNS["theta"])) % (2 * np.pi)}
     assert np.ptp(np.diff(wrapped["theta"])) > 6

@@ -20,7 +20,7 @@ from diffdrive_mpc.models.output_error.state_space import (
     sample,
     settled_start,
 )
-from diffdrive_mpc.models.output_error.statistics import sandwich, spike_weights
+from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
 from diffdrive_mpc.models.structures.mbm import MotorsParametrisation
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
@@ -174,6 +174,16 @@ def test_readings_of_a_robot_that_stands_are_no_spikes():
     residuals[900:, 0] = 0.01 * np.random.default_rng(1).integers(-1, 2, 100)
     (weights,) = spike_weights([residuals])
     assert weights.min() > 0.1
+
+
+def test_a_channel_without_any_reading_weighs_nothing_and_warns_of_nothing():
+    """Short stretches of a slow sensor may leave one out; tests turn warnings into errors."""
+    residuals = np.random.default_rng(2).normal(size=(100, 2))
+    residuals[:, 1] = np.nan
+    (weights,) = spike_weights([residuals])
+    assert np.isfinite(weights).all()
+    scale = residual_scale([residuals], [weights], np.ones(2))
+    assert scale[0] == pytest.approx(1.0, abs=0.2) and scale[1] == 1e-9
 
 
 def stated_error(seed, drift, count=4000):

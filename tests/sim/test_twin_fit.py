@@ -10,6 +10,7 @@ from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.sim.twin.fitting import told_apart
 from diffdrive_mpc.sim.twin.free_run import FreeMotion, drive, most_telling, readings, stretch
+from diffdrive_mpc.sim.twin.from_log import energy_note
 from diffdrive_mpc.sim.twin.nominal import nominal_robot
 from diffdrive_mpc.sim.twin.settings import twin_settings
 from diffdrive_mpc.sim.twin.space import space_of
@@ -90,3 +91,12 @@ def test_without_wheels_the_robot_must_be_told():
     bare = Record("r", 0.0, 0.05, np.ones((20, 2)), twist=np.ones((20, 2)), yaw_rate=np.ones(20))
     with pytest.raises(ConfigError, match="--robot a file with"):
         nominal_robot("r", [bare])
+
+
+@pytest.mark.parametrize(
+    ("battery", "why"),
+    [(None, "the log held no currents"), (np.ones((30, 2)), "the currents of the log are not fitted")],
+)
+def test_energies_of_a_twin_carry_a_caveat(battery, why):
+    record = Record("made up", 0.0, 0.05, np.zeros((30, 2)), twist=np.zeros((30, 2)), battery=battery)
+    assert f"may be wrong several times over: {why};" in energy_note([record])

@@ -64,6 +64,8 @@ def _spikes(values: list[FloatArray], settings: CheckSettings) -> list[BoolArray
 def _leaps(values: FloatArray) -> FloatArray:
     """(n, width) by how much readings stand out, to the same side, from those one or two before and after."""
     leap = np.zeros_like(values)
+    if not len(values):
+        return leap  # a stretch in which the sensor was silent
     padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
     count = len(values)
     for before, after in ((1, 1), (1, 2), (2, 1)):

@@ -64,6 +64,8 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
     if lagging := _lagging(log, name, signed[0][0] > 0, shifted, streams, settings):
         return [lagging]
     late, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
+    if abs(late) <= settings.sensor_shift:
+        return []  # later than one and earlier than another: not shifted against both
     others = sorted({other for pair in shifted for other in pair} - {name})
     remedy = f"add {late:.2f} to the `delay` of the {name} in the mapping"
     words = (

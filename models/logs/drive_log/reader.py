@@ -95,6 +95,8 @@ def is_drive_log(path: Path) -> bool:
 
     try:
         return any(isinstance(record, Channel) and record.topic == topic.STATE for record in _first(path))
+    except OSError:
+        return False  # the reader of bags says what is wrong with it
     except _broken():
         return False
 
