@@ -66,7 +66,11 @@ def identification_page(
     names, paths = (tuple(dict.fromkeys(getattr(trial, of) for trial in trials)) for of in ("plant", "path"))
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.in_short(), *([identification.refusal] if identification.refusal else [])],
+        summary=[
+            *report.in_short(),
+            *([identification.refusal] if identification.refusal else []),
+            *([identification.advice.sentence()] if identification.advice else []),
+        ],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],

@@ -29,6 +29,7 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.table import number, rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
+from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
@@ -60,6 +61,17 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
     models.checked_yaml.ConfigError, ValueError, OSError
         If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
     """
+    try:
+        _identify_into(logs, out, force, options)
+    except AdvisedError as error:
+        if error.advice:
+            with staged(out, files=(error.advice.file,)) as folder:
+                error.advice.write(folder)
+            _print_line(error.advice.sentence(out))
+        raise
+
+
+def _identify_into(logs: Sequence[Path], out: Path, force: bool, options: Mapping[str, Any]) -> None:
     began = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, REPORT)
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
@@ -67,6 +79,8 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
         page = identification_page(outcome.found, folder, outcome.drives, time.perf_counter() - began)
         write_page(page, folder / REPORT)
     _print(outcome.found, out)
+    if outcome.found.advice:
+        _print_line(outcome.found.advice.sentence(out))
     _print_verdict(outcome, out, force)
 
 

@@ -208,7 +208,7 @@ class IdentificationReport:
         parts = [
             f"# {plain_line(self.name)}",
             "",
-            *_bullets(self.in_short()),
+            *_bullets([*self.in_short(), *([self.data.advice.sentence()] if self.data.advice else [])]),
             "",
             *self._facts(),
             "",

@@ -12,7 +12,7 @@ from scipy import special
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, paired
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
@@ -115,7 +115,11 @@ def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         f"{np.exp(size if relation.second == name else -size):.3g} at about {relation.times[at]:.0f} s: "
         f"{relation.what} is {before:.3g} before and {after:.3g} after; cut the log there and identify from one part"
     )
-    return [Finding("scale change", "error", log, words)]
+    begin, end = (float(streams.time[np.isfinite(streams.time)][i]) for i in (0, -1))
+    at_time = float(relation.times[at])
+    longer = (begin, at_time) if at_time - begin > end - at_time else (at_time, end)
+    kept = MappingChange("log", "times", f"{longer[0]:.1f} to {longer[1]:.1f}")
+    return [Finding("scale change", "error", log, words, changes=(kept,))]
 
 
 def _change(values: FloatArray, certain: float) -> tuple[int, float, float] | None:

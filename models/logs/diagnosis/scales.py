@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, answer
 from diffdrive_mpc.models.logs.mapping import FACTORS
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS: dict[tuple[str, int], tuple[str, ...]] = {
@@ -65,20 +65,20 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         return []
     if turned:
         streams.pose = streams.pose * [1.0, 1.0, -1.0]
-        words = (
-            "omega of the pose runs against the command and against its own path: give 'theta' of the pose `sign: -1`"
-        )
-        return [Finding("wrong sign", "error", log, words)]
+        words = "omega of the pose runs against the command and against its own path"
+        return [Finding("wrong sign", "error", log, words, changes=(MappingChange(POSE, "theta.sign", -1),))]
     angle = math.degrees(np.angle(across))
     if abs(abs(angle) - 90) < 30:
         streams.pose = streams.pose[:, [1, 0, 2]]
         words = "the pose moves as if x and y were exchanged: exchange the columns of 'x' and 'y' of the pose"
+        change = MappingChange(POSE, "axes", "exchanged")
     else:
         axis = 1 if abs(angle) < 45 else 0
         streams.pose = streams.pose * np.where(np.arange(3) == axis, -1.0, 1.0)
         name = "xy"[axis]
-        words = f"the path of the pose is the mirror image of its own heading: give '{name}' of the pose `sign: -1`"
-    return [Finding("mirrored pose", "error", log, words)]
+        words = "the path of the pose is the mirror image of its own heading"
+        change = MappingChange(POSE, f"{name}.sign", -1)
+    return [Finding("mirrored pose", "error", log, words, changes=(change,))]
 
 
 def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -106,14 +106,13 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             reference = "all sensors" if most else "the command"
             both = name == ENCODERS and channel == 0 and streams.wheels is not None
             worst = min(vote.correlation for vote in votes.values()) if most else votes[name].correlation
-            words = (
-                f"{what} runs against {reference} (correlation {worst:.2f}); give it `sign: -1` in the mapping"
-                f"{', both sides' if both else ''}"
-            )
-            findings.append(Finding("wrong sign", "error", log, words))
+            words = f"{what} runs against {reference} (correlation {worst:.2f})"
+            turned = _signs(name, channel)
             _turn(streams, name, channel)
             if both and ENCODERS in (others := _votes(streams, 1, settings)) and others[ENCODERS].correlation < 0:
                 _turn(streams, ENCODERS, 1)  # wheels that run backwards turn both
+                turned += _signs(ENCODERS, 1)
+            findings.append(Finding("wrong sign", "error", log, words, changes=turned))
     return findings
 
 
@@ -184,14 +183,29 @@ def _unit(
     unit = min(apart, key=apart.__getitem__)
     close = settings.unit_tolerance * (3 if skids else 1 + channel)
     against = "what the others say"
+    changes: tuple[MappingChange, ...] = ()
     if apart[unit] < close:
-        remedy = f"its column is in another unit: `unit: {unit}` in the mapping"
+        remedy = f"its column is in {unit}"
+        changes = tuple(MappingChange(name, f"{column}.unit", unit.split(" ")[0]) for column in _columns(name, channel))
     elif name == ENCODERS and ratio > settings.most_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no unit of the mapping explains it; check its column, its unit and the lengths under 'wheels'"
     words = f"{what} is {ratio:.3g} times {against}; {remedy}"
-    return Finding("wrong unit", "error", log, words)
+    return Finding("wrong unit", "error", log, words, changes=changes)
+
+
+def _columns(name: str, channel: int) -> tuple[str, ...]:
+    """Names in a mapping of the columns of a channel of a stream."""
+    if name == GYRO:
+        return ("yaw_rate",)
+    if name == POSE:
+        return ("theta",) if channel == 1 else ("x", "y")
+    return (CHANNELS[channel],)
+
+
+def _signs(name: str, channel: int) -> tuple[MappingChange, ...]:
+    return tuple(MappingChange(name, f"{column}.sign", -1) for column in _columns(name, channel))
 
 
 def _si(unit: str) -> str:
