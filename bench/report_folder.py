@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.input_file import MEGABYTE, is_read, read_input
 from diffdrive_mpc.models.whole_file import check_not_read, lock_folder, new_folder, reason, scratch_folder
 
 # Which command wrote what into a folder of results, and who is writing there now.
@@ -63,8 +63,12 @@ class Contents:
         return f"{owner}.html" if self.others(REPORT, owner) else REPORT
 
     def stale(self, folder: Path, owner: str, new: set[str]) -> list[str]:
-        """What the command wrote there before, and is not in `new`; what somebody has changed since stays."""
-        left = [name for name, known in self.owners.items() if known == owner and name not in new]
+        """What the command wrote there before, and is not in `new`; what was changed since, or is read, stays."""
+        left = [
+            name
+            for name, known in self.owners.items()
+            if known == owner and name not in new and not is_read((folder / name).resolve())
+        ]
         return sorted(name for name in left if _state(folder / name) == self.states[name])
 
     def text(self, folder: Path, owner: str, new: set[str]) -> str:

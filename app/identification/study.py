@@ -27,7 +27,9 @@ from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.table import rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
+from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
+from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log
@@ -48,6 +50,17 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
     models.checked_yaml.ConfigError, ValueError, OSError
         If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
     """
+    try:
+        _identify_into(logs, out, force, options)
+    except AdvisedError as error:
+        if error.advice:
+            with staged(out, files=(error.advice.file,)) as folder:
+                error.advice.write(folder)
+            _print_line(error.advice.sentence(out))
+        raise
+
+
+def _identify_into(logs: Sequence[Path], out: Path, force: bool, options: Mapping[str, Any]) -> None:
     began = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, REPORT)
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
@@ -55,6 +68,8 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
         _write(verdict, folder, bar, force)
         write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)
     _print(verdict.identification, out)
+    if verdict.identification.advice:
+        _print_line(verdict.identification.advice.sentence(out))
     _print_verdict(verdict, out, force)
 
 
@@ -88,7 +103,7 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
     figures = draw_identification(report, folder, bar.advance)
     drives = force or not verdict.against
     identification.write(folder, figures, force=force, model=drives)
-    parts = [report.markdown(figures, ["```text", *verdict.lines(), "```", "", report.in_short()[0]])]
+    parts = [report.markdown(figures, ["```text", *verdict.lines(), "```", "", *_found(report)])]
     if verdict.drives:
         parts += [
             trial_table(verdict.drives).markdown(),
@@ -117,6 +132,12 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
     typer.echo()
     for line in verdict.lines(out):
         typer.echo(line)
+
+
+def _found(report: IdentificationReport) -> list[str]:
+    """What was found, and a mapping that is better, as paragraphs of the report."""
+    lines = [report.in_short()[0]]
+    return lines if report.data.advice is None else [*lines, "", report.data.advice.sentence()]
 
 
 def _print_log(log: Log) -> None:

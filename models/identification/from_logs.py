@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.identification.advice import Advice, AdvisedError, LogSelection, advise, told
 from diffdrive_mpc.models.identification.deliver.configuration import (
     CONFIG_FILE,
     MODEL_FILE,
@@ -31,6 +32,7 @@ from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surfa
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log
+from diffdrive_mpc.models.logs.record import UnsoundLogError
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.identified import model_file, percent, provenance, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
@@ -87,6 +89,11 @@ class Identification:
         return self.report.verdict
 
     @property
+    def advice(self) -> Advice | None:
+        """A mapping with which the logs are predicted better, tried on them; None where none is known."""
+        return self.report.data.advice
+
+    @property
     def refusal(self) -> str:
         """Why no controller should drive with this model, in a line; empty where nothing speaks against it."""
         return "; ".join(refusals(self.report.data.findings, self.report.fitted))
@@ -101,7 +108,8 @@ class Identification:
     ) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
 
-        Where there is a `refusal`, model, configuration and surface are not written unless with `force`.
+        Where there is a `refusal`, model, configuration and surface are not written unless with `force`. The mapping
+        of an `advice` is written, too.
 
         Parameters
         ----------
@@ -133,6 +141,8 @@ class Identification:
             (folder / SURFACE_FILE).write_text(surface_text(self.surface), encoding="utf-8")
             if self.report.data.topics:
                 (folder / NODE_FILE).write_text(node_text(self.report.data.topics), encoding="utf-8")
+        if self.advice:
+            self.advice.write(folder)
         (folder / "report.json").write_text(numbers, encoding="utf-8")
         (folder / "report.md").write_text(words, encoding="utf-8")
 
@@ -179,12 +189,15 @@ def identify(
     on_log
         Called with each log once it is read, before anything is fitted.
     on_findings
-        Called with notes and warnings of each log once it is read, also when an error of it is raised next.
+        Called with notes and warnings of each log once it is read, also when an error of it is raised next; without
+        what they propose for the mapping, which has not been tried yet.
     on_progress
         Called with what is done next, in words.
 
     Raises
     ------
+    models.identification.advice.AdvisedError
+        If a log would give a wrong model; its `advice` is the mapping that mends it, where one is known.
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """
@@ -197,17 +210,24 @@ def identify(
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     if on_progress:
         on_progress("reading")
-    data = read_data(
-        paths,
-        [Path(path) for path in validate],
-        mapping=mapping,
-        fit_share=identification_settings().fit_share if fit_share is None else fit_share,
-        wheels=chosen.needs_wheels,
-        on_findings=on_findings or (lambda _: None),
-        on_log=on_log,
-        force=force,
-        most_rows=identification_settings().most_rows["effects" if effects else "plain"],
-    )
+    share = identification_settings().fit_share if fit_share is None else fit_share
+    selection = LogSelection(tuple(paths), tuple(Path(path) for path in validate), mapping, share)
+    try:
+        data = read_data(
+            selection.logs,
+            selection.validate,
+            mapping=mapping,
+            fit_share=share,
+            wheels=chosen.needs_wheels,
+            on_findings=(lambda findings: on_findings(told(findings, None))) if on_findings else (lambda _: None),
+            on_log=on_log,
+            force=force,
+            most_rows=identification_settings().most_rows["effects" if effects else "plain"],
+        )
+    except UnsoundLogError as error:
+        raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
+    advice = advise(selection, data.findings, on_progress)
+    data = replace(data, findings=told(data.findings, advice), advice=advice)
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{structure.upper()} from {paths[0].stem}{more}"
     return identify_data(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.logs.record import Topics, refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.identification.advice import Advice
 
 
 class OptionError(ConfigError):
@@ -61,6 +65,8 @@ class LogData:
         Track that the mapping states [m]; None where it states none.
     topics
         Topic and type of message by stream, of logs that are bags.
+    advice
+        A mapping with which the logs are predicted better; None where none is known.
     """
 
     train: tuple[Record, ...]
@@ -72,6 +78,7 @@ class LogData:
     warnings: tuple[Doubt, ...]
     stated_track: float | None = None
     topics: Topics = field(default_factory=dict)
+    advice: Advice | None = None
 
 
 def read_data(
@@ -121,7 +128,7 @@ def read_data(
     def admit(findings: Sequence[Finding]) -> None:
         on_findings([finding for finding in findings if force or finding.severity != "error"])
         if not force:
-            refuse([finding for finding in findings if finding.severity == "error"])
+            refuse(findings)
 
     read = _read_alike((*logs, *validate), mapping, on_log or (lambda _: None), admit)
     fitted, tried = read[: len(logs)], read[len(logs) :]
@@ -135,8 +142,8 @@ def read_data(
         train, validation = most_informative(train, most_rows), most_informative(validation, most_rows)
     on_findings(spare)
     warnings: list[Doubt] = []
-    train_used = _usable(train, needed, "to identify from", warnings)
-    validation_used = _usable(validation, needed, "to validate on", warnings)
+    train_used = usable(train, needed, "to identify from", warnings)
+    validation_used = usable(validation, needed, "to validate on", warnings)
     together = compare_logs(fitted)
     admit(together)
     data = LogData(
@@ -236,8 +243,14 @@ def most_informative(records: Sequence[Record], most: int) -> list[Record]:
     return [records[i].part(first, min(first + span, len(records[i].command))) for i, first in sorted(taken)]
 
 
-def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[Doubt]) -> tuple[Record, ...]:
-    """Records with enough readings of every signal; `warnings` gets a line for each that is left out."""
+def usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[Doubt]) -> tuple[Record, ...]:
+    """Records with enough readings of every signal; `warnings` gets a line for each that is left out.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If none is left.
+    """
     least = identification_settings().fewest_readings
     kept: list[Record] = []
     lacking = ""

@@ -24,6 +24,15 @@ class JudgementSettings(StrictModel):
     lever_arm: Positive = Field(description="[m]")
 
 
+class AdviceSettings(StrictModel):
+    """When a change of the mapping is advised."""
+
+    rows: int = Field(gt=0, description="to fit, and as many held out, for each trial [-]")
+    most_changes: int = Field(gt=0, description="proposals that are put one on top of the other [-]")
+    least_gain: Positive = Field(description="of FIT or agreement of the streams [percentage points]")
+    tolerance: Positive = Field(description="by which neither may fall [percentage points]")
+
+
 class IdentificationSettings(StrictModel):
     """Sizes and thresholds of the way from logs to a model."""
 
@@ -49,6 +58,7 @@ class IdentificationSettings(StrictModel):
     expert: tuple[str, ...] = Field(description="groups and keys of a configuration that stand under `expert:` in it")
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
     warn: JudgementSettings
+    advice: AdviceSettings = Field(description="when a change of the mapping is advised")
 
 
 @cache

@@ -28,7 +28,7 @@ from diffdrive_mpc.models.logs.mapping import (
     WheelColumn,
     load_mapping,
 )
-from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges, refuse
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped
 from diffdrive_mpc.models.logs.table_file import read_header, read_table
@@ -228,7 +228,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     known = np.isfinite(time)
     smooth = next(iter(measured.values())).value[known, -1]
     if columns.time is not None and (odd := check_stamps(path.name, time[known], smooth, settings)):
-        raise ConfigError(str(odd))
+        refuse([odd])
     stretches = []
     for rows in _forward(table, columns, time, broken, findings):
         signal = command.signal(rows)
@@ -287,11 +287,9 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         if not (sensor.held or counts):
             reader.findings += _seems_held(reader.table, name, together)
         if name == "pose" and in_degrees(together[:, 2]):
-            words = (
-                "the heading of the pose steps as degrees do, not radians: give 'theta' of the pose "
-                "`unit: deg` in the mapping"
-            )
-            reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, words))
+            words = "the heading of the pose steps as degrees do, not radians"
+            remedy = (MappingChange("pose", "theta.unit", "deg"),)
+            reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, words, changes=remedy))
             value = values["pose"] * [1.0, 1.0, FACTORS["deg"]]
             values = {"pose": value}
         for field, value in values.items():
@@ -328,7 +326,7 @@ def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Find
         return []
     words = (
         f"the readings of the {sensor} change only every {period} rows or a multiple of it: they are held from row to "
-        "row: say `held: true` in the mapping"
+        "row"
     )
     change = MappingChange(sensor, "held", True)
     return [Finding("held readings", "note", table.path.name, words, changes=(change,))]

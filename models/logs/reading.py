@@ -16,12 +16,18 @@ from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_s
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
-from diffdrive_mpc.models.logs.record import Finding, Log, Record
+from diffdrive_mpc.models.logs.record import Finding, Log, Record, refuse
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
 from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
 
 
-def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: float | None = None) -> Log:
+def read_log(
+    path: str | Path,
+    mapping: str | Path | LogMapping | None = None,
+    sample_time: float | None = None,
+    *,
+    diagnosed: bool = True,
+) -> Log:
     """Read a log of a robot.
 
     Parameters
@@ -29,10 +35,13 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     path
         A CSV file, or a ROS 2 bag: its folder, or one .mcap or .db3 file.
     mapping
-        Name of a shipped mapping, or the path of a mapping file that says which column or topic is what. None for a
-        log of `diffdrive-mpc simulate --log` or of a node that recorded, and for a bag with /cmd_vel and /odom or /imu.
+        Name of a shipped mapping, the path of a mapping file that says which column or topic is what, or what such a
+        file says. None for a log of `diffdrive-mpc simulate --log` or of a node that recorded, and for a bag with
+        /cmd_vel and /odom or /imu.
     sample_time
         Step of the records [s]; None for that of the log.
+    diagnosed
+        Whether commands and sensors are held against each other, which takes most of the time.
 
     Returns
     -------
@@ -52,7 +61,7 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
         raise ConfigError(f"sample time {sample_time} s; it must be positive and finite")
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file or folder")
-    loaded = None if mapping is None else load_mapping(mapping)
+    loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     settings = check_settings()
     raw = without_spikes(_raw(path, loaded), settings)
     period = usual_step([stretch.clock for stretch in raw.stretches])
@@ -60,17 +69,17 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows follow each other in time; is the column of times the right one?")
     if odd := check_period(raw.name, period, settings):
-        raise ConfigError(str(odd))
+        refuse([odd])
     longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
     records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
-    unused = [
-        Finding("unused value", "note", Path(mapping or "").name, words)
-        for words in (loaded.unused() if loaded else ())
-    ]
+    stated = "mapping" if isinstance(mapping, LogMapping) else Path(mapping or "").name
+    unused = [Finding("unused value", "note", stated, words) for words in (loaded.unused() if loaded else ())]
     findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
     streams = streams_of(records, settings)
-    findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, streams, settings)]
+    findings += [*stuck, *check_commands(raw.name, records, settings)]
+    if diagnosed:
+        findings += diagnose(raw.name, streams, settings)
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 
 

@@ -170,15 +170,21 @@ class MappingChange:
         "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for what is of no stream.
     key
         What of the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
-        "sides": left and right are exchanged; of the "log" "times": it is cut.
+        "heading_offset"; "sides" or "axes", which are exchanged; of the log "times". "v" and "omega" also where wheels
+        are mapped.
     value
-        What stands there after the change; of "delay" and "heading_offset" what is added to it [s, rad], of "sides"
-        "exchanged", of "times" where the log is cut [s]: the parts before and after are each to be tried.
+        What stands there after the change; of "delay" and "heading_offset" what is added to it [s, rad], of "sign" -1,
+        which turns it; of "times" from and to [s], as "0.0 to 61.5".
     """
 
     stream: str
     key: str
     value: float | str | bool
+
+    def __str__(self) -> str:
+        """As it can be told: "gyro `delay: +0.30`"."""
+        value = str(self.value).lower() if isinstance(self.value, bool) else str(self.value)
+        return f"{self.stream} `{self.key}: {f'{self.value:+.2f}' if self.key == 'delay' else value}`"
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,7 @@ class Finding:
     place
         Where in the log, in words: times, and rows or messages.
     words
-        What was found and what can be done, in one sentence.
+        What was found, in one sentence, and what can be done, unless `changes` say it.
     span
         From and to [s] on the log's clock, where the finding has a place in time.
     changes
@@ -216,7 +222,8 @@ class Finding:
 
     def __str__(self) -> str:
         """One line."""
-        return f"{self.place}: {self.words}"
+        remedy = f"; in the mapping: {', '.join(map(str, self.changes))}" if self.changes else ""
+        return f"{self.place}: {self.words}{remedy}"
 
 
 @dataclass(frozen=True)
@@ -253,14 +260,29 @@ class Log:
 
     def require_sound(self) -> None:
         """Raise ConfigError with the line of the first finding that is an error; do nothing where there is none."""
-        refuse(self.errors)
+        refuse(self.findings)
 
 
-def refuse(errors: Sequence[Finding]) -> None:
-    """Raise ConfigError with the line of the first error; do nothing where there is none."""
-    if errors:
+class UnsoundLogError(ConfigError):
+    """A log would give a wrong model.
+
+    Attributes
+    ----------
+    findings
+        All that are known of it; at least one is an error.
+    """
+
+    def __init__(self, findings: Sequence[Finding]) -> None:
+        errors = [finding for finding in findings if finding.severity == "error"]
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        raise ConfigError(f"{errors[0]}{more}")
+        super().__init__(f"{errors[0]}{more}")
+        self.findings = tuple(findings)
+
+
+def refuse(findings: Sequence[Finding]) -> None:
+    """Raise UnsoundLogError with the line of the first error among findings; do nothing where there is none."""
+    if any(finding.severity == "error" for finding in findings):
+        raise UnsoundLogError(findings)
 
 
 def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:

@@ -196,11 +196,11 @@ def test_a_wrong_sign_is_an_error(tmp_path, name, what):
 @pytest.mark.parametrize(
     ("factor", "remedy"),
     [
-        (180 / np.pi, "`unit: deg/s`"),
-        (np.pi / 180, "`unit: rad/s (and not deg/s)`"),
+        (180 / np.pi, "unit: deg/s`"),
+        (np.pi / 180, "its column is in rad/s (and not deg/s); in the mapping: gyro `yaw_rate.unit: rad/s`"),
         (1000.0, "no unit of the mapping explains it"),
         (0.001, "no unit of the mapping explains it"),
-        (30 / np.pi, "`unit: rpm`"),
+        (30 / np.pi, "unit: rpm`"),
     ],
 )
 def test_a_wrong_unit_is_suspected(tmp_path, factor, remedy):

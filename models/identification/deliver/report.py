@@ -181,7 +181,7 @@ class IdentificationReport:
         parts = [
             f"# {plain_line(self.name)}",
             "",
-            *(first or _bullets(self.in_short())),
+            *(first or _bullets([*self.in_short(), *([self.data.advice.sentence()] if self.data.advice else [])])),
             "",
             *self._facts(),
             "",

@@ -182,9 +182,16 @@ def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckS
 
 
 def cut(times: FloatArray, at: int) -> tuple[tuple[float, float], tuple[MappingChange, ...]]:
-    """From and to [s] where parts that begin at `times` [s] change from the one before `at` on, and the cut there."""
-    after = float(times[min(at + 1, len(times) - 1)])
-    return (float(times[at - 1]), after), (MappingChange("log", "times", float(times[at])),)
+    """From and to [s] where parts that begin at `times` [s] change from the one before `at` on, and the cut there.
+
+    What is kept is the longer of both sides, without the parts in which the change may lie.
+    """
+    after = min(at + 1, len(times) - 1)
+    end = float(2 * times[-1] - times[-2])
+    before, behind = (float(times[0]), float(times[at - 1])), (float(times[after]), end)
+    kept = max(before, behind, key=lambda span: span[1] - span[0])
+    change = MappingChange("log", "times", f"{kept[0]:.1f} to {kept[1]:.1f}")
+    return (float(times[at - 1]), float(times[after])), (change,)
 
 
 def _change(values: FloatArray, certain: float) -> tuple[int, float, float] | None:

@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, paired
-from diffdrive_mpc.models.logs.record import BoolArray, Finding
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange
 from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -130,12 +130,11 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
         as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))
         usual = float(np.ptp(time)) / len(steps)
         remedy = (
-            "sort the rows by their time"
-            if in_order < as_written
-            else f"the rows are in order and the stamps are not: give `sample_time: {usual:.4g}` in place of `time`"
+            "sort the rows by their time" if in_order < as_written else "the rows are in order and the stamps are not"
         )
         words = f"time runs backwards {back} times in {len(steps)} steps: {remedy}"
-        return Finding("shuffled stamps", "error", name, words)
+        by_rows = () if in_order < as_written else (MappingChange("time", "sample_time", float(f"{usual:.4g}")),)
+        return Finding("shuffled stamps", "error", name, words, changes=by_rows)
     typical = float(np.median(steps))
     forward = steps[(steps > 0) & (steps < settings.clock_jump)]
     if not len(forward):
@@ -146,11 +145,10 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     if typical < settings.burst_step * usual and pause > 2 * usual:
         words = (
             f"stamps come in bursts: most steps are {typical:.2g} s, then {pause:.2g} s pass, {usual:.3g} s "
-            "on average; the rows "
-            f"were stamped when they were written, not when they were read: give `sample_time: {usual:.3g}` "
-            "in place of `time`"
+            "on average; the rows were stamped when they were written, not when they were read"
         )
-        return Finding("bursty stamps", "error", name, words)
+        by_rows = (MappingChange("time", "sample_time", float(f"{usual:.3g}")),)
+        return Finding("bursty stamps", "error", name, words, changes=by_rows)
     return None
 
 
@@ -159,13 +157,11 @@ def check_period(name: str, period: float, settings: CheckSettings) -> Finding |
     low, high = settings.sample_times
     if low <= period <= high:
         return None
-    units = {unit: scale for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= period * scale <= high}
-    remedy = f"`unit: {next(iter(units))}` in the mapping" if units else "is it the right column, in the right unit?"
-    words = (
-        f"the times step by {period:.4g} s, which is no sample time of a robot: "
-        f"{'give the time ' if units else ''}{remedy}"
-    )
-    return Finding("wrong unit", "error", name, words)
+    units = [unit for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= period * scale <= high]
+    question = "" if units else ": is it the right column, in the right unit?"
+    words = f"the times step by {period:.4g} s, which is no sample time of a robot{question}"
+    remedy = tuple(MappingChange("time", "unit", unit) for unit in units[:1])
+    return Finding("wrong unit", "error", name, words, changes=remedy)
 
 
 def in_degrees(heading: FloatArray) -> bool:

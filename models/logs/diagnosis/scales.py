@@ -67,20 +67,20 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
         return _turned(log, streams, settings)
     if turned:
         streams.pose = streams.pose * [1.0, 1.0, -1.0]
-        words = (
-            "omega of the pose runs against the command and against its own path: give 'theta' of the pose `sign: -1`"
-        )
-        return [Finding("wrong sign", "error", log, words)]
+        words = "omega of the pose runs against the command and against its own path"
+        return [Finding("wrong sign", "error", log, words, changes=(MappingChange(POSE, "theta.sign", -1),))]
     angle = math.degrees(np.angle(across))
     if abs(abs(angle) - 90) < 30:
         streams.pose = streams.pose[:, [1, 0, 2]]
         words = "the pose moves as if x and y were exchanged: exchange the columns of 'x' and 'y' of the pose"
+        change = MappingChange(POSE, "axes", "exchanged")
     else:
         axis = 1 if abs(angle) < 45 else 0
         streams.pose = streams.pose * np.where(np.arange(3) == axis, -1.0, 1.0)
         name = "xy"[axis]
-        words = f"the path of the pose is the mirror image of its own heading: give '{name}' of the pose `sign: -1`"
-    return [Finding("mirrored pose", "error", log, words)]
+        words = "the path of the pose is the mirror image of its own heading"
+        change = MappingChange(POSE, f"{name}.sign", -1)
+    return [Finding("mirrored pose", "error", log, words, changes=(change,))]
 
 
 def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
@@ -105,8 +105,7 @@ def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding
         return []
     streams.pose = streams.pose - [0.0, 0.0, offset]
     words = (
-        f"the pose moves at {math.degrees(-offset):.0f} deg to its own heading: its frame is turned against the robot; "
-        f"give the pose `heading_offset: {offset:.3g}` in the mapping"
+        f"the pose moves at {math.degrees(-offset):.0f} deg to its own heading: its frame is turned against the robot"
     )
     change = MappingChange(POSE, "heading_offset", round(offset, 4))
     return [Finding("turned pose", "warning", log, words, changes=(change,))]
@@ -126,9 +125,7 @@ def _all_swapped(log: str, votes: dict[str, _Vote], streams: Streams) -> Finding
         "of the encoders and of the commands"
     )
     command = (
-        MappingChange(COMMAND, "sides", "exchanged")
-        if streams.commands_wheels
-        else _sign_change(COMMAND, 1, streams)[0]
+        MappingChange(COMMAND, "sides", "exchanged") if streams.commands_wheels else _signs(COMMAND, 1, streams)[0]
     )
     changes = (MappingChange(ENCODERS, "sides", "exchanged"), command)
     return Finding("swapped sides", "error", log, words, changes=changes)
@@ -162,15 +159,13 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             reference = "all sensors" if most else "the command"
             both = name == ENCODERS and channel == 0 and streams.wheels is not None
             worst = min(vote.correlation for vote in votes.values()) if most else votes[name].correlation
-            words = (
-                f"{what} runs against {reference} (correlation {worst:.2f}); give it `sign: -1` in the mapping"
-                f"{', both sides' if both else ''}"
-            )
-            changes = _sign_change(name, channel, streams)
-            findings.append(Finding("wrong sign", "error", log, words, changes=changes))
+            words = f"{what} runs against {reference} (correlation {worst:.2f})"
+            turned = _signs(name, channel, streams)
             _turn(streams, name, channel)
             if both and ENCODERS in (others := _votes(streams, 1, settings)) and others[ENCODERS].correlation < 0:
                 _turn(streams, ENCODERS, 1)  # wheels that run backwards turn both
+                turned += _signs(ENCODERS, 1, streams)
+            findings.append(Finding("wrong sign", "error", log, words, changes=turned))
     return findings
 
 
@@ -256,7 +251,8 @@ def _unit(
     close = settings.unit_tolerance * (3 if skids else 1 + channel)
     against = "what the others say"
     if apart[unit] < close:
-        remedy = f"its column is in another unit: {' or '.join(alike)} in the mapping"
+        units = f": {' or '.join(alike)}" if len(alike) > 1 else ""
+        remedy = f"its column is in another unit{units}"
         changes = tuple(
             MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
         )
@@ -281,11 +277,11 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
     return ("x", "y") if channel == 0 else ("theta",)
 
 
-def _sign_change(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
-    """The change that turns a channel; none where wheels drive it, whose sides would have to be exchanged."""
+def _signs(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
+    """The changes that turn a channel; of wheels the sides are exchanged for omega, which the mapping does."""
     columns = _columns(name, channel, streams)
-    if channel == 1 and columns[0] in (*SIDES, *FOUR_WHEELS):
-        return ()
+    if columns[0] in (*SIDES, *FOUR_WHEELS):
+        columns = (CHANNELS[channel],)
     return tuple(MappingChange(name, f"{column}.sign", -1) for column in columns)
 
 

@@ -67,14 +67,12 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
     if abs(late) <= settings.sensor_shift:
         return []  # later than one and earlier than another: not shifted against both
     others = sorted({other for pair in shifted for other in pair} - {name})
-    remedy = f"add {late:.2f} to the `delay` of the {name} in the mapping"
     words = (
         f"the {name} is {abs(late):.2f} +- {1.96 * deviation:.2f} s {'later' if late > 0 else 'earlier'} than the "
-        f"{' and the '.join(others)}: {remedy}"
+        f"{' and the '.join(others)}"
     )
     _shift(streams, name, -late)
-    change = MappingChange(name, "delay", round(late, 3))
-    return [Finding("time shift", "warning", log, words, changes=(change,))]
+    return [Finding("time shift", "warning", log, words, changes=(MappingChange(name, "delay", round(late, 2)),))]
 
 
 def _lagging(
@@ -159,22 +157,21 @@ def _commands(
     if early and middle < -settings.earliest_response and _foreseen(streams, answers, settings):
         words = (
             f"every sensor moves {-middle:.2f} +- {2 * deviation:.2f} s before its command, which no robot "
-            "can: the commands "
-            f"are stamped late; give the command `delay: {-middle + settings.usual_response:.2f}` in the "
-            "mapping, or more"
+            "can: the commands are stamped late"
         )
-        change = MappingChange(COMMAND, "delay", round(-middle + settings.usual_response, 3))
-        return [Finding("time shift", "error", log, words, changes=(change,))]
+        return [Finding("time shift", "error", log, words, changes=_earlier(middle, settings))]
     if middle > settings.late_response:
         words = (
             f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if "
-            "the robot is quicker "
-            "than that, the commands are stamped early: give the command `delay: "
-            f"{settings.usual_response - middle:.2f}` in the mapping"
+            "the robot is quicker than that, the commands are stamped early"
         )
-        change = MappingChange(COMMAND, "delay", round(settings.usual_response - middle, 3))
-        return [Finding("time shift", "note", log, words, changes=(change,))]
+        return [Finding("time shift", "note", log, words, changes=_earlier(middle, settings))]
     return []
+
+
+def _earlier(dead_time: float, settings: CheckSettings) -> tuple[MappingChange, ...]:
+    """The commands' stamps put so that the robot has the usual dead time."""
+    return (MappingChange(COMMAND, "delay", round(settings.usual_response - dead_time, 2)),)
 
 
 def _foreseen(streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings) -> bool:

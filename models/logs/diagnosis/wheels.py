@@ -8,7 +8,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.agreement import cut
 from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, answer
-from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 SIDES = ("left", "right")
 _NAMES = {2: SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
@@ -103,16 +103,19 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
             "each side of the encoders follows what the other was commanded: exchange left and right of "
             "the encoders, or of the commands"
         )
-        return Finding("swapped sides", "error", log, words)
+        return Finding("swapped sides", "error", log, words, changes=(MappingChange("encoders", "sides", "exchanged"),))
     strong = (np.abs(own) > np.abs(other)) | (not distinct)
     # Where both sides move much alike, gains of both at once scatter widely; by its own side alone a wheel is told.
     alone = np.array([_size_of_one(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
     reversed_ = strong & (alone < 0)
     if reversed_.any() and not reversed_.all():
         bad = " and ".join(f"'{name}'" for name, bad in zip(names, reversed_, strict=True) if bad)
-        words = f"the wheel {bad} turns against its command, the others do not: give {bad} of the encoders `sign: -1`"
+        words = f"the wheel {bad} turns against its command, the others do not"
         streams.twist = streams.wheels = None
-        return Finding("reversed wheel", "error", log, words)
+        turned = tuple(
+            MappingChange("encoders", f"{name}.sign", -1) for name, bad in zip(names, reversed_, strict=True) if bad
+        )
+        return Finding("reversed wheel", "error", log, words, changes=turned)
     # A command in another unit, too, makes sides look uneven: not in the gains of both at once, or else of all wheels.
     lengths, (low, high) = np.abs(alone), settings.gain_of_v
     apart = lengths.min() * settings.uneven_wheels < lengths.max()

@@ -1,0 +1,339 @@
+"""What findings propose for the mapping, tried on the log: only what predicts better is advised.
+
+The rule, in this one place. A proposal is put into the mapping, the log is read again, an SM is fitted to the thinned
+training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
+dead time takes up a shift; so the coherence of the streams, whose gains and delays are those of a robot, counts beside
+it. A proposal is good where one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole.
+One that only says what the reader does anyway is good where that reader has an error less. The best is taken, the next
+one is tried on top of it, until none is good. A cut of the log is tried on the held-out rows of what it keeps, which
+the model before is not fitted to either.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.log_data import divide, most_informative, usable
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
+from diffdrive_mpc.models.logs.check_settings import check_settings
+from diffdrive_mpc.models.logs.diagnosis.coherence import coherence
+from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.logs.mapping_changes import base_mapping, changed, mapping_text
+from diffdrive_mpc.models.logs.record import MappingChange, UnsoundLogError
+from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.validation import fit_percents, simulate_records
+from diffdrive_mpc.models.structures.sm import identify_sm
+
+Changes = tuple[MappingChange, ...]
+Spans = list[tuple[float, float]]
+FIXED_FILE, FIXED_AGAIN = "fixed.yaml", "fixed_again.yaml"
+
+
+@dataclass(frozen=True)
+class LogSelection:
+    """Logs, and how they are divided; attributes as the arguments of `identify`."""
+
+    logs: tuple[Path, ...]
+    validate: tuple[Path, ...]
+    mapping: str | Path | None
+    fit_share: float
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good a mapping is.
+
+    Attributes
+    ----------
+    fit
+        (2,) FIT of v and omega on held-out rows [%].
+    agreement
+        Of the streams, see `coherence` [%].
+    errors
+        How many the reader of the logs finds, before streams are held against each other.
+    """
+
+    fit: FloatArray
+    agreement: float
+    errors: int
+
+    def gain_over(self, other: Score | None) -> float:
+        """By how much this is better [percentage points]; not positive where it is not clearly so."""
+        rule = identification_settings().advice
+        if other is None:
+            return float(self.fit.mean()) if self.fit.min() > 0 else 0.0
+        fit, agreement = self.fit - other.fit, float(np.nan_to_num(self.agreement - other.agreement))
+        lost = min(float(fit.min()), agreement) < -rule.tolerance
+        mended = other.errors - self.errors
+        gained = max(float(fit.mean()), agreement) > rule.least_gain or mended > 0
+        return max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(mended, 0) if gained and not lost else 0.0
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A mapping with which the logs are predicted better.
+
+    Attributes
+    ----------
+    selection
+        The logs.
+    mapping
+        The mapping, complete.
+    changes
+        By which it differs from the one the logs were read with.
+    before, after
+        How good either is; `before` is None where the logs could not be used at all.
+    """
+
+    selection: LogSelection
+    mapping: LogMapping
+    changes: Changes
+    before: Score | None
+    after: Score
+
+    @property
+    def file(self) -> str:
+        """Name of its file; another one where the mapping that was given has that name."""
+        return FIXED_AGAIN if Path(self.selection.mapping or "").name == FIXED_FILE else FIXED_FILE
+
+    def text(self) -> str:
+        """The mapping as the text of a file."""
+        return mapping_text(self.mapping)
+
+    def write(self, folder: Path) -> None:
+        """Write its file into `folder`; raises OSError where that cannot be done."""
+        (folder / self.file).write_text(self.text(), encoding="utf-8")
+
+    def sentence(self, folder: Path = Path()) -> str:
+        """What it brings, and the command that uses it, its file being in `folder`."""
+        path = str(folder / self.file)
+        what = ", ".join(map(str, self.changes))
+        fit, rule = _percent(self.after), identification_settings().advice
+        if self.before is None:
+            words = f"the held-out FIT is {fit}; without it nothing can be fitted"
+        elif float((self.after.fit - self.before.fit).mean()) > rule.least_gain:
+            words = f"the held-out FIT becomes {fit} instead of {_percent(self.before)}"
+        elif self.after.agreement - self.before.agreement > rule.least_gain:
+            agreement = f"{self.after.agreement:.0f} % instead of {self.before.agreement:.0f} %"
+            words = f"the streams agree to {agreement}, and the held-out FIT stays at {fit}"
+        else:
+            words = f"the log is read without that error, and the held-out FIT stays at {fit}"
+        tried = [word for log in self.selection.validate for word in ("--validate", str(log))]
+        command = ["diffdrive-mpc", "identify", *map(str, self.selection.logs), *tried, "--mapping", path]
+        return f"With the mapping {path} ({what}) {words}: {shlex.join(command)}"
+
+
+def _percent(score: Score) -> str:
+    return "/".join(f"{fit:.0f}" for fit in score.fit) + " %"
+
+
+class AdvisedError(UnsoundLogError):
+    """A log that would give a wrong model with its mapping.
+
+    Attributes
+    ----------
+    advice
+        The mapping with which it predicts; None where none is known.
+    """
+
+    def __init__(self, findings: Sequence[Finding], advice: Advice | None) -> None:
+        super().__init__(told(findings, advice))
+        self.advice = advice
+
+
+def told(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
+    """The findings without what they propose, where that is no part of the advice."""
+    chosen = set() if advice is None else set(advice.changes)
+    kinds = {(change.stream, change.key) for change in chosen}
+    return tuple(
+        finding
+        if all((change.stream, change.key) in kinds for change in finding.changes)
+        else replace(finding, changes=())
+        for finding in findings
+    )
+
+
+def advise(
+    selection: LogSelection, findings: Sequence[Finding], on_progress: Callable[[str], None] | None = None
+) -> Advice | None:
+    """The best mapping that can be made of what the findings propose; None where nothing of it predicts better."""
+    proposals = _proposals(findings)
+    mapping = _mapping_of(selection) if proposals else None
+    if mapping is None:
+        return None
+    if on_progress:
+        on_progress("trying advice")
+    start = best = _Trial.of(selection, mapping, ())
+    rows = start.rows() if start else None
+    before = score = start.score(rows) if start and rows else None
+    for _ in range(identification_settings().advice.most_changes):
+        made = best.changes if best else ()
+        judged = [
+            (proposal, *_judged(trial, best, score, rows))
+            for proposal in proposals
+            if (trial := _Trial.of(selection, mapping, (*made, *proposal))) is not None
+        ]
+        taken = max(judged, key=lambda row: row[1], default=None)
+        if taken is None or taken[1] <= 0:
+            break
+        proposal, _, best, score, rows = taken
+        proposals.remove(proposal)
+        if start is None:
+            proposals = best.proposals()
+    if best is None or not best.changes or score is None or rows is None:
+        return None
+    if start and _is_cut(best.changes):
+        before = start.score(start.rows().beside(rows))
+    return Advice(selection, best.mapping, best.changes, before, score)
+
+
+def _mapping_of(selection: LogSelection) -> LogMapping | None:
+    try:
+        return base_mapping(selection.logs[0], selection.mapping)
+    except ConfigError:
+        return None
+
+
+def _judged(
+    trial: _Trial, best: _Trial | None, score: Score | None, rows: _Rows | None
+) -> tuple[float, _Trial, Score | None, _Rows | None]:
+    """By how much a trial is better than the best so far, the trial, its score, and the rows of that."""
+    if rows is None or best is None:
+        at, other = trial.rows(), None
+    elif _is_cut(trial.changes) and not _is_cut(best.changes):
+        at = trial.rows()
+        other = best.score(rows.beside(at))
+    else:
+        at, other = rows, score
+    own = trial.score(at)
+    return (0.0 if own is None else own.gain_over(other)), trial, own, at
+
+
+def _is_cut(changes: Changes) -> bool:
+    return any(change.key == "times" for change in changes)
+
+
+def _proposals(findings: Iterable[Finding]) -> list[Changes]:
+    """What the findings propose, each once; of two values for one place the first."""
+    distinct: dict[tuple[tuple[str, str], ...], Changes] = {}
+    for finding in findings:
+        if finding.changes:
+            distinct.setdefault(tuple((of.stream, of.key) for of in finding.changes), finding.changes)
+    return list(distinct.values())
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Logs as one mapping reads them.
+
+    Attributes
+    ----------
+    selection, mapping, changes
+        As of `Advice`.
+    logs
+        All of them, those to try the model on last.
+    """
+
+    selection: LogSelection
+    mapping: LogMapping
+    changes: Changes
+    logs: tuple[Log, ...]
+
+    @classmethod
+    def of(cls, selection: LogSelection, mapping: LogMapping, changes: Changes) -> _Trial | None:
+        """The logs with the changes made; None where they cannot be made, or the logs not be read then."""
+        read: list[Log] = []
+        try:
+            mapping = changed(mapping, changes)
+            for path in (*selection.logs, *selection.validate):
+                dt = read[0].records[0].dt if read else None
+                read.append(read_log(path, mapping, dt, diagnosed=False))
+        except (ConfigError, ValueError):
+            return None
+        return cls(selection, mapping, changes, tuple(read))
+
+    def proposals(self) -> list[Changes]:
+        """What the findings on the logs as they are read now propose."""
+        logs = [read_log(path, self.mapping) for path in self.selection.logs]
+        return _proposals(finding for log in logs for finding in log.findings)
+
+    def rows(self) -> _Rows:
+        """Rows to fit and rows held out, both thinned."""
+        most = identification_settings().advice.rows
+        count = len(self.selection.logs)
+        train: list[Spans] = []
+        held: list[Spans] = []
+        for number, log in enumerate(self.logs):
+            parts: tuple[Sequence[Record], Sequence[Record]] = ((), log.records)
+            if number < count:
+                validated = bool(self.selection.validate)
+                parts = (log.records, ()) if validated else divide(log.records, self.selection.fit_share)
+            for spans, part in zip((train, held), parts, strict=True):
+                kept = most_informative(part, most // count) if part else ()
+                spans.append([(record.start, record.end) for record in kept])
+        return _Rows(tuple(train), tuple(held))
+
+    def score(self, rows: _Rows) -> Score | None:
+        """How well a model of the training rows predicts those held out; None where no model can be had."""
+        try:
+            train, held = (self._usable(spans) for spans in (rows.train, rows.held))
+            yaw: YawSource = "gyro" if train[0].yaw_rate is not None else "encoders"
+            system = identify_sm(train, yaw=yaw, limits=False).system
+            fit = fit_percents(simulate_records(system, held, yaw), twist_experiments(held, yaw))
+        except ValueError:  # ConfigError is one
+            return None
+        settings = check_settings()
+        agreement = [coherence(streams_of(log.records, settings), settings) for log in self.logs]
+        return Score(fit, float(np.mean(agreement)), sum(len(log.errors) for log in self.logs))
+
+    def _usable(self, spans: tuple[Spans, ...]) -> tuple[Record, ...]:
+        """What the logs hold of some rows, where every signal is there."""
+        records = [
+            part
+            for log, of_log in zip(self.logs, spans, strict=True)
+            for record in log.records
+            for part in _within(record, of_log)
+        ]
+        gyro = ["yaw_rate"] if any(record.yaw_rate is not None for log in self.logs for record in log.records) else []
+        return usable(records, ("twist", *gyro), "to try advice on", [])
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Of each log from and to [s] of the rows to fit, and of those held out."""
+
+    train: tuple[Spans, ...]
+    held: tuple[Spans, ...]
+
+    def beside(self, other: _Rows) -> _Rows:
+        """The rows held out of another division, and of the rows to fit those that are not among them."""
+        train = tuple(_without(*spans) for spans in zip(self.train, other.held, strict=True))
+        return _Rows(train, other.held)
+
+
+def _without(spans: Spans, taken: Spans) -> Spans:
+    """Spans [s] without what lies in others."""
+    for first, last in taken:
+        pieces = [((begin, min(end, first)), (max(begin, last), end)) for begin, end in spans]
+        spans = [piece for pair in pieces for piece in pair if piece[0] < piece[1]]
+    return spans
+
+
+def _within(record: Record, spans: Spans) -> list[Record]:
+    """The parts of a record in spans [s]; grids that begin a moment apart still give the same rows."""
+    parts = []
+    for span in spans:
+        first, last = (round((time - record.start) / record.dt) for time in span)
+        first, last = max(first, 0), min(last, len(record.command) - 1)
+        if last > first:
+            parts.append(record.part(first, last + 1))
+    return parts

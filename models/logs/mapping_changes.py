@@ -1,0 +1,140 @@
+"""A mapping with what findings propose put in, and its YAML text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
+from diffdrive_mpc.models.logs.bags import is_bag
+from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
+from diffdrive_mpc.models.logs.mapping import LogMapping, Topics, load_mapping
+from diffdrive_mpc.models.logs.record import MappingChange
+
+_TOPICS = {"command": "command", "encoders": "odometry", "gyro": "imu", "pose": "pose"}
+_SIGNS_OF_TOPICS = ("omega.sign", "yaw_rate.sign", "theta.sign")
+"""What the one sign of a topic stands for."""
+_SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
+
+
+def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping | None:
+    """The mapping that a log is read with; None where there is none, as for what a node recorded."""
+    if isinstance(mapping, LogMapping):
+        return mapping
+    if mapping is not None:
+        return load_mapping(mapping)
+    if is_drive_log(path):
+        return None
+    if not is_bag(path):
+        return load_mapping(OWN_FORMAT)
+    from diffdrive_mpc.models.logs.bag_topics import opened  # noqa: PLC0415 - only bags need it
+
+    with opened(path) as reader:
+        return LogMapping(topics=Topics().named({known.topic for known in reader.connections}))
+
+
+def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
+    """The mapping with all changes made.
+
+    Signs are turned, not set, and delays added, so that a finding need not know what the mapping says. v and omega of
+    wheels are turned by the signs of the wheels and by exchanging their sides.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If no such mapping can be written.
+    """
+    data = mapping.model_dump(mode="json", exclude_defaults=True)
+    for change in changes:
+        _apply(data, change)
+    return check(LogMapping, data, "changed mapping")
+
+
+def mapping_text(mapping: LogMapping) -> str:
+    """A mapping as the text of a file that reads the same from every folder."""
+    data = mapping.model_dump(mode="json", exclude_defaults=True)
+    if definitions := data.get("topics", {}).get("definitions"):
+        data["topics"]["definitions"] = {kind: str(Path(file).resolve()) for kind, file in definitions.items()}
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def _apply(data: dict[str, Any], change: MappingChange) -> None:
+    if change.stream == "log" and change.key == "times":
+        data["times"] = [[float(part) for part in str(change.value).split(" to ")]]
+        return
+    of_columns = data.get("columns") is not None
+    group: dict[str, Any] = data["columns"] if of_columns else data.setdefault("topics", {})
+    if change.stream == "time" and of_columns:
+        _set_time(group, change)
+        return
+    name = change.stream if of_columns else _TOPICS.get(change.stream, change.stream)
+    if group.get(name) is None and not (name == "command" and not of_columns):
+        raise ConfigError(f"the mapping has no '{name}' to be changed")
+    stream = group[name] = _whole(group.get(name, "/cmd_vel"), "topic")
+    if change.key == "delay":
+        stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
+    elif change.key == "heading_offset" and of_columns:
+        stream["heading_offset"] = round(stream.get("heading_offset", 0.0) + float(change.value), 4)
+    elif change.key in ("held", "on_change"):
+        stream[change.key] = change.value
+    elif not of_columns:
+        if change.key not in _SIGNS_OF_TOPICS:
+            raise ConfigError(f"topics have no '{change.key}'")
+        _turn(stream)
+    else:
+        _change_columns(stream, change)
+
+
+def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
+    if change.key == "sample_time":
+        columns.pop("time", None)
+        columns["sample_time"] = change.value
+    else:
+        columns["time"] = _whole(columns.get("time"), "column") | {change.key: change.value}
+
+
+def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
+    """The sign, unit or place of columns of one stream."""
+    if change.key == "sides":
+        _exchange(stream, _SIDES)
+        return
+    if change.key == "axes":
+        _exchange(stream, (("x", "y"),))
+        return
+    name, _, key = change.key.rpartition(".")
+    named = [name] if name in stream else []
+    wheels = [side for pair in _SIDES for side in pair if side in stream]
+    if name in ("v", "omega"):
+        # Wheels have no v and omega: both turned, they run the other way; omega alone, the sides are exchanged.
+        named += wheels if name == "v" else []
+        if key == "sign":
+            _exchange(stream, _SIDES)
+        elif name == "omega" and not named:
+            raise ConfigError("wheels have no unit of omega")
+    if not named and not (name == "omega" and wheels):
+        raise ConfigError(f"the mapping has no column '{name}' to be changed")
+    for one in named:
+        column = stream[one] = _whole(stream[one], "column")
+        if key == "sign":
+            _turn(column)
+        else:
+            column[key] = change.value
+
+
+def _whole(value: Any, first: str) -> dict[str, Any]:  # noqa: ANN401 - whatever the mapping holds
+    """A column or topic that may be a plain name, as a group."""
+    return {first: value} if isinstance(value, str) else value
+
+
+def _turn(part: dict[str, Any]) -> None:
+    part["sign"] = -part.get("sign", 1)
+
+
+def _exchange(stream: dict[str, Any], pairs: Iterable[tuple[str, str]]) -> None:
+    for first, second in pairs:
+        if first in stream:
+            stream[first], stream[second] = stream[second], stream[first]
