@@ -115,9 +115,10 @@ def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
         f"{np.exp(size if relation.second == name else -size):.3g} at about {relation.times[at]:.0f} s: "
         f"{relation.what} is {before:.3g} before and {after:.3g} after; cut the log there and identify from one part"
     )
-    begin, end = (float(streams.time[np.isfinite(streams.time)][i]) for i in (0, -1))
-    at_time = float(relation.times[at])
-    longer = (begin, at_time) if at_time - begin > end - at_time else (at_time, end)
+    # The change lies in one of the parts on either side of the place.
+    begin, end = float(np.nanmin(streams.time)), float(np.nanmax(streams.time))
+    last, first = float(relation.times[at - 1]), float(relation.times[min(at + 1, len(relation.times) - 1)])
+    longer = (begin, last) if last - begin > end - first else (first, end)
     kept = MappingChange("log", "times", f"{longer[0]:.1f} to {longer[1]:.1f}")
     return [Finding("scale change", "error", log, words, changes=(kept,))]
 
