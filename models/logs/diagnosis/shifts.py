@@ -159,19 +159,15 @@ def _commands(
             f"every sensor moves {-middle:.2f} +- {2 * deviation:.2f} s before its command, which no robot "
             "can: the commands are stamped late"
         )
-        return [Finding("time shift", "error", log, words, changes=_earlier(middle, settings))]
+        delay = MappingChange(COMMAND, "delay", round(settings.usual_response - middle, 2))
+        return [Finding("time shift", "error", log, words, changes=(delay,))]
     if middle > settings.late_response:
         words = (
             f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if "
-            "the robot is quicker than that, the commands are stamped early"
+            "the robot is quicker than that, the commands are stamped early and need a negative `delay`"
         )
-        return [Finding("time shift", "note", log, words, changes=_earlier(middle, settings))]
+        return [Finding("time shift", "note", log, words)]
     return []
-
-
-def _earlier(dead_time: float, settings: CheckSettings) -> tuple[MappingChange, ...]:
-    """The commands' stamps put so that the robot has the usual dead time."""
-    return (MappingChange(COMMAND, "delay", round(settings.usual_response - dead_time, 2)),)
 
 
 def _foreseen(streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings) -> bool:

@@ -1,0 +1,151 @@
+"""Advice on the mapping: it predicts better on held-out rows, or it is not given."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from degraded_bases import SIMULATED, robot
+from degraded_changes import Case, held, put, replaced, rounded, scaled, shifted, swapped
+from degraded_logs import logs_of
+from scipy.signal import lfilter
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.advice import LogSelection, advise, told
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
+from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text
+from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
+
+RPM, DEGREES = 60 / (2 * np.pi), 180 / np.pi
+SKIDS = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
+SLOW = {"seed": 62, "seconds": 60.0, "lag": 0.4, "gain": (0.8, 1.2), "dead_time": 0.2}
+QUICK = {"seed": 63, "seconds": 60.0, "lag": 0.05, "dead_time": 0.02}
+NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
+
+
+def of(robot_, change, mapping=str):
+    return Case("", "simulated", lambda _, base: change(robot(**robot_), base), mapping=mapping)
+
+
+def gyro_and_sides(columns, base):
+    return scaled(gyro=DEGREES)(swapped("left", "right")(columns, base), base)
+
+
+def slow_body(lag):
+    """A body that turns behind its wheels, as on ice."""
+    keep = np.exp(-0.02 / lag)
+    return replaced(gyro=lambda columns: lfilter([1 - keep], [1, -keep], columns["gyro"]))
+
+
+def from_a_half_on(columns, base):
+    half = np.arange(len(columns["t"])) < len(columns["t"]) // 2
+    return columns | {name: np.where(half, 1.0, 0.5) * columns[name] for name in base.wheels}
+
+
+def findings_of(paths, mapping):
+    try:
+        return [finding for path in paths for finding in read_log(path, mapping).findings]
+    except UnsoundLogError as error:
+        return error.findings
+
+
+def advice_on(case, folder):
+    paths, mapping = logs_of(case, folder)
+    return advise(LogSelection(tuple(paths), (), mapping, 0.6), findings_of(paths, mapping))
+
+
+MENDED = {
+    "gyro late": (of(SKIDS, shifted("gyro", 0.3)), {"gyro delay"}),
+    "gyro early": (of(QUICK, shifted("gyro", -0.3)), {"gyro delay"}),
+    "encoders late": (of(SLOW, shifted("encoders", 0.3)), {"encoders delay"}),
+    "pose late": (of(QUICK, shifted("pose", 0.3)), {"pose delay"}),
+    "commands late": (of(SKIDS, shifted("command", 0.4)), {"command delay"}),
+    "encoders in rpm": (of(SLOW, scaled(encoders=RPM)), {"encoders v.unit"}),
+    "commands in mm/s": (of(SKIDS, scaled(v_ref=1000.0)), {"command v.unit"}),
+    "gyro upside down": (of(QUICK, scaled(gyro=-1.0)), {"gyro yaw_rate.sign"}),
+    "left wheel reversed": (of(SLOW, scaled(left=-1.0)), {"encoders left.sign"}),
+    "pose mirrored": (of(SKIDS, scaled(y=-1.0)), {"pose y.sign"}),
+    "gyro in deg/s, sides swapped": (of(QUICK, gyro_and_sides), {"encoders sides", "gyro yaw_rate.unit"}),
+    "gyro held": (of(QUICK, replaced(gyro=held("gyro", 5))), {"gyro held"}),
+    "milliseconds": (of(SKIDS, scaled(t=1000.0)), {"time unit"}),
+    "yaw in degrees": (of(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
+    "encoders half from the middle on": (of(QUICK, from_a_half_on), {"log times"}),
+}
+
+
+@pytest.mark.parametrize("name", MENDED)
+def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
+    case, expected = MENDED[name]
+    advice = advice_on(case, tmp_path)
+    assert {f"{change.stream} {change.key}" for change in advice.changes} == expected
+    assert advice.after.fit.min() > 70
+    if advice.before is not None:
+        assert (advice.after.fit >= advice.before.fit - 0.5).all()
+        gains = [(advice.after.fit - advice.before.fit).max(), advice.after.agreement - advice.before.agreement]
+        assert max(gains) > 1 or name == "yaw in degrees"
+    advice.write(tmp_path)
+    fixed = tmp_path / "fixed.yaml"
+    assert load_mapping(fixed) == advice.mapping
+    assert not any(finding.severity == "error" for finding in read_log(tmp_path / "log0.csv", fixed).findings)
+
+
+NOT_MENDED = {
+    "a body slower than its wheels": of({"seed": 64, "seconds": 60.0}, slow_body(0.5), NO_POSE),
+    "coarse encoders that are not held": of(
+        {"seed": 65, "seconds": 60.0, "lag": 0.2}, replaced(left=rounded("left", 2.0), right=rounded("right", 2.0))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NOT_MENDED)
+def test_what_predicts_no_better_is_not_advised(tmp_path, name):
+    paths, mapping = logs_of(NOT_MENDED[name], tmp_path)
+    findings = findings_of(paths, mapping)
+    assert any(finding.changes for finding in findings), "nothing is proposed: the case tests nothing"
+    assert advise(LogSelection(tuple(paths), (), mapping, 0.6), findings) is None
+    assert "in the mapping" not in " ".join(map(str, told(findings, None)))
+
+
+def test_that_a_robot_answers_late_is_no_reason_to_take_its_dead_time_away(tmp_path):
+    findings = findings_of(*logs_of(of(QUICK, shifted("command", -0.5)), tmp_path))
+    assert [finding.kind for finding in findings] == ["time shift"]
+    assert not findings[0].changes
+
+
+def test_a_log_without_proposals_is_not_read_again():
+    selection = LogSelection((Path("there_is_none.csv"),), (), None, 0.6)
+    assert advise(selection, [Finding("gap", "note", "", "")], lambda _: pytest.fail("something was tried")) is None
+
+
+# Whether the mapping that is written is the one that was meant.
+
+
+SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
+"""Of the encoders of the simulated base."""
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("v.sign", -1, {"left": {"column": "right", "sign": -1}, "right": {"column": "left", "sign": -1}}),
+        ("omega.sign", -1, {"left": {"column": "right"}, "right": {"column": "left"}}),
+        ("v.unit", "rpm", {side: {"column": side, "unit": "rpm"} for side in SIDES}),
+        ("delay", 0.25, {**SIDES, "delay": 0.25}),
+    ],
+)
+def test_changes_of_v_and_omega_reach_the_wheels(tmp_path, key, value, expected):
+
+    (tmp_path / "map.yaml").write_text(SIMULATED)
+    mapping = changed(load_mapping(tmp_path / "map.yaml"), [MappingChange("encoders", key, value)])
+    assert mapping.columns.encoders.model_dump(exclude_defaults=True) == expected
+
+
+def test_a_topic_is_changed_as_far_as_it_can_be():
+
+    bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
+    new = changed(bag, [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)])
+    assert new.topics.imu.sign == 1
+    assert new.topics.command.on_change
+    assert "/cmd_vel" in mapping_text(new)
+    with pytest.raises(ConfigError, match=r"left\.unit"):
+        changed(bag, [MappingChange("encoders", "left.unit", "rpm")])
