@@ -124,8 +124,8 @@ def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder
 
 
 def test_a_warning_s_remedy_stands_in_the_report_with_its_mapping_beside_it(folder, tmp_path):
-    late = np.roll(COLUMNS["gyro"], 15)
-    log = write_csv(tmp_path / "late.csv", COLUMNS | {"gyro": late})
+    columns = drive(seconds=30.0)
+    log = write_csv(tmp_path / "late.csv", columns | {"gyro": np.roll(columns["gyro"], 15)})
     words = ["identify", str(log), "--out", str(tmp_path / "out"), "--mapping", str(folder / "map.yaml")]
     result = runner.invoke(app, words)
     assert result.exit_code == 0, result.stderr
