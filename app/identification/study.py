@@ -43,7 +43,8 @@ from diffdrive_mpc.models.table import plain_line
 def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
     """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
 
-    Without `force` neither model nor configuration is written where the logs or the FIT speak against it.
+    Without `force` neither model nor configuration is written where the logs or the FIT speak against it; a mapping
+    that mends the logs is.
 
     Raises
     ------
@@ -53,11 +54,11 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
     try:
         _identify_into(logs, out, force, options)
     except AdvisedError as error:
-        if error.advice:
-            with staged(out, files=(error.advice.file,)) as folder:
-                error.advice.write(folder)
-            _print_line(error.advice.sentence(out))
-        raise
+        if error.advice is None:
+            raise
+        with staged(out, files=(error.advice.file,)) as folder:
+            error.advice.write(folder)
+        raise ConfigError(f"{error}. {error.advice.sentence(out)}") from error
 
 
 def _identify_into(logs: Sequence[Path], out: Path, force: bool, options: Mapping[str, Any]) -> None:

@@ -66,12 +66,10 @@ def folder(tmp_path_factory):
     ("arguments", "message"),
     [
         ("missing.csv --mapping map.yaml", "column 'gyro' is missing"),
-        ("degrees.csv --mapping map.yaml", "`unit: deg/s`"),
         ("constant.csv --mapping map.yaml", "constant.csv"),
         ("ten.csv --mapping map.yaml", "10 samples in the longest stretch, at least 20 are needed"),
         ("nan.csv --mapping map.yaml", "nan.csv: column 'v_ref' holds no usable number"),
         ("stamped.csv --mapping two_clocks.yaml", "two clocks"),
-        ("reversed.csv --mapping map.yaml", "reversed.csv"),
         (
             "slow.csv --mapping no_pose.yaml",
             "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
@@ -110,6 +108,30 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, message, folder, tmp_p
     assert message in result.stderr
     assert not (tmp_path / "out").exists()
     assert sorted(folder.rglob("*")) == before  # nothing of a file was executed either
+
+
+@pytest.mark.parametrize("name", ["degrees", "reversed"])
+def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder, tmp_path):
+    words = ["identify", str(folder / f"{name}.csv"), "--out", str(tmp_path / "out"), "--mapping"]
+    result = runner.invoke(app, [*words, str(folder / "map.yaml")])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: {name}.csv: omega of the gyro") and result.stderr.count("\n") == 1
+    assert f"--mapping {tmp_path / 'out' / 'fixed.yaml'}" in result.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["fixed.yaml"]
+    followed = runner.invoke(app, [*words, str(tmp_path / "out" / "fixed.yaml")])
+    assert followed.exit_code == 0, followed.stderr
+    assert (tmp_path / "out" / "fixed.yaml").exists(), "it is read, so it stays"
+
+
+def test_a_warning_s_remedy_stands_in_the_report_with_its_mapping_beside_it(folder, tmp_path):
+    columns = drive(seconds=30.0)
+    log = write_csv(tmp_path / "late.csv", columns | {"gyro": np.roll(columns["gyro"], 15)})
+    words = ["identify", str(log), "--out", str(tmp_path / "out"), "--mapping", str(folder / "map.yaml")]
+    result = runner.invoke(app, words)
+    assert result.exit_code == 0, result.stderr
+    assert "gyro `delay: +0.30`" in result.stdout and str(tmp_path / "out" / "fixed.yaml") in result.stdout
+    for report in ("report.md", "report.html"):
+        assert "With the mapping fixed.yaml" in (tmp_path / "out" / report).read_text()
 
 
 def test_findings_are_shown_before_the_error_that_stops(folder, tmp_path):
