@@ -48,8 +48,7 @@ def check_bursts(place: str, quiet: Silences, measured: Mapping[str, Signal], se
         return []
     words = (
         f"commands come in bursts, with {len(quiet.begin)} silences of {np.median(quiet.end - quiet.begin):.2g} s "
-        "between that are left out, although the robot goes on with its last command: say `on_change: true` for this "
-        "topic"
+        "between that are left out, although the robot goes on with its last command"
     )
     return [Finding("silent commands", "warning", place, words, changes=(MappingChange("command", "on_change", True),))]
 

@@ -246,13 +246,12 @@ def _unit(
         if unit != "rev/s"
     }
     unit = min(apart, key=apart.__getitem__)
-    alike = [f"`unit: {other}`" for other in apart if apart[other] < apart[unit] + _ALIKE]
+    alike = [other for other in apart if apart[other] < apart[unit] + _ALIKE]
     changes: tuple[MappingChange, ...] = ()
     close = settings.unit_tolerance * (3 if skids else 1 + channel)
     against = "what the others say"
     if apart[unit] < close:
-        units = f": {' or '.join(alike)}" if len(alike) > 1 else ""
-        remedy = f"its column is in another unit{units}"
+        remedy = f"its column is in {' or '.join(alike)}"
         changes = tuple(
             MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
         )
