@@ -24,12 +24,28 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
+# What a line of .ci/run or .ci/long runs, with more beside it.
+PART_OF_CI = {
+    "python -m studies reproduce --out turns --only turning --quick": 'NAME=reproduce OPTIONS="--quick',
+    "python -m studies speed --out out/speed --quick --peers ours,casadi/sqpmethod --horizons 10": (
+        'NAME=speed OPTIONS="--quick --horizons 10"'
+    ),
+    "python -m studies tracking --out out/tracking --quick --only cross": 'NAME=tracking OPTIONS="--quick',
+    "python -m studies real-logs husky --out husky-proof": "-m studies real-logs husky --out husky-proof",
+}
 # Commands that a test of their own runs with the same options, to look at what they leave.
 RUN_IN_TESTS = {
     "python -m studies energy-front --quick --out front": "studies/test_energy_front.py",
     "python -m studies saving --quick --out saved": "studies/test_saving_study.py",
     "python -m studies torque --quick --out turn": "studies/test_torque_study.py",
+    "diffdrive-mpc commission heavy --inside 5x4 --out my_robot --quick": "app/test_commission.py",
+    "diffdrive-mpc simulate --config my_robot/robot/config.yaml --plant mujoco:heavy --trajectory square": (
+        "app/test_commission.py"
+    ),
+    "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "models/test_model_comparison.py",
 }
+PLACES = {"front", "saved", "turn", "my_robot"}
+"""Folders of results in `RUN_IN_TESTS`."""
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
@@ -72,7 +88,7 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
                 words = shlex.split(line)
                 if words[0] == "make":
                     assert RUN_BY_CI.match(line), f"{named(document)}: `{line}` is run by no test"
-                elif line in RUN_IN_CI or line in RUN_IN_TESTS:
+                elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line or "real-logs" in line:
                     raise AssertionError(f"{named(document)}: .ci/run does not have `{line}`")
@@ -121,12 +137,20 @@ def test_ci_runs_what_the_documents_leave_to_it():
     assert all(f'"$root/{named(page)}"' in tour for page in TOURED)
 
 
+@pytest.mark.parametrize(("line", "part"), PART_OF_CI.items())
+def test_what_ci_runs_with_more_is_run_there(line, part):
+    scripts = CI_SCRIPT + (ROOT / ".ci" / "long").read_text(encoding="utf-8")
+    assert part in scripts
+    assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
+
+
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
 def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
-    command, *options = line.removeprefix("python -m studies ").partition(" --out ")[0].split(" --")
+    """In the order of the words, but for the places of files: one invocation names them all as words of their own."""
+    words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
+    named_there = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
     test = (ROOT / "tests" / file).read_text(encoding="utf-8")
-    assert f'"{command.split()[0]}", "--' in test
-    assert all('", "'.join(f"--{option}".split()) in test for option in options)
+    assert all(word in test for word in named_there), named_there
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
 

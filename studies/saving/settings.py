@@ -104,11 +104,11 @@ def load_study(path: Path | None = None) -> SavingStudySettings:
 
 
 def small(study: SavingStudySettings) -> SavingStudySettings:
-    """Two pairs on one floor and the first scenario, to see that it works."""
+    """Two pairs near each other on one floor and the first scenario, to see that it works."""
     return study.model_copy(
         update={
             "surfaces": ("default",),
-            "pairs": study.pairs.model_copy(update={"count": 2}),
+            "pairs": study.pairs.model_copy(update={"count": 2, "distance": (2.0, 4.0)}),
             "scenarios": study.scenarios[:1],
         }
     )

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from opened_report import check_report, content_of
 
+from commands import call
 from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError, commission
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key_of
 from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
@@ -32,7 +33,7 @@ def quick_search():
 def commissioned(tmp_path_factory):
     """One robot, commissioned in the shortest form, with what was said of each step."""
     out, said = tmp_path_factory.mktemp("commission"), []
-    asked = replace(CommissionRequest(Room(5.0, 4.0), "wide", jobs=1).quick(), runs=2)
+    asked = CommissionRequest(Room(5.0, 4.0), "heavy", jobs=1).quick()
     assert commission(asked, out, on_step=lambda name, done, new: said.append((name, done, new)))
     return asked, out, said
 
@@ -64,10 +65,22 @@ def test_what_is_left_can_be_used(commissioned):
     # Sideways slip of a skid-steer that turns: behind zero, and no more than the physics has on any floor.
     assert 0.0 < config.estimator.side_slip < 0.2
     twin = load_simulated_robot(out / "robot" / "twin.yaml")
-    truth = load_simulated_robot("wide")
+    truth = load_simulated_robot("heavy")
     assert twin.twin.link.dead_time == pytest.approx(truth.twin.link.dead_time, abs=0.015)
     assert (out / "robot" / "proof.md").is_file()
     assert (out / "robot" / "first_circle.yaml").is_file()
+
+
+def test_the_command_does_the_same_and_what_it_leaves_drives(commissioned):
+    """What was asked for in Python is what the words ask for: nothing is left to do."""
+    _, out, said = commissioned
+    before = (out / "commission.json").read_bytes()
+    printed = call("commission", "heavy", "--inside", "5x4", "--out", out, "--quick", "--jobs", "1")
+    assert all(name in printed for name, _, _ in said)
+    assert (out / "commission.json").read_bytes() == before
+    config = str(out / "robot" / "config.yaml")
+    driven = call("simulate", "--config", config, "--plant", "mujoco:heavy", "--trajectory", "square")
+    assert "final mode: TRACKING" in driven
 
 
 def test_its_page_shows_each_step_and_the_delivered_controller_on_the_twin(commissioned):

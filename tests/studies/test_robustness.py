@@ -144,11 +144,18 @@ def test_robots_of_the_market_are_counted_by_controller_and_alarms_by_rate() -> 
     assert "Robots of the market" not in [table.title for table in study_tables(frame(rows[-1:]))]
 
 
-def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path) -> None:
+@pytest.fixture
+def short_path(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text("name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 1.0}\n")
+    return path
+
+
+def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path, short_path: Path) -> None:
     runs = []
     for out in (tmp_path / "1", tmp_path / "2"):
-        words = ["--robots", "1", "--rates", "10,100", "--controllers", "mpc", "--trajectories", "circle"]
-        invoke(app, "robustness", "--out", out, *words)
+        words = ["--robots", "1", "--rates", "10,100", "--controllers", "mpc", "--jobs", "1"]
+        invoke(app, "robustness", "--out", out, "--trajectories", short_path, *words)
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
     assert runs[0] == runs[1]
     assert [run["condition"] for run in runs[0]] == ["market", "market, 10/h", "market, 100/h"]
@@ -194,13 +201,11 @@ def test_a_robot_that_answers_late_is_not_taken_for_one_that_gets_no_faster() ->
     assert metrics.lateral_max_m < 0.1
 
 
-def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
-    path = tmp_path / "short.yaml"
-    path.write_text("name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 1.0}\n")
+def test_a_small_study_runs_and_repeats(tmp_path: Path, short_path: Path) -> None:
     runs = []
     for jobs in ("1", "2"):
         out = tmp_path / jobs
-        words = ["--only", "mass_left,noise_2cm", "--trajectories", str(path), "--seeds", "7,", "--jobs", jobs]
+        words = ["--only", "mass_left,noise_2cm", "--trajectories", short_path, "--seeds", "7,", "--jobs", jobs]
         invoke(app, "robustness", "--out", out, *words)
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
         assert (out / "figures" / "ratios.png").stat().st_size > 0
