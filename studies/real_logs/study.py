@@ -16,7 +16,6 @@ from studies.real_logs.closed_loop import (
     tracking_table,
     write_robot_files,
 )
-from studies.real_logs.promise import keep_promise
 from studies.real_logs.protocol import LogProof, load_protocol, prove
 
 # Tables of the proof on logs of real robots.
@@ -93,14 +92,10 @@ def parameter_table(proof: LogProof) -> Table:
 
 
 REPORT = "proof.md"
-FIRST_SEED = 1000
-"""Of the variations: no seed that anything was tuned on."""
 
 
-def prove_log(name: str, data: Path, out: Path, seeds: int, draws: int = 0) -> float | None:
+def prove_log(name: str, data: Path, out: Path, seeds: int) -> LogProof:
     """Identify, score, drive; print the tables and write them, with the robot's files, into `out`.
-
-    Returns the share of the variations in which the promise holds [-], None without any.
 
     Parameters
     ----------
@@ -112,8 +107,6 @@ def prove_log(name: str, data: Path, out: Path, seeds: int, draws: int = 0) -> f
         Where the files go.
     seeds
         Closed-loop runs of each kind.
-    draws
-        Variations that the verdict of an SM is held against.
 
     Raises
     ------
@@ -128,12 +121,6 @@ def prove_log(name: str, data: Path, out: Path, seeds: int, draws: int = 0) -> f
         if seeds:
             bar.begin("driving", 2 * len(TRAJECTORIES) * seeds)
             tables.append(tracking_table(drive(folder, range(seeds), bar.advance)))
-        kept = None
-        if draws:
-            bar.begin("variations", draws)
-            promise = keep_promise(log, data, draws, FIRST_SEED, bar.advance)
-            tables.append(promise.table())
-            kept = promise.kept / draws
         text = "\n\n".join(table.markdown() for table in tables)
         (folder / REPORT).write_text(f"# {log.robot}\n\n{text}\n", encoding="utf-8")
     console = output_console()
@@ -141,4 +128,4 @@ def prove_log(name: str, data: Path, out: Path, seeds: int, draws: int = 0) -> f
         console.print(table.rich())
     for warning in proof.base.identified.warnings:
         console.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
-    return kept
+    return proof

@@ -1,7 +1,13 @@
-"""What the verdict of an identification promises, held against drawn variations of an independent stand-in."""
+"""What the verdict of an identification promises, held against drawn variations of an independent stand-in.
+
+`python tests/app/promise_kept.py husky --draws 300` prints it, and ends with 1 where fewer than 95 % keep it.
+"""
 
 from __future__ import annotations
 
+import argparse
+import os
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import count, islice
@@ -11,14 +17,13 @@ import numpy as np
 
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, StandIn, trial_drives, trial_settings
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
-from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.identification import identify
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
-from studies.real_logs.protocol import RealLog
+from studies.real_logs.protocol import RealLog, load_protocol
 
 
 @dataclass(frozen=True)
@@ -42,23 +47,12 @@ class KeptPromise:
         promised = self.verdict.promised
         return 0 if promised is None else sum(lateral <= promised.beside for lateral in self.beside)
 
-    def table(self) -> Table:
-        """One row."""
-        beside = np.array(self.beside)
-        return Table(
-            title="What the verdict promises",
-            columns=("promise", "kept", "median [m]", "95 % below [m]"),
-            rows=(
-                (
-                    self.verdict.promise,
-                    f"{self.kept}/{len(beside)}",
-                    f"{np.median(beside):.3f}",
-                    f"{np.quantile(beside, 0.95, method='higher'):.3f}",
-                ),
-            ),
-            text_columns=1,
-            note="Of models of the data held out, of another structure, their parameters drawn from the covariance of "
-            "the estimate; one of the curved paths each, other sensor noise.",
+    def __str__(self) -> str:
+        """One line."""
+        low, high = np.median(self.beside), np.quantile(self.beside, 0.95, method="higher")
+        return (
+            f"{self.verdict.promise}: kept in {self.kept} of {len(self.beside)} variations; largest lateral error, "
+            f"median {low:.3f} m, 95 % below {high:.3f} m"
         )
 
 
@@ -98,3 +92,20 @@ def _variations(data: LogData, seed: int) -> Iterator[StandIn]:
         except ModelError:
             continue
         yield StandIn(HELD_OUT, model, BaseEffects(), identified.limits)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("log", help="husky, warthog-asphalt or warthog-gravel")
+    parser.add_argument("--draws", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1000)
+    words = parser.parse_args()
+    data = Path(os.environ["DIFFDRIVE_MPC_DATA"])
+    kept = keep_promise(load_protocol().log(words.log), data, words.draws, words.seed)
+    sys.stdout.write(f"{kept}\n")
+    sys.exit(kept.kept < 0.95 * words.draws)
+
+
+if __name__ == "__main__":
+    main()
