@@ -130,7 +130,11 @@ def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
 
 
 def test_ci_runs_what_the_documents_leave_to_it():
-    called = " ".join(line for line in CI_SCRIPT.splitlines() if re.match(r" *(on_bare_machine )?make ", line))
+    assert 'pre-commit" run --all-files' in CI_SCRIPT
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    called = " ".join(
+        line for line in (CI_SCRIPT + hooks).splitlines() if re.match(r" *(on_bare_machine |entry: )?make ", line)
+    )
     for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel", "fuzz"):
         assert re.search(rf"\b{target}\b", called), target
     (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)

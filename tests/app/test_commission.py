@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from opened_report import check_report, content_of
+from opened_report import content_of
 
 from commands import call
 from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError, commission
@@ -90,13 +90,6 @@ def test_its_page_shows_each_step_and_the_delivered_controller_on_the_twin(commi
     assert [row[0] for row in page["tables"][0]["rows"]] == STEPS
     assert page["key_figures"][0]["value"] == f"{len(said)} of {len(said)}"
     assert [run["name"] for run in page["views"][0]["runs"]] == ["circle on the twin", "s on the twin"]
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(commissioned):
-    asked, out, _ = commissioned
-    assert commission_into(asked, out)
-    check_report(out / "report.html")
 
 
 def test_what_is_done_is_not_done_again(commissioned):

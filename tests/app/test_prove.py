@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from opened_report import check_report, content_of
+from opened_report import content_of
 
 from commands import call
 from diffdrive_mpc.app.proof.boundaries import map_runs
@@ -54,11 +54,6 @@ def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object
     words = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
     call(*words)
     return folder / "out", words
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(proven: tuple[Path, tuple[object, ...]]) -> None:
-    check_report(proven[0] / "report.html")
 
 
 def test_a_proof_leaves_report_table_figures_and_worst_runs(

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from opened_report import check_report, content_of
+from opened_report import content_of
 from tune_parts import small_plan, written
 
 from commands import call
@@ -24,11 +24,6 @@ def tuned_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[ob
     folder = tmp_path_factory.mktemp("tuned")
     words = ("tune", "ssm", "--plan", written(folder), "--out", folder / "out", "--jobs", "1")
     return folder / "out", words, " ".join(call(*words).split())
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(tuned_once: tuple[Path, tuple[object, ...], str]) -> None:
-    check_report(tuned_once[0] / "report.html")
 
 
 def test_a_tuning_leaves_configuration_report_and_study(

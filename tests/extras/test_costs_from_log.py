@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from opened_report import check_report
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
@@ -76,11 +75,6 @@ def test_energy_and_figure_of_the_log(told: Path) -> None:
     content = json.loads((told / "torque.json").read_text())
     assert content["predicted_j"] == pytest.approx(content["measured_j"], rel=0.12)
     assert (told / "figures" / "learned.png").is_file()
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(told: Path) -> None:
-    check_report(told / "report.html")
 
 
 def test_what_does_not_go_together_is_refused_in_a_sentence(log: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from opened_report import check_report
 
 from commands import invoke
 from studies.cli import app
@@ -26,11 +25,6 @@ def test_energy_falls_and_the_error_grows_with_the_weight(report):
         assert free["energy"] > 1.02 * little["energy"] > 1.02 * much["energy"]
         assert little["error"] < 1.2 * free["error"] < 0.6 * much["error"]
     assert (report / "figures" / "front.png").stat().st_size > 10_000
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(report):
-    check_report(report / "report.html")
 
 
 def test_what_is_saved_is_paired_by_seed():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from opened_report import check_report
 
 from commands import invoke
 from diffdrive_mpc.extras.planner import Plan, plan
@@ -78,11 +77,6 @@ def test_a_plan_without_slip_goes_astray_open_loop_and_not_in_closed_loop(report
 def test_report_and_figures_are_there(report: Path) -> None:
     names = {path.name for path in (report / "figures").iterdir()}
     assert names == {"saving.png", "prediction.png", "paths-default.png", "scenario-1.png"}
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(report: Path) -> None:
-    check_report(report / "report.html")
 
 
 def test_savings_are_those_of_the_pairs() -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from opened_report import check_report
 
 from commands import invoke
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -55,11 +54,6 @@ def test_a_payload_is_better_known_by_the_terrain_than_by_the_curves(report: Pat
 def test_report_and_figures_are_there(report: Path) -> None:
     names = {path.name for path in (report / "figures").iterdir()}
     assert {"torque-grippy.png", "learned-grippy.png", "power.png", "learning.png", "energy.png"} <= names
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(report: Path) -> None:
-    check_report(report / "report.html")
 
 
 def test_without_a_limit_that_meets_there_is_no_least_radius() -> None:

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from opened_report import check_report
 from tracking_parts import made_up, tiny_study, write_made_up
 
 from commands import invoke
@@ -151,11 +150,6 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     words = ["--study", str(tiny_study(folder)), "--only", "ablation,cross,bound", "--jobs", "1"]
     result = invoke(app, "tracking", "--out", folder / "out", *words)
     return folder / "out", result.stdout
-
-
-@pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(driven: tuple[Path, str]):
-    check_report(driven[0] / "report.html")
 
 
 def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Path, str]):
