@@ -123,7 +123,8 @@ def _records(
                 place = f"{raw.name}, {first:.1f} to {last:.1f} s"
                 findings.append(Finding("short stretch", "note", place, words, (first, last)))
     if not records:
-        silent = next((f"; {finding.words}" for finding in raw.findings if finding.kind == "silent commands"), "")
+        bursts = [finding.words for finding in raw.findings if finding.kind == "silent commands"]
+        silent = f"; {bursts[0]}: say `on_change: true` for this topic" if bursts else ""
         raise ConfigError(
             f"{raw.name}: {longest} samples in the longest stretch, at least {settings.fewest_samples} are needed; "
             f"record for longer, or give a longer 'gap' in the mapping (now {longest_step:.3g} s){silent}"
