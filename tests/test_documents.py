@@ -150,7 +150,7 @@ def test_what_ci_runs_with_more_is_run_there(line, part):
 
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
 def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
-    """In the order of the words, but for the places of files: one invocation names them all as words of their own."""
+    """Every word of the line stands quoted in that file, but for the places of files."""
     words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
     named_there = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
     test = (ROOT / "tests" / file).read_text(encoding="utf-8")
