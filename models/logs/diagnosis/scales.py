@@ -251,10 +251,14 @@ def _unit(
     close = settings.unit_tolerance * (3 if skids else 1 + channel)
     against = "what the others say"
     if apart[unit] < close:
-        remedy = f"its column is in {' or '.join(alike)}"
-        changes = tuple(
-            MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
-        )
+        remedy = f"its column is in {unit}"
+        if len(alike) == 1:
+            changes = tuple(
+                MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
+            )
+        else:
+            units = " or ".join(f"`unit: {other}`" for other in alike)
+            remedy = f"its column has {units}, which of them the log does not tell"
     elif (name == ENCODERS or wheels) and ratio > settings.most_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
