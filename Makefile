@@ -33,8 +33,6 @@ CORE := $(VENV)/.core
 # What everything else needs: tests, studies, documents, ROS.
 READY := $(VENV)/.ready
 PIP_INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
-# Of the long list uv, which stands in it, is installed first: it takes a quarter of the time for the others. Where it cannot
-# (an index or certificates that only pip was told of), pip installs them too.
 # The lists are whole. An older pip that resolves them again trips over extras of a package with a newer release.
 LOCKED := --no-deps --require-hashes -r
 
@@ -54,6 +52,8 @@ $(CORE): requirements-bench.txt pyproject.toml
 	$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $(CORE)
 
+# Of the long list uv, which stands in it, is installed first: it takes a quarter of the time for the others. Where it cannot
+# (an index or certificates that only pip was told of), pip installs them too.
 $(READY): $(CORE) requirements.txt
 	@$(BIN)/python -c 'print("uv==" + open("requirements.txt").read().split("\nuv==")[1].split("\n    #")[0])' >$(VENV)/uv.txt
 	$(PIP_INSTALL) $(LOCKED) $(VENV)/uv.txt

@@ -106,10 +106,12 @@ def identify_all(folder: Path, logs: Logs) -> Gate:
     gate = _explained(identification)
     verdict = judge_by_drives(identification) if gate.passed else None
     identification = verdict.identification if verdict else identification
-    drives = verdict is not None and not verdict.against
-    identification.write(folder, draw_identification(identification.report, folder, lambda: None), model=drives)
-    if verdict is None or verdict.config is None or verdict.against:
-        return gate if verdict is None else Gate(False, f"{gate.sentence}, but {verdict.against}")
+    identification.write_report(folder, draw_identification(identification.report, folder, lambda: None))
+    if verdict is None:
+        return gate
+    if verdict.config is None or verdict.against:
+        return Gate(False, f"{gate.sentence}, but {verdict.against}")
+    identification.write_model(folder)
     circle = first_circle(verdict.config, identification.model)
     (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
     words = f"with its configuration {len(verdict.drives)} trial drives stay on their paths"

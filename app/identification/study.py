@@ -29,7 +29,6 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
-from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log
@@ -103,8 +102,13 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
     bar.begin("figures", len(figures_of(report)))
     figures = draw_identification(report, folder, bar.advance)
     drives = force or not verdict.against
-    identification.write(folder, figures, force=force, model=drives)
-    parts = [report.markdown(figures, ["```text", *verdict.lines(), "```", "", *_found(report)])]
+    if drives:
+        identification.write_model(folder)
+    if identification.advice:
+        identification.advice.write(folder)
+    parts = [
+        report.markdown(figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.found)])
+    ]
     if verdict.drives:
         parts += [
             trial_table(verdict.drives).markdown(),
@@ -135,12 +139,6 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
         typer.echo(line)
 
 
-def _found(report: IdentificationReport) -> list[str]:
-    """What was found, and a mapping that is better, as paragraphs of the report."""
-    lines = [report.in_short()[0]]
-    return lines if report.data.advice is None else [*lines, "", report.data.advice.sentence()]
-
-
 def _print_log(log: Log) -> None:
     _print_line(log.name)
     for line in summary(log):
@@ -162,7 +160,7 @@ def _print(identification: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
-    _print_line(report.in_short()[0])
+    _print_line(report.found[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
     if identification.configuration.room:

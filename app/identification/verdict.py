@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -184,25 +184,27 @@ def judge_by_drives(
     OSError
         If the files of a configuration cannot be written for its drives.
     """
+    plants = stand_ins(identification)
     on_try("driving")
-    first = _driven(identification, stand_ins(identification), on_run, whole=True)
+    first = _driven(identification, plants, on_run, whole=True)
     if force or not first.against:
         return first
-    for candidate, simplified in _candidates(identification):
-        slower = _fastest(candidate, simplified, on_try, on_run)
-        if slower is not None:
-            return slower
-    return first
+    slower = _fastest(identification, plants, (), on_try, on_run)
+    if slower is None and (simpler := _simplified(identification)) is not None:
+        candidate, simplified = simpler
+        slower = _fastest(candidate, stand_ins(candidate), simplified, on_try, on_run)
+    return slower or first
 
 
 def _fastest(
     candidate: Identification,
+    plants: Sequence[StandIn],
     simplified: tuple[str, ...],
     on_try: Callable[[str], None],
     on_run: Callable[[], None],
 ) -> TrialVerdict | None:
     """With the largest of the settings' shares of the limits whose drives pass, by halving; None if the least fails."""
-    plants, shares = stand_ins(candidate), trial_settings().shares
+    shares = trial_settings().shares
 
     def attempt(i: int) -> TrialVerdict:
         lowered, words = _lowered(candidate, shares[i])
@@ -221,20 +223,19 @@ def _fastest(
     return best
 
 
-def _candidates(identification: Identification) -> Iterator[tuple[Identification, tuple[str, ...]]]:
-    """What was found, and where it is no plain SM the SM of the same data, with what was changed."""
-    yield identification, ()
+def _simplified(identification: Identification) -> tuple[Identification, tuple[str, ...]] | None:
+    """The plain SM of the same data and what was changed; None where it is one already, or there is none to drive."""
     report = identification.report
     fitted = report.fitted
     if fitted.structure == SIMPLEST and fitted.base is None:
-        return
+        return None
     try:
         simpler = identify_data(report.data, STRUCTURES[SIMPLEST], report.name)
     except ValueError:
-        return
-    if not simpler.refusal:
-        more = " with effects" if fitted.base is not None else ""
-        yield simpler, (f"a plain {SIMPLEST.upper()} in place of the {fitted.structure.upper()}{more}, which fails",)
+        return None
+    more = " with effects" if fitted.base is not None else ""
+    words = f"a plain {SIMPLEST.upper()} in place of the {fitted.structure.upper()}{more}, which fails"
+    return None if simpler.refusal else (simpler, (words,))
 
 
 def _lowered(identification: Identification, shares: tuple[float, float]) -> tuple[Identification, tuple[str, ...]]:
@@ -255,7 +256,7 @@ def _driven(
     drives: list[TrialDrive] = []
     config: ControllerConfig | None = None
     with TemporaryDirectory() as folder:
-        identification.write(folder, force=True)
+        identification.write_model(folder)
         try:
             config = load_config(Path(folder) / CONFIG_FILE)
             for drive in trial_drives(identification, config, plants, on_run):

@@ -98,14 +98,7 @@ class Identification:
         """Why no controller should drive with this model, in a line; empty where nothing speaks against it."""
         return "; ".join(refusals(self.report.data.findings, self.report.fitted))
 
-    def write(
-        self,
-        folder: str | Path,
-        figures: Mapping[str, str] | None = None,
-        *,
-        force: bool = False,
-        model: bool = True,
-    ) -> None:
+    def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
 
         Where there is a `refusal`, model, configuration and surface are not written unless with `force`. The mapping
@@ -119,28 +112,34 @@ class Identification:
             Titles and relative paths of figures that the report shows.
         force
             Whether to write model and configuration in spite of a `refusal`.
-        model
-            Whether to write model, configuration and surface at all.
 
         Raises
         ------
         OSError
             If a file cannot be written.
         """
-        folder = Path(folder)
-        words = self.report.markdown(figures)
+        if force or not self.refusal:
+            self.write_model(folder)
+        self.write_report(folder, figures)
+
+    def write_model(self, folder: str | Path) -> None:
+        """Write model, configuration, surface and, for bags, the node's parameters; as `write`."""
+        folder, predictor = Path(folder), self.report.fitted.predictor
+        folder.mkdir(parents=True, exist_ok=True)
+        if predictor is None:
+            write_model_file(folder / MODEL_FILE, self.content)
+        else:
+            predictor.write(folder / MODEL_FILE, self.content)
+        (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
+        (folder / SURFACE_FILE).write_text(surface_text(self.surface), encoding="utf-8")
+        if self.report.data.topics:
+            (folder / NODE_FILE).write_text(node_text(self.report.data.topics), encoding="utf-8")
+
+    def write_report(self, folder: str | Path, figures: Mapping[str, str] | None = None) -> None:
+        """Write the report, as text and for programs, and the mapping of an `advice`; as `write`."""
+        folder, words = Path(folder), self.report.markdown(figures)
         numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
-        if model and (force or not self.refusal):
-            predictor = self.report.fitted.predictor
-            if predictor is None:
-                write_model_file(folder / MODEL_FILE, self.content)
-            else:
-                predictor.write(folder / MODEL_FILE, self.content)
-            (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
-            (folder / SURFACE_FILE).write_text(surface_text(self.surface), encoding="utf-8")
-            if self.report.data.topics:
-                (folder / NODE_FILE).write_text(node_text(self.report.data.topics), encoding="utf-8")
         if self.advice:
             self.advice.write(folder)
         (folder / "report.json").write_text(numbers, encoding="utf-8")

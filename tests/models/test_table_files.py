@@ -5,8 +5,10 @@ import io
 import sys
 
 import numpy as np
+import pyarrow
 import pytest
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from pyarrow.parquet import write_table
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
@@ -149,16 +151,12 @@ def test_a_bag_that_git_lfs_did_not_fetch_says_so(tmp_path, name):
 
 
 def write_parquet(path, columns):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow.parquet import write_table
-
     write_table(pyarrow.table(columns), path)
     return path
 
 
 def test_parquet_reads_like_csv(tmp_path):
     """Nulls are empty cells, words stay words, and times become seconds."""
-    pyarrow = pytest.importorskip("pyarrow")
     gyro = [None if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
     stamps = pyarrow.array((COLUMNS["t"] * 1e9).round().astype("int64")).cast(pyarrow.timestamp("ns"))
     mode = pyarrow.array(["auto"] * 150 + ["manual"] * 50).dictionary_encode()
@@ -189,7 +187,6 @@ def test_a_column_of_parquet_that_is_no_number_is_named(tmp_path, column, words)
 def test_damaged_parquet_is_one_line(tmp_path):
     path = tmp_path / "log.parquet"
     path.write_bytes(b"PAR1" + bytes(100))
-    pytest.importorskip("pyarrow")
     assert "cannot be read as Parquet" in line_of(path, write_mapping(tmp_path / "map.yaml"))
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -98,8 +99,9 @@ class IdentificationReport:
     def _findings(self) -> list[Finding]:
         return [finding for finding in self.data.findings if finding.severity != "note"]
 
-    def in_short(self) -> list[str]:
-        """What was found and whether to trust it, a line each."""
+    @property
+    def found(self) -> list[str]:
+        """What was found, and a mapping with which the logs are predicted better, a line each."""
         model = self.fitted.identified.model
         gain, late, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
@@ -111,9 +113,14 @@ class IdentificationReport:
             linear = "by the linear model beside it, which limits and tracks come from"
             lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
         clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
-        return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {self.verdict}."]
+        advice = [self.data.advice.sentence()] if self.data.advice else []
+        return [f"Found: {'; '.join([*lags, *clipped])}.", *advice]
 
-    @property
+    def in_short(self) -> list[str]:
+        """The same, and whether to trust the model."""
+        return [*self.found, f"To be trusted? {self.verdict}."]
+
+    @cached_property
     def trust(self) -> Trust:
         """How far to trust the model, by what the logs say of it."""
         return judge(self.data, self.fitted, self.doubts)
@@ -181,7 +188,7 @@ class IdentificationReport:
         parts = [
             f"# {plain_line(self.name)}",
             "",
-            *(first or _bullets([*self.in_short(), *([self.data.advice.sentence()] if self.data.advice else [])])),
+            *(first or _bullets(self.in_short())),
             "",
             *self._facts(),
             "",

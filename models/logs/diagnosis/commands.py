@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, POSE, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, Streams, answer
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -62,7 +62,7 @@ def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> FloatArray:
     """Times [s] after clear changes of the command at which the answer last passed the middle; empty where few do."""
-    names = [name for name in streams.present(channel) if name != POSE]
+    names = streams.moving(channel)
     if not names:
         return np.empty(0)
     command, values = streams.pair(COMMAND, names[0], channel)
@@ -90,7 +90,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
     """Findings about channels whose commands are whole multiples of a step between which the robot moves as well."""
     findings = []
     for channel in (0, 1):
-        names = [name for name in streams.present(channel) if name != POSE]
+        names = streams.moving(channel)
         if not names:
             continue
         command, values = streams.pair(COMMAND, names[0], channel)

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, paired
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer, paired
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange
 from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -188,7 +188,7 @@ def check_clipping(log: str, streams: Streams, settings: CheckSettings) -> list[
     findings = []
     for channel in (0, 1):
         command = streams.channel(COMMAND, channel)
-        names = [name for name in streams.present(channel) if name != POSE]
+        names = streams.moving(channel)
         if command is None or not names:
             continue
         values = streams.channel(names[-1], channel)

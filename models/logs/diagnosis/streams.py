@@ -83,6 +83,10 @@ class Streams:
         """Sensors that measure the channel."""
         return [name for name in SENSORS if self.channel(name, channel) is not None]
 
+    def moving(self, channel: int) -> list[str]:
+        """Sensors that measure the channel itself: all but poses, which are its integral."""
+        return [name for name in self.present(channel) if name != POSE]
+
     def each(self, function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
         """Apply `function` to each stretch of `values` (N, ...)."""
         result = np.full_like(values, np.nan)
