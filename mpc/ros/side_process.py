@@ -21,6 +21,8 @@ _MODULE = "diffdrive_mpc.mpc.ros.side_process"
 _NICENESS = 10
 _FAREWELL = 2.0
 """How long the process may take to end [s]."""
+_LONGEST_BEGINNING = 60.0
+"""How long the process may take to begin and to load a module [s]: on a busy computer it comes after all else."""
 Done = Callable[[Any], None]
 Failed = Callable[[str], None]
 
@@ -42,7 +44,7 @@ class SideProcess:
     wake
         Called from a thread of its own when `deliver` has something to do.
     patience
-        A function that takes longer is given up, and the process with it [s].
+        A function that takes longer is given up, and the process with it [s]. It counts from when its module is loaded.
     """
 
     def __init__(self, wake: Callable[[], None], patience: float) -> None:
@@ -135,10 +137,13 @@ class SideProcess:
         try:
             link = self._link or self._begin()
             link.send((job.function, job.arguments))
-            if link.poll(self._patience):
-                well, content = link.recv()
-                return bool(well), content
-            why = f"to read it takes longer than {self._patience:g} s"
+            why = f"the process that reads it does not begin within {_LONGEST_BEGINNING:g} s"
+            if link.poll(_LONGEST_BEGINNING):
+                link.recv()
+                why = f"to read it takes longer than {self._patience:g} s"
+                if link.poll(self._patience):
+                    well, content = link.recv()
+                    return bool(well), content
         except (OSError, EOFError):
             pass
         with self._changed:
@@ -162,6 +167,7 @@ def _main(descriptor: int) -> None:
     while True:
         try:
             function, arguments = link.recv()
+            link.send("its module is loaded")
             answer = _answer(function, arguments)
             link.send(answer)
         except (EOFError, OSError):
