@@ -530,13 +530,26 @@ class Controller:
         _warn_of_former_name("foresee", "predict_belief")
         return self.predict_belief(belief, commands)
 
-    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
+    def step(
+        self,
+        t: float,
+        measurement: Measurement,
+        hold: Hold | None = None,
+        *,
+        deadline: float | None = None,
+        most_iterations: int | None = None,
+    ) -> StepResult:
         """Compute the command for the tick at `t` [s] from the measurements since the last tick.
 
         Never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, and `message` says
         so. The robot then dead-reckons. It brakes when no pose was accepted for `failure.max_pose_age`, or for
         `failure.dead_reckoning` where wheels and gyro are good.
         With `hold` it brakes and stands instead of driving; the estimate continues.
+
+        With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock, after one iteration at the
+        earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status` says so. The run
+        then depends on how fast the computer is. `most_iterations` bounds this tick's active set: to repeat a tick that
+        was stopped.
 
         Raises
         ------
@@ -563,6 +576,7 @@ class Controller:
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
         tick_input.request = 0 if hold is None else 2 if hold.failure else 1
+        tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
         since_start = t - self._t0
         on_time = pursuit.on_time and since_start >= 0.0
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
@@ -584,7 +598,7 @@ class Controller:
         refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
             backend_began = time.perf_counter()
-            refused = self._ask_backend()
+            refused = self._ask_backend(deadline)
             solve_time += time.perf_counter() - backend_began
         result = self._build(hold, message, (started, solve_time), refused=refused)
         for feature in self._features.values():
@@ -641,10 +655,10 @@ class Controller:
             # The reference returned invalid samples after all; the rest of the last plan is better than an exception.
             return tick.lib.ddmpc_give_up(self._c), f"there is nothing to track: {error}"
 
-    def _ask_backend(self) -> bool:
+    def _ask_backend(self, deadline: float | None) -> bool:
         """Solve with the backend, and give the core its answer; returns whether it refused the numbers."""
         tick, solver = self._tick, self._config.solver
-        solved, report = ask(self._backend, self._program, solver.backend, SLACK * solver.tolerance)
+        solved, report = ask(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
         ffi = tick.ffi
         plan, multipliers = np.ascontiguousarray(solved.plan), np.ascontiguousarray(solved.multipliers)
         refused = report.status is SolverStatus.REFUSED

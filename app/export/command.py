@@ -72,7 +72,8 @@ drive(result->command[0], result->command[1]);
 It is the Python controller with `reentry.enabled: false`: further than `failure.max_position_error` from where the
 reference is it brakes, nearer it chases the reference, which does not wait.
 
-- There is no backend: what the active set does not prove within {iteration_limit} systems is a failed solve, and the
+- The active set solves at most {iteration_limit} systems at a tick. What it has reached by then is taken, inside ranges
+  and slew, and `result->solver.status` is DDMPC_QP_STOPPED. There is no backend: where rounding leaves no proof, the
   failure ladder acts. Where no limit is active the plan is exact, with 0 iterations.
 - Weights and limits are constants; there is no `update`. Parameters of functions of yours are variables.
 - `result->reasons` and `result->note` are numbers where the Python controller has sentences.

@@ -101,7 +101,7 @@ def replay(
             begin(next(waiting), tick.start.t0)
         if tick.config is not None and as_recorded:
             controller.update(weights=tick.config.weights.model_dump(), limits=_changeable(tick.config))
-        steps.append(controller.step(tick.time, tick.measurement, tick.hold))
+        steps.append(controller.step(tick.time, tick.measurement, tick.hold, most_iterations=tick.stopped_after))
         if np.isfinite(tick.command).all():
             controller.set_applied_commands([tick.command])
         on_step(tick, steps[-1])

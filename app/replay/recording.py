@@ -50,6 +50,8 @@ class RecordedTick:
         Weights and limits from this tick on, where they changed.
     mode, solver_path, message
         What the recorded controller said; empty where that is not in the log.
+    stopped_after
+        Iterations after which the clock ended its solve; None where it did not.
     """
 
     time: float
@@ -61,6 +63,7 @@ class RecordedTick:
     mode: str = ""
     solver_path: str = ""
     message: str = ""
+    stopped_after: int | None = None
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,8 @@ class TickRecord:
         What the controller said.
     step_time
         Duration of its step [s].
+    stopped_after
+        Iterations after which the clock ended its solve; None where it did not.
     """
 
     number: int
@@ -59,6 +61,7 @@ class TickRecord:
     message: str
     solver_path: str
     step_time: float
+    stopped_after: int | None = None
 
     def line(self) -> str:
         """The record as a line."""
@@ -76,6 +79,7 @@ class TickRecord:
                 "message": self.message,
                 "solver_path": self.solver_path,
                 "step_time": self.step_time,
+                **({} if self.stopped_after is None else {"stopped_after": self.stopped_after}),
             }
         )
 
@@ -96,6 +100,7 @@ class TickRecord:
                 str(data["message"]),
                 str(data["solver_path"]),
                 float(data["step_time"]),
+                int(data["stopped_after"]) if "stopped_after" in data else None,
             )
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise TickRecordError(f"no record of a tick ({error})") from error

@@ -21,7 +21,9 @@ class Solver(Group):
         "daqp", description="osqp: operator splitting; daqp: dual active set, exact [-]"
     )
     active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
-        500, description="systems that the active set may solve before the backend is asked; 0: ask it at once [-]"
+        500,
+        description="systems that the active set may solve at a tick; then its plan is taken as it is, with ranges and "
+        "slew kept; 0: ask the backend at once [-]",
     )
     max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
         2000, description="limit of the iterations of one solve of the backend [-]"
@@ -36,5 +38,6 @@ class Solver(Group):
     )
     time_limit: Annotated[float, Field(gt=0)] | None = Field(
         None,
-        description="limit of the time of one solve, for robots; it breaks determinism in simulation [s]",
+        description="the node's: after so long of a tick the solve is stopped, and its plan taken as it is, with "
+        "ranges and slew kept; unset: half of sample_time. A simulation is bounded by iterations alone [s]",
     )

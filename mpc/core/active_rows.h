@@ -25,6 +25,7 @@ typedef struct {
     int n, m, slots, most_active;
     int taken, used;    /* slots that were ever taken; the same in whole lanes */
     int active;         /* rows that press */
+    int late;           /* whether the deadline has passed */
     int factored;       /* of these, in their order, the first for which the factor holds */
     real largest_input; /* of U0 */
     real primal;        /* largest excess of a hard row at the plan */

@@ -1,11 +1,14 @@
 /* The active set: the two methods that active_set.h names, and the proof of what they find. Every loop is over rows or inputs, or
  * is bounded where it stands; each system that is solved counts as an iteration, of which there are `most_iterations`. */
+/* for clock_gettime, which C99 alone does not know */
+#define _POSIX_C_SOURCE 199309L
 #include "active_set.h"
 
 #include <float.h>
 #include <string.h>
 
 #include "active_rows.h"
+#include "clock.h"
 
 enum {
     MOST_ROUNDS = 12,     /* of the primal-dual method; it ends after one to three, or not at all */
@@ -138,12 +141,21 @@ static int is_met(ddmpc_rows *rows)
     return met;
 }
 
+/* Whether there may be no further iteration. */
+static int is_over(ddmpc_rows *rows, int iterations)
+{
+    const ddmpc_limited_problem *problem = rows->problem;
+    if (iterations > 0 && isfinite(problem->deadline))
+        rows->late |= ddmpc_now() > problem->deadline;
+    return rows->late || iterations >= problem->most_iterations;
+}
+
 /* Steps of the primal-dual active set method: what pulls leaves, what is broken comes, all at once. For hard rows only:
  * soft ones make it go round in circles. Returns whether that ended at the solution. */
 static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
 {
     int best = rows->m + 1, patience = PATIENCE, entered;
-    for (int round = 0; round < MOST_ROUNDS && *iterations < rows->problem->most_iterations; round++) {
+    for (int round = 0; round < MOST_ROUNDS && !is_over(rows, *iterations); round++) {
         int wrong = 0, broken[2];
         ++*iterations;
         if (ddmpc_factorise_rows(rows, 1) < 0)
@@ -286,7 +298,7 @@ static int contradicts(const ddmpc_rows *rows, real rise)
     return rise > total;
 }
 
-typedef enum { SETTLED, RAN_OUT, UNBOUNDED } outcome;
+typedef enum { SETTLED, RAN_OUT, ASTRAY, UNBOUNDED } outcome;
 
 /* From multipliers on their pieces climb to the maximum of the dual on the active rows, or a part of them. */
 static outcome settle(ddmpc_rows *rows, int *iterations)
@@ -294,7 +306,7 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
     /* Each round solves a system: it ends after `most_iterations` of them at the latest. */
     for (;;) {
         real length = R(0.0), rise = R(0.0); /* find_step sets what its answer needs */
-        if (*iterations >= rows->problem->most_iterations)
+        if (is_over(rows, *iterations))
             return RAN_OUT;
         ++*iterations;
         const way next = find_step(rows, &length, &rise);
@@ -312,7 +324,7 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
             block = find_block(rows, &length);
         }
         if (block < 0)
-            return RAN_OUT;
+            return ASTRAY;
         const range piece = piece_of(rows, block);
         const int falls = rows->step[block] < R(0.0), above = ddmpc_is_above(rows, block);
         for (int i = 0; i < rows->active; i++)
@@ -346,9 +358,11 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
     for (int stalls = 0; stalls < MOST_STALLS;) {
         const outcome end = settle(rows, iterations);
         int refinements = 0, entered, broken[2];
-        if (end != SETTLED)
+        if (end == UNBOUNDED || end == ASTRAY)
             return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
         ddmpc_plan_of_rows(rows, plan);
+        if (end == RAN_OUT)
+            return DDMPC_UNFINISHED;
         /* MOST_REFINEMENTS rounds at most. */
         while (!is_met(rows)) {
             if (refinements++ == MOST_REFINEMENTS)
@@ -366,7 +380,7 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
         if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0)
             return DDMPC_PROVEN;
         if (entered == 0)
-            return DDMPC_NOT_PROVEN;
+            return DDMPC_UNFINISHED;
     }
     return DDMPC_NOT_PROVEN;
 }
@@ -459,6 +473,20 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * size_of_gradient(rows, plan));
 }
 
+/* Fill multipliers with those that were reached; returns whether they and the plan are numbers. */
+static int is_left_usable(const ddmpc_rows *rows, const real *plan, real *multipliers)
+{
+    int sound = 1;
+    memset(multipliers, 0, (size_t)rows->m * sizeof(real));
+    for (int i = 0; i < rows->active; i++) {
+        multipliers[ddmpc_row_at(rows, i)] = rows->multiplier[i];
+        sound &= ddmpc_fabs(rows->multiplier[i]) < DDMPC_LARGEST;
+    }
+    for (int k = 0; k < rows->n; k++)
+        sound &= ddmpc_fabs(plan[k]) < DDMPC_LARGEST;
+    return sound;
+}
+
 /* What the limits must be for there to be a problem. */
 static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
 {
@@ -477,7 +505,7 @@ static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
 ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory,
                                          real *multipliers, real *plan)
 {
-    ddmpc_limited_result result = {DDMPC_NOT_PROVEN, 0, 0, R(0.0), R(0.0)};
+    ddmpc_limited_result result = {DDMPC_NOT_PROVEN, 0, 0, 0, R(0.0), R(0.0)};
     ddmpc_rows rows;
     result.status = check_limits(problem);
     if (result.status == DDMPC_PROVEN && !ddmpc_begin_rows(&rows, problem, memory))
@@ -493,10 +521,13 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         }
         result.active = rows.active;
         result.primal = rows.primal;
+        result.late = rows.late;
         if (result.status == DDMPC_PROVEN && !is_stationary(&rows, plan, multipliers, &result))
             result.status = DDMPC_NOT_PROVEN;
+        if (result.status == DDMPC_UNFINISHED && !is_left_usable(&rows, plan, multipliers))
+            result.status = DDMPC_NOT_PROVEN;
     }
-    if (result.status != DDMPC_PROVEN) {
+    if (result.status != DDMPC_PROVEN && result.status != DDMPC_UNFINISHED) {
         memset(multipliers, 0, (size_t)problem->rows * sizeof(real));
         memcpy(plan, problem->minimiser, (size_t)problem->inputs * sizeof(real));
     }

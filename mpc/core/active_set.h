@@ -28,17 +28,20 @@ typedef struct {
     const void *context;
     real slack;                        /* by how much a limit may be exceeded; rounding errors come on top */
     int most_iterations;
+    ddmpc_time deadline;               /* by the clock of ddmpc_now [s]; infinite: none. One iteration there always is */
 } ddmpc_limited_problem;
 
 typedef enum {
     DDMPC_PROVEN,     /* limits are kept within slack, multipliers have the right sign, the cost is stationary */
-    DDMPC_NOT_PROVEN, /* iterations, room for active rows or numbers ran out, or data are not finite */
+    DDMPC_UNFINISHED, /* iterations, time or room for active rows ran out */
+    DDMPC_NOT_PROVEN, /* rounding got in the way, or data are not finite */
     DDMPC_INFEASIBLE  /* the hard rows contradict each other by more than slack */
 } ddmpc_limited_status;
 
 typedef struct {
     ddmpc_limited_status status;
     int iterations; /* systems solved */
+    int late;       /* whether the clock ended it */
     int active;     /* rows that press */
     real primal;    /* largest excess of a hard row */
     real dual;      /* largest entry of the gradient of the Lagrangian, computed from the plan */
@@ -65,7 +68,8 @@ unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
 /* Solve. `multipliers` (m): before, those of a problem like this one, or zeros; only their signs and whether they are
  * above the price count, and they may be wrong. After, those of the solution: positive at an upper bound, negative at
  * a lower one, and beyond the price where a soft limit is exceeded. `plan` (n) is the solution. Where the result is
- * not DDMPC_PROVEN the plan is the minimiser, and multipliers are zero. */
+ * DDMPC_UNFINISHED both are how far the dual method came: the plan may break limits. Else the plan is the minimiser, and
+ * multipliers are zero. */
 ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory,
                                          real *multipliers, real *plan);
 

@@ -113,7 +113,7 @@ typedef struct {
 
     /* solution */
     real slack;                 /* by how much the active set may exceed a limit */
-    int active_set;             /* most iterations of the active set; 0: straight to the backend */
+    int active_set;             /* most iterations of the active set at a tick; 0: straight to the backend */
     int forced;                 /* whether the backend is asked at every tick */
 
     /* ladder */
@@ -165,6 +165,9 @@ typedef struct {
     /* the reference's own clock: its time at this tick [s], and whether it runs with the controller's */
     ddmpc_time reference_time;
     int on_time;
+    /* bounds of this tick's active set: by the clock of the solve time [s], 0: none; and iterations, 0: as configured */
+    ddmpc_time deadline;
+    int most_iterations;
 } ddmpc_input;
 
 /* Why a measurement was rejected; `a` and `b` are the numbers that belong to it. */
@@ -234,7 +237,9 @@ typedef enum {
     DDMPC_QP_UNBOUNDED,
     DDMPC_QP_NOT_CONVEX,
     DDMPC_QP_NOT_FINITE, /* the problem's data are not finite, or too large to be real */
-    DDMPC_QP_NOT_RUN
+    DDMPC_QP_NOT_RUN,
+    DDMPC_QP_STOPPED,        /* the active set at its last iteration, or for want of room: ranges and slew are kept */
+    DDMPC_QP_STOPPED_IN_TIME /* the same, by the deadline */
 } ddmpc_solver_status;
 
 /* The way that led to the plan. */

@@ -96,7 +96,12 @@ enum { PADDING = 8 };
 enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
 #define KINDS(c) (HARD + SOFT(c))
 /* Limits that may press at once: as many as there are commands, and some soft ones that give way. */
+/* Exceeded soft limits take room, too, and there may be several at each sample; a small computer has less of it. */
+#ifdef DDMPC_EXPORT
 #define MOST_ACTIVE(c) (INPUTS(c) + 32)
+#else
+#define MOST_ACTIVE(c) (3 * INPUTS(c) + 32)
+#endif
 
 enum { WHEEL_SPEED, WHEEL_YAW_RATE, YAW_RATE, POSE_SENSOR };
 enum {
@@ -256,6 +261,8 @@ struct ddmpc_controller {
     real *kept;           /* [2N] the last good plan */
     int plan_age;         /* ticks since it was made; -1: there is none */
     int has_reference, has_result, has_driven, latched, finished, pending;
+    ddmpc_time deadline; /* of this tick's solve, see ddmpc_input; infinite: none */
+    int most_iterations;
     real share;
     /* fence */
     real fence[3]; /* its middle in the frame of poses [m, m, rad] */

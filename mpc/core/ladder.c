@@ -124,7 +124,11 @@ int ddmpc_reuse(ddmpc_controller *c)
     return DDMPC_DONE;
 }
 
-static int is_usable(int status) { return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY; }
+static int is_usable(int status)
+{
+    return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY || status == DDMPC_QP_STOPPED ||
+           status == DDMPC_QP_STOPPED_IN_TIME;
+}
 
 int ddmpc_use_plan(ddmpc_controller *c)
 {

@@ -1,7 +1,8 @@
 /* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and so
  * solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven by its
- * multipliers. Where that fails ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP (mpc/solver/backend.py) and
- * goes on by ddmpc_answer; an export, which has no backend, goes down the ladder. H = R'R is factorised by Cholesky's
+ * multipliers. Stopped by its bounds it leaves a plan that keeps ranges and slew. Where numbers fail ddmpc_solve returns
+ * DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP (mpc/solver/backend.py) and goes on by ddmpc_answer; an export, which has no
+ * backend, goes down the ladder. H = R'R is factorised by Cholesky's
  * method, block by block. */
 #include <string.h>
 
@@ -164,6 +165,56 @@ static void gather_kinds(ddmpc_controller *c)
         p->pressing[i / STEPS(c)] |= p->multipliers[i] != R(0.0);
 }
 
+/* Bring a plan inside ranges and slew, command by command. */
+static void keep_hard_limits(const ddmpc_controller *c, real *plan)
+{
+    const ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c);
+    for (int channel = 0; channel < 2; channel++) {
+        real before = R(0.0);
+        for (int k = 0; k < N; k++) {
+            const int range = channel * N + k, slew = (2 + channel) * N + k;
+            const real lower = ddmpc_max(p->lower[range], before + p->lower[slew]);
+            const real upper = ddmpc_min(p->upper[range], before + p->upper[slew]);
+            before = plan[2 * k + channel] = ddmpc_min(ddmpc_max(plan[2 * k + channel], lower), upper);
+        }
+    }
+}
+
+/* What a plan costs more than the minimiser without limits, the price of exceeded soft limits included. */
+static real cost_of(ddmpc_controller *c, const real *plan)
+{
+    ddmpc_problem *p = &c->problem;
+    const int inputs = INPUTS(c);
+    real moved[2 * DDMPC_MOST_STEPS], sum = R(0.0);
+    for (int i = 0; i < inputs; i++)
+        moved[i] = plan[i] - p->minimiser[i];
+    for (int i = 0; i < inputs; i++) {
+        const real z = long_dot(p->factor + i * inputs + i, moved + i, inputs - i);
+        sum += R(0.5) * z * z;
+    }
+    ddmpc_limit_values(c, plan, p->values);
+    for (int i = HARD * STEPS(c); i < KINDS(c) * STEPS(c); i++) {
+        const real beyond = ddmpc_max(ddmpc_max(p->values[i] - p->upper[i], p->lower[i] - p->values[i]), R(0.0));
+        sum += c->constants->price * beyond + R(0.5) * c->constants->price_slope * beyond * beyond;
+    }
+    return sum;
+}
+
+/* The active set was stopped. Its plan, or the rest of the last one where that costs less, inside ranges and slew. */
+static void take_unfinished(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    real rest[2 * DDMPC_MOST_STEPS];
+    const size_t size = (size_t)INPUTS(c) * sizeof(real);
+    memcpy(rest, p->guess, size);
+    keep_hard_limits(c, rest);
+    keep_hard_limits(c, p->plan);
+    /* Not the other way round: a cost that is no number is not chosen. */
+    if (!(cost_of(c, p->plan) <= cost_of(c, rest)))
+        memcpy(p->plan, rest, size);
+}
+
 static int find_active_set(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -172,16 +223,20 @@ static int find_active_set(ddmpc_controller *c)
     const ddmpc_limited_problem problem = {
         INPUTS(c), rows, hard, p->factor, p->minimiser, p->lower, p->upper, c->constants->price,
         c->constants->price_slope, ddmpc_limit_values, ddmpc_limit_row, c, c->constants->slack,
-        c->constants->active_set};
+        c->most_iterations, c->deadline};
     /* Kept for a backend: what is not proven leaves none. */
     memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
     const ddmpc_limited_result found = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
     report->iterations = found.iterations;
-    if (found.status != DDMPC_PROVEN)
+    if (found.status != DDMPC_PROVEN && found.status != DDMPC_UNFINISHED)
         return 0;
     memcpy(p->multipliers, p->values, (size_t)rows * sizeof(real));
     report->status = DDMPC_QP_SOLVED;
     report->path = DDMPC_ACTIVE_SET;
+    if (found.status == DDMPC_UNFINISHED) {
+        report->status = found.late ? DDMPC_QP_STOPPED_IN_TIME : DDMPC_QP_STOPPED;
+        take_unfinished(c);
+    }
     report->primal_residual = found.primal;
     report->dual_residual = found.dual;
     for (int i = hard; i < rows; i++)

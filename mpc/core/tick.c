@@ -403,6 +403,8 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     }
     clear(&c->result);
     c->share = R(1.0);
+    c->deadline = input->deadline > 0.0 ? input->deadline : (ddmpc_time)INFINITY;
+    c->most_iterations = input->most_iterations > 0 ? input->most_iterations : c->constants->active_set;
     if (kind == TICK_NEW) {
         const int pending = new_tick(c, t, input);
         if (!c->result.has_estimate)

@@ -42,6 +42,11 @@ class LoopState(StrEnum):
     """Commands zero after an exception; `start` begins anew."""
 
 
+_SHARE_OF_TICK = 0.5
+"""After this share of the sample time a solve has to end, where `solver.time_limit` does not say: the rest of a tick
+needs time, too [-]."""
+
+
 class RefusedError(DiffdriveMpcError, ValueError):
     """A request that cannot be granted now; says why and what to do."""
 
@@ -145,6 +150,7 @@ class ControlLoop:
     ) -> None:
         self._controller, self._settings, self.inbox = controller, settings, inbox
         self._steady: Callable[[], float] = (lambda: self.inbox.now) if in_sim_time else time.perf_counter
+        self._in_sim_time = in_sim_time
         self.times = LoopTimes(controller.config.sample_time, settings.statistics_window)
         self.state = LoopState.IDLE
         self.fallbacks = 0
@@ -321,13 +327,20 @@ class ControlLoop:
         self._follow_frame()
         self._requests += 1
         request = Request(self._requests, t, self.inbox.measurement(), self._hold(t))
-        result = self._controller.step(t, request.measurement, request.hold)
+        result = self._controller.step(t, request.measurement, request.hold, deadline=self._deadline())
         self._was_reset = False
         self.fallbacks += result.mode in (Mode.REUSED_PLAN, Mode.BRAKING)
         if self.state is LoopState.DRIVING and result.blocked_for >= self._settings.blocked_timeout:
             self.pause(f"blocked for {result.blocked_for:.1f} s; clear the way and call start")
             self.blocked = True
         return LoopTick(result.command, self.state, result.message, result, request)
+
+    def _deadline(self) -> float | None:
+        """When the solve of this tick has to end, by `time.monotonic` [s]; a simulated robot waits for it."""
+        if self._in_sim_time:
+            return None
+        config = self._controller.config
+        return time.monotonic() + (config.solver.time_limit or _SHARE_OF_TICK * config.sample_time)
 
     def _begin_next(self, t: float) -> None:
         assert self._next is not None

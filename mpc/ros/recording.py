@@ -26,6 +26,7 @@ from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.tabled import table_of
 
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
@@ -212,7 +213,9 @@ class TickRecords:
         if request is None or result is None:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
-        cells = (str(result.mode), result.message, str(result.solver.method), result.step_time)
+        solver = result.solver
+        late = solver.iterations if solver.status is SolverStatus.STOPPED_IN_TIME else None
+        cells = (str(result.mode), result.message, str(solver.method), result.step_time, late)
         return TickRecord(request.number, request.time, self._number, request.measurement, hold, result.command, *cells)
 
 

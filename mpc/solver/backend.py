@@ -7,6 +7,7 @@ are added and it is asked again.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from importlib import import_module
 from typing import NamedTuple, Protocol
@@ -22,6 +23,8 @@ from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 
 Kinds = tuple[int, ...]
 """Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from `HARD` on the soft ones."""
+_SHORTEST = 1e-4
+"""Time that a solver is given though none is left [s]."""
 
 
 class Program:
@@ -113,22 +116,41 @@ class Backend(Protocol):
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None: ...
 
-    def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
-        """Solve with these kinds of limit, from a plan (2 N,) and multipliers (kinds, N) near the solution."""
+    def solve(
+        self,
+        program: Program,
+        kinds: Kinds,
+        guess: FloatArray,
+        multipliers: FloatArray,
+        time_limit: float | None = None,
+    ) -> Solved:
+        """Solve with these kinds of limit, from a plan (2 N,) and multipliers (kinds, N) near the solution.
+
+        With `time_limit` it ends after so long [s].
+        """
         ...
 
 
-def ask(backend: Backend, program: Program, path: str, slack: float) -> tuple[Solved, SolverReport]:
-    """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept."""
+def ask(
+    backend: Backend, program: Program, path: str, slack: float, deadline: float | None = None
+) -> tuple[Solved, SolverReport]:
+    """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept.
+
+    It ends at `deadline`, by `time.monotonic` [s].
+    """
     kinds = tuple(sorted({*range(HARD), *program.kinds}))
     guess, multipliers, iterations = program.guess, program.multipliers, 0
     while True:
-        solved = backend.solve(program, kinds, guess, multipliers)
+        left = None if deadline is None else max(deadline - time.monotonic(), _SHORTEST)
+        solved = backend.solve(program, kinds, guess, multipliers, left)
         iterations += solved.iterations
         if not np.isfinite(solved.plan).all():
             solved = solved._replace(status=SolverStatus.NOT_FINITE)
         missed = program.broken(solved.plan, slack) if solved.status.usable else ()
         if set(missed) <= set(kinds):
+            break
+        if left == _SHORTEST:
+            solved = solved._replace(status=SolverStatus.TIME_LIMIT)
             break
         kinds = tuple(sorted({*kinds, *missed}))
         guess, multipliers = solved.plan, solved.multipliers

@@ -5,6 +5,7 @@ Soft limits are its own: an exact and a quadratic price on each row, without sla
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from ctypes import c_int
 
 import daqp
@@ -39,22 +40,28 @@ class DaqpBackend:
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._steps, self._count, self._weights = steps, kinds, weights
         self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
-        if settings.time_limit is not None:
-            self._settings["time_limit"] = settings.time_limit
         commands = np.eye(2 * steps)
         increments = commands.copy()
         increments[2:] -= commands[:-2]
         self._hard = [commands[0::2], commands[1::2], increments[0::2], increments[1::2]]
 
-    def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
+    def solve(
+        self,
+        program: Program,
+        kinds: Kinds,
+        guess: FloatArray,
+        multipliers: FloatArray,
+        time_limit: float | None = None,
+    ) -> Solved:
         """See `mpc.solver.backend.Backend`; the plan that is guessed has no part in it."""
         rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
         chosen = list(kinds)
         near = multipliers[chosen].reshape(-1)
         soft = np.repeat([kind >= HARD for kind in kinds], self._steps)
-        flag, solved = self._run(program, rows, chosen, soft, near)
+        settings = self._settings if time_limit is None else {**self._settings, "time_limit": time_limit}
+        flag, solved = self._run(program, rows, chosen, soft, near, settings)
         if flag == _DEPENDENT:
-            flag, solved = self._run(program, rows, chosen, soft, np.zeros_like(near))
+            flag, solved = self._run(program, rows, chosen, soft, np.zeros_like(near), settings)
         status = _STATUS.get(flag, SolverStatus.NOT_RUN)
         if solved is None:
             return Solved(guess, np.zeros((self._count, self._steps)), status)
@@ -68,7 +75,13 @@ class DaqpBackend:
         return Solved(plan, duals, status, iterations, max(worst, 0.0), float(np.abs(dual).max()))
 
     def _run(
-        self, program: Program, rows: FloatArray, kinds: list[int], soft: FloatArray, near: FloatArray
+        self,
+        program: Program,
+        rows: FloatArray,
+        kinds: list[int],
+        soft: FloatArray,
+        near: FloatArray,
+        settings: Mapping[str, float],
     ) -> tuple[int, tuple[FloatArray, FloatArray, int] | None]:
         """Solve from the multipliers `near`; nothing is found where DAQP refuses the numbers."""
         price = self._weights.soft
@@ -86,7 +99,7 @@ class DaqpBackend:
         )
         if flag < 0:
             return int(flag), None
-        model.settings = self._settings
+        model.settings = settings
         if soft.any():
             looseness, prices = np.full(len(near), 1 / self._weights.soft_quadratic), np.full(len(near), price)
             model.soft_weights(looseness, looseness, prices, prices)

@@ -33,6 +33,8 @@ _STATUS = {
 }
 # A multiplier below this is what is left of one: its limit is not active.
 _NO_PRESSURE = 1e-6
+# OSQP's own default [s].
+_NO_TIME_LIMIT = 1e10
 # Few sets of soft limits come up in practice.
 _MOST_WORKSPACES = 16
 
@@ -45,10 +47,17 @@ class OsqpBackend:
         self._workspace = lru_cache(_MOST_WORKSPACES)(partial(_Workspace, steps, kinds, settings, weights))
         self._workspace(())
 
-    def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
+    def solve(
+        self,
+        program: Program,
+        kinds: Kinds,
+        guess: FloatArray,
+        multipliers: FloatArray,
+        time_limit: float | None = None,
+    ) -> Solved:
         """See `mpc.solver.backend.Backend`."""
         soft = tuple(kind for kind in kinds if kind >= HARD)
-        return self._workspace(soft).solve(program, guess, multipliers)
+        return self._workspace(soft).solve(program, guess, multipliers, time_limit)
 
 
 class _Workspace:
@@ -81,6 +90,7 @@ class _Workspace:
         self._upper = np.full(self._rows + 2 * rows, np.inf)
         self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
         self._solver = self._set_up(settings)
+        self._time_limit: float | None = None
 
     def _set_up(self, settings: Solver) -> osqp.OSQP:
         solver = osqp.OSQP()
@@ -99,13 +109,15 @@ class _Workspace:
             adaptive_rho=1,
             adaptive_rho_interval=50,
             polishing=False,
-            **({} if settings.time_limit is None else {"time_limit": settings.time_limit}),
         )
         return solver
 
-    def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray) -> Solved:
+    def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray, time_limit: float | None) -> Solved:
         """Solve with the limits of this work space."""
         self._load(program)
+        if time_limit != self._time_limit:
+            self._solver.update_settings(time_limit=_NO_TIME_LIMIT if time_limit is None else time_limit)
+            self._time_limit = time_limit
         nothing = np.zeros((self._count, self._steps))
         try:
             changed = {"Ax": self._A.data} if self._soft else {}

@@ -20,11 +20,18 @@ class SolverStatus(StrEnum):
     NOT_FINITE = "the problem's data are not finite, or too large to be real"
     REFUSED = "the solver refused the problem's data"
     NOT_RUN = "the solver did not run"
+    STOPPED = "stopped at its last iteration: ranges and slew are kept, the rest as far as it got"
+    STOPPED_IN_TIME = "stopped by the clock: ranges and slew are kept, the rest as far as it got"
 
     @property
     def usable(self) -> bool:
         """Whether a command may be taken from such a solution."""
-        return self in (SolverStatus.SOLVED, SolverStatus.SOLVED_INACCURATELY)
+        return self in _USABLE
+
+
+_USABLE = frozenset(
+    (SolverStatus.SOLVED, SolverStatus.SOLVED_INACCURATELY, SolverStatus.STOPPED, SolverStatus.STOPPED_IN_TIME)
+)
 
 
 class SolverMethod(StrEnum):

@@ -15,13 +15,12 @@ from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import Mode, load_trajectory
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 # Limits that the square's corners lean on.
 TIGHT = {"limits.omega": 1.0, "limits.v": 0.52, "limits.v_slew": 1.0, "limits.omega_slew": 2.5}
 # Two commands that differ by no more than this are the same one [m/s, rad/s].
 DOUBLE = 1e-6
-# DDMPC_SOLVE_FAILED of core.h.
-SOLVE_FAILED = 128
 
 
 @pytest.fixture(scope="module")
@@ -73,16 +72,10 @@ def test_soft_limits_in_single_precision(tmp_path):
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 100
 
 
-def test_what_the_active_set_does_not_prove_is_a_failed_solve(tmp_path):
-    """There is no backend to ask: the ladder acts, and the robot drives on as soon as a solve succeeds."""
-    limits = {"limits.wheel_speed": 0.58}
-    program = export(tmp_path / "few", "s", "double", {**limits, "solver.active_set_iterations": 1}, "-O0")
-    steps = drive_both(program, "s", limits, 200)
-    modes = [theirs.mode for _, theirs in steps]
-    assert {Mode.TRACKING, Mode.REUSED_PLAN} <= set(modes)
-    failed = [theirs for _, theirs in steps if theirs.mode == Mode.REUSED_PLAN]
-    assert all(theirs.iterations == 1 and theirs.reasons & SOLVE_FAILED for theirs in failed)
-    assert all(np.isfinite(theirs.command).all() for _, theirs in steps)
+def test_a_solve_that_is_stopped_drives_as_in_python(tmp_path):
+    limits = {"limits.wheel_speed": 0.58, "solver.active_set_iterations": 1}
+    steps = track_both(tmp_path, "s", limits, 200)
+    assert sum(ours.solver.status is SolverStatus.STOPPED for ours, _ in steps) > 20
 
 
 def test_another_model_with_dead_time(tmp_path):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 CORE = Path(__file__).parents[2] / "mpc" / "core"
 SOURCES = [str(CORE / name) for name in ("active_set.c", "active_rows.c")]
-PROVEN, NOT_PROVEN, INFEASIBLE = range(3)
+PROVEN, UNFINISHED, NOT_PROVEN, INFEASIBLE = range(4)
 
 DENSE = """
 #include "active_set.h"
@@ -52,13 +52,13 @@ ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, con
     const ddmpc_limited_problem problem = {
         .inputs = n, .rows = m, .hard = hard, .factor = factor, .minimiser = minimiser, .lower = lower, .upper = upper,
         .price = numbers[0], .slope = numbers[1], .values = values, .row = row, .context = &all,
-        .slack = numbers[2], .most_iterations = most_iterations};
+        .slack = numbers[2], .most_iterations = most_iterations, .deadline = numbers[3] > 0 ? 1e-9 : INFINITY};
     return ddmpc_solve_limited(&problem, &memory, multipliers, plan);
 }
 """
 DECLARED = """
 typedef {real} real;
-typedef struct {{ int status, iterations, active; real primal, dual; }} ddmpc_limited_result;
+typedef struct {{ int status, iterations, late, active; real primal, dual; }} ddmpc_limited_result;
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
 unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
 ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, const real *minimiser, const real *rows,
@@ -104,7 +104,7 @@ class Solution:
     plan: np.ndarray
 
 
-def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_active=None):
+def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_active=None, late=False):
     ffi, functions, kind = library(number)
     m, n = p.A.shape
     most_active = most_active or n + m
@@ -115,7 +115,7 @@ def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_
         array = np.ascontiguousarray(array, dtype=kind)
         return array, ffi.cast("real *", array.ctypes.data)
 
-    held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack])]
+    held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late])]
     # Garbage, which nobody may read.
     _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
     ints = np.full(functions.ddmpc_limited_ints(n, m, most_active), 2**30, dtype=np.intc)
@@ -286,15 +286,25 @@ def test_a_wrong_start_costs_iterations_only(seed, size):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_iteration_limit_is_kept_and_what_it_leaves_is_nothing(seed):
+def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
     p, found = pressing_problem(seed)
     needed = found.iterations
-    for most in (1, needed - 1):
-        stopped = solve(p, most_iterations=most)
-        assert (stopped.status, stopped.iterations) == (NOT_PROVEN, most)
-        assert stopped.plan == pytest.approx(-np.linalg.solve(p.H, p.g))
-        assert not stopped.multipliers.any()
+    for stopped, most in [(solve(p, most_iterations=most), most) for most in (1, needed - 1)] + [
+        (solve(p, late=True), 1)
+    ]:
+        assert (stopped.status, stopped.iterations) == (UNFINISHED, most)
+        assert stopped.plan == pytest.approx(-np.linalg.solve(p.H, p.g + p.A.T @ stopped.multipliers), abs=1e-7)
+        on = solve(p, stopped.multipliers)
+        assert on.status == PROVEN
+        assert on.plan == pytest.approx(found.plan, abs=1e-6)
     assert solve(p, most_iterations=needed).status == PROVEN
+
+
+def test_without_room_for_all_rows_it_is_stopped():
+    p, found = pressing_problem(0)
+    stopped = solve(p, most_active=found.active - 2)
+    assert stopped.status == UNFINISHED
+    assert 0 < stopped.active <= found.active - 2
 
 
 def test_hard_rows_that_contradict_each_other_are_found():

@@ -177,25 +177,24 @@ def test_the_iteration_limit_is_kept(backend):
     assert stopped.iterations <= 11  # DAQP counts the one that it did not begin
 
 
-@pytest.mark.parametrize("most", [0, 1, 500])
-def test_beyond_its_iterations_the_active_set_leaves_it_to_the_backend(most):
+def test_without_iterations_the_active_set_leaves_it_to_the_backend():
     tight = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     config = load_config("ssm", {"horizon": 15, "solver.backend": "daqp", **tight})
     drives = {}
-    for iterations in (most, 500):
+    for iterations in (0, 500):
         changed = config.model_copy(
             update={"solver": config.solver.model_copy(update={"active_set_iterations": iterations})}
         )
         drives[iterations] = simulate(
             Controller(changed), make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
         )
-    ways, many = (np.array(drives[iterations].solver_methods) for iterations in (most, 500))
+    none, many = (np.array(drives[iterations].solver_methods) for iterations in (0, 500))
     assert "daqp" not in many
     pressed = many == "active_set"
     assert pressed.sum() > 20
-    assert set(ways[pressed]) == {0: {"daqp"}, 1: {"daqp", "active_set"}, 500: {"active_set"}}[most]
+    assert set(none[pressed]) == {"daqp"}
     # Whoever solves it, the robot does the same.
-    assert drives[most].command == pytest.approx(drives[500].command, abs=1e-5)
+    assert drives[0].command == pytest.approx(drives[500].command, abs=1e-5)
 
 
 @every_backend
