@@ -11,7 +11,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
-from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.table import plain_line
 
@@ -23,10 +24,10 @@ try:
 except ImportError:
     from yaml import SafeLoader  # type: ignore[assignment]
 
-DEEPEST = 60
-"""Levels of lists and groups; the parser below would run out of stack at some thousands."""
-MOST_VALUES = 2_000_000
-"""Keys and values, those that aliases repeat counted each time: a trajectory of 400,000 timed poses."""
+DEEPEST = file_limits().yaml_depth
+"""Levels of lists and groups."""
+MOST_VALUES = file_limits().yaml_values
+"""Keys and values, those that aliases repeat counted each time."""
 
 _UNFIT = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
 """What PyYAML raises, beside its own errors, for a tag whose value does not fit it."""
@@ -55,16 +56,16 @@ _UniqueKeyLoader.add_implicit_resolver(
 )
 
 
-def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
+def parse_yaml(text: str, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN401 - the schema gives it a type
     """The values in `text`; nothing in it is executed.
 
     Raises
     ------
     yaml.YAMLError
-        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `MOST_VALUES`, refers to itself, or
+        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `most_values`, refers to itself, or
         a value does not fit its tag.
     """
-    _check_bounds(text)
+    _check_bounds(text, most_values)
     try:
         return yaml.load(text, Loader=_UniqueKeyLoader)
     except _UNFIT as error:  # such as the date 2020-13-40, or `!!bool z`
@@ -84,7 +85,7 @@ class _Part:
         self.depth = max(self.depth, depth + 1)
 
 
-def _check_bounds(text: str) -> None:
+def _check_bounds(text: str, most_values: int) -> None:
     """Go through the events of the parser, which builds nothing and does not recurse."""
     whole = _Part(None)
     open_parts, known = [whole], dict[str, _Part]()
@@ -105,8 +106,8 @@ def _check_bounds(text: str) -> None:
             open_parts[-1].take(1, 0)
         if len(open_parts) - 1 + open_parts[-1].depth - 1 > DEEPEST:
             raise _refused(f"more than {DEEPEST} levels of lists and groups", event)
-        if open_parts[-1].values > MOST_VALUES:
-            raise _refused(f"more than {MOST_VALUES:,} values", event)
+        if open_parts[-1].values > most_values:
+            raise _refused(f"more than {most_values:,} values", event)
 
 
 def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
@@ -114,7 +115,6 @@ def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
-_LARGEST = 50 * MEGABYTE
 _SHOWN = 100
 """Characters of a wrong value or of a key that a message repeats."""
 _MOST_MISTAKES = 10
@@ -134,8 +134,8 @@ class StrictModel(BaseModel):
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
-    """Parse a YAML file without executing anything in it.
+def read_yaml(path: str | Path, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN401 - the schema gives it a type
+    """Parse a YAML file of at most `most_values` keys and values without executing anything in it.
 
     Raises
     ------
@@ -145,11 +145,11 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema that checks
     """
     path = Path(path)
     try:
-        text = read_input(path, _LARGEST).decode("utf-8")
+        text = read_input(path, file_limits().yaml_bytes).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     try:
-        return parse_yaml(text)
+        return parse_yaml(text, most_values)
     except yaml.MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{path}{line}: {error.problem or 'not valid YAML'}") from error

@@ -10,6 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
@@ -56,7 +57,7 @@ def load_config(
             "a model goes beside it: Controller('ssm', model=model)",
         )
     path = named_file("configuration", PARAMETERS, source)
-    data = read_yaml(path)
+    data = read_yaml(path, file_limits().model_values)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
     shipped = path.parent == PARAMETERS
