@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
@@ -70,6 +71,14 @@ def parse_yaml(text: str, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN40
         return yaml.load(text, Loader=_UniqueKeyLoader)
     except _UNFIT as error:  # such as the date 2020-13-40, or `!!bool z`
         raise yaml.YAMLError(f"a value does not fit its type: {error or type(error).__name__}") from error
+
+
+def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks its type
+    """The values in `text`; raises ValueError where it is no JSON, or so deep that Python cannot read it."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("lists and groups are too deep") from error
 
 
 class _Part:
