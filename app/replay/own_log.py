@@ -123,7 +123,7 @@ def _config(path: Path, metadata: Mapping[str, Mapping[str, str]], configs: Logg
     if "configuration" not in metadata:
         return None
     values = values_from_log(metadata["configuration"].get("yaml", ""), path)
-    text = "" if is_shipped(values.get("model")) else metadata.get("model", {}).get("yaml", "")
+    text = "" if is_shipped(str(values.get("model"))) else metadata.get("model", {}).get("yaml", "")
     return configs.read(values, text)
 
 

@@ -103,7 +103,8 @@ def _numbers(path: Path, name: str, column: Any, words: dict[str, float]) -> Flo
     if types.is_dictionary(column.type):
         # A word that every row names stands once in the file, and is not copied for each.
         of_word = np.append(_numbers(path, name, column.dictionary, words), np.nan)
-        return of_word[column.indices.fill_null(len(of_word) - 1).to_numpy(zero_copy_only=False)]
+        rows = column.indices.fill_null(len(of_word) - 1).to_numpy(zero_copy_only=False)
+        return np.asarray(of_word[rows])
     kind = column.type
     if types.is_string(kind) or types.is_large_string(kind):
         return as_numbers([(cell or "").strip() for cell in column.to_pylist()], words)
