@@ -34,7 +34,6 @@ from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.table_file import read_table
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.ros.parameters import fields
 from diffdrive_mpc.sim.log_csv import read_rows
 from studies.site.notebooks import write_all
 
@@ -220,6 +219,12 @@ def _messages(stranger, _):
     for kind in ("std_msgs/msg/String", "nav_msgs/msg/Path", "trajectory_msgs/msg/MultiDOFJointTrajectory"):
         with pytest.raises(Exception):  # noqa: B017 - the library's own kinds
             decoded(kind, pickle.dumps(Reduced(stranger)))
+    pytest.importorskip("rclpy")
+    from diffdrive_mpc.mpc.ros.conversions import MessageError, check_frame
+    from diffdrive_mpc.mpc.ros.parameters import fields
+
+    with pytest.raises(MessageError, match=r"\\x1b\[2J"):
+        check_frame("\x1b[2J", "odom", "odom_frame")
     # Who can set parameters of a node names no code: lists, such as the terms, come by file only.
     assert not [name for name, _ in fields(ControllerConfig) if name.startswith("terms")]
 
