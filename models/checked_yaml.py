@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -52,6 +52,13 @@ class _UniqueKeyLoader(SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
+    tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
+    problem = f"unknown tag '{tag}': a file holds words, numbers, lists and groups, and nothing that runs; take it out"
+    raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+
+
+_UniqueKeyLoader.add_constructor(None, _refuse_tag)
 _UniqueKeyLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )

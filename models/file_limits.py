@@ -23,6 +23,10 @@ class FileLimits:
     layers: int
     multiplications: int
     weights_spare: int
+    bag_chunk: int
+    bag_open: int
+    bag_ratio: int
+    bag_always: int
 
 
 @cache

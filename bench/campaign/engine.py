@@ -31,7 +31,7 @@ from diffdrive_mpc.bench.runner import (
     run_tasks,
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
-from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.input_file import MEGABYTE
 from diffdrive_mpc.models.whole_file import reason, whole_file
 
 # One run on its way to whoever drives it.
@@ -111,7 +111,8 @@ class Store:
         """The row of a run; None where there is none, or a file that holds none (cut off by a disk that was full)."""
         path = self._path(key)
         try:
-            row: Any = parse_json(read_input(path, MEGABYTE))["row"]
+            with path.open("rb") as file:
+                row: Any = parse_json(file.read(MEGABYTE))["row"]
         except (FileNotFoundError, ValueError, KeyError, TypeError):
             return None
         whole = isinstance(row, dict) and row.keys() >= _ALWAYS
