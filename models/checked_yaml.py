@@ -244,7 +244,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
         return f"unknown key '{place}'" + suggestion(schema, location, shown)
     if kind == "missing":
         return f"key '{place}' is missing"
-    message = str(error["msg"]).removeprefix("Value error, ")
+    message = plain_line(str(error["msg"]).removeprefix("Value error, "))
     stated_value = error.get("input")
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
     value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""
