@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from diffdrive_mpc.app.former_names import WithFormerNames
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _print_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        typer.echo(f"diffdrive-mpc {version('diffdrive-mpc')}")
+        echo(f"diffdrive-mpc {version('diffdrive-mpc')}")
         raise typer.Exit
 
 

@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
+
+from diffdrive_mpc.models.table import plain_text
 
 if TYPE_CHECKING:
     from typing import Self
 
 _REFRESH_PERIOD = 0.2
+
+
+class _PlainConsole(Console):
+    """A console whose text steers no terminal: names come from files, and files from anybody."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield what is drawn; colours and moves of the cursor are no text, and stay."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(plain_text(segment.text), segment.style)
 
 
 class ProgressBar:
@@ -29,7 +42,7 @@ class ProgressBar:
 
     def __init__(self, text: str, total: int | None = None) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        console = Console(stderr=True)
+        console = _PlainConsole(stderr=True)
         self._progress = Progress(
             *columns, console=console, auto_refresh=False, transient=True, disable=not console.is_terminal
         )
@@ -74,5 +87,7 @@ def output_console(width_elsewhere: int = 140) -> Console:
 
     Without both (a file, a pipe, a build log) it is wide enough for the tables.
     """
-    console = Console()
-    return console if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else Console(width=width_elsewhere)
+    console = _PlainConsole()
+    if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():
+        return console
+    return _PlainConsole(width=width_elsewhere)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
 from diffdrive_mpc.models.input_file import MEGABYTE, is_read, read_input
 from diffdrive_mpc.models.whole_file import check_not_read, lock_folder, new_folder, reason, scratch_folder
 
@@ -44,7 +44,7 @@ class Contents:
     def of(cls, folder: Path) -> Contents:
         """Of what is in a folder; of nothing where it does not say, or says what cannot be read."""
         try:
-            stated: Any = json.loads(read_input(folder / CONTENTS, _LARGEST))
+            stated: Any = parse_json(read_input(folder / CONTENTS, _LARGEST))
             owners = {str(name): str(one["by"]) for name, one in stated.items()}
             states = {str(name): (int(one["bytes"]), int(one["changed_ns"])) for name, one in stated.items()}
         except (OSError, ValueError, TypeError, KeyError, AttributeError):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
-from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.table import plain_line
 
@@ -23,10 +25,10 @@ try:
 except ImportError:
     from yaml import SafeLoader  # type: ignore[assignment]
 
-DEEPEST = 60
-"""Levels of lists and groups; the parser below would run out of stack at some thousands."""
-MOST_VALUES = 2_000_000
-"""Keys and values, those that aliases repeat counted each time: a trajectory of 400,000 timed poses."""
+DEEPEST = file_limits().yaml_depth
+"""Levels of lists and groups."""
+MOST_VALUES = file_limits().yaml_values
+"""Keys and values, those that aliases repeat counted each time."""
 
 _UNFIT = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
 """What PyYAML raises, beside its own errors, for a tag whose value does not fit it."""
@@ -50,25 +52,40 @@ class _UniqueKeyLoader(SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
+def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
+    tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
+    problem = f"unknown tag '{tag}': a file holds words, numbers, lists and groups, and nothing that runs; take it out"
+    raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+
+
+_UniqueKeyLoader.add_constructor(None, _refuse_tag)
 _UniqueKeyLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
 
-def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
+def parse_yaml(text: str, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN401 - the schema gives it a type
     """The values in `text`; nothing in it is executed.
 
     Raises
     ------
     yaml.YAMLError
-        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `MOST_VALUES`, refers to itself, or
+        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `most_values`, refers to itself, or
         a value does not fit its tag.
     """
-    _check_bounds(text)
+    _check_bounds(text, most_values)
     try:
         return yaml.load(text, Loader=_UniqueKeyLoader)
     except _UNFIT as error:  # such as the date 2020-13-40, or `!!bool z`
         raise yaml.YAMLError(f"a value does not fit its type: {error or type(error).__name__}") from error
+
+
+def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks its type
+    """The values in `text`; raises ValueError where it is no JSON, or so deep that Python cannot read it."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("lists and groups are too deep") from error
 
 
 class _Part:
@@ -84,7 +101,7 @@ class _Part:
         self.depth = max(self.depth, depth + 1)
 
 
-def _check_bounds(text: str) -> None:
+def _check_bounds(text: str, most_values: int) -> None:
     """Go through the events of the parser, which builds nothing and does not recurse."""
     whole = _Part(None)
     open_parts, known = [whole], dict[str, _Part]()
@@ -105,8 +122,8 @@ def _check_bounds(text: str) -> None:
             open_parts[-1].take(1, 0)
         if len(open_parts) - 1 + open_parts[-1].depth - 1 > DEEPEST:
             raise _refused(f"more than {DEEPEST} levels of lists and groups", event)
-        if open_parts[-1].values > MOST_VALUES:
-            raise _refused(f"more than {MOST_VALUES:,} values", event)
+        if open_parts[-1].values > most_values:
+            raise _refused(f"more than {most_values:,} values", event)
 
 
 def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
@@ -114,7 +131,6 @@ def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
-_LARGEST = 50 * MEGABYTE
 _SHOWN = 100
 """Characters of a wrong value or of a key that a message repeats."""
 _MOST_MISTAKES = 10
@@ -134,8 +150,8 @@ class StrictModel(BaseModel):
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
-    """Parse a YAML file without executing anything in it.
+def read_yaml(path: str | Path, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN401 - the schema gives it a type
+    """Parse a YAML file of at most `most_values` keys and values without executing anything in it.
 
     Raises
     ------
@@ -145,11 +161,11 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema that checks
     """
     path = Path(path)
     try:
-        text = read_input(path, _LARGEST).decode("utf-8")
+        text = read_input(path, file_limits().yaml_bytes).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     try:
-        return parse_yaml(text)
+        return parse_yaml(text, most_values)
     except yaml.MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{path}{line}: {error.problem or 'not valid YAML'}") from error
@@ -228,7 +244,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
         return f"unknown key '{place}'" + suggestion(schema, location, shown)
     if kind == "missing":
         return f"key '{place}' is missing"
-    message = str(error["msg"]).removeprefix("Value error, ")
+    message = plain_line(str(error["msg"]).removeprefix("Value error, "))
     stated_value = error.get("input")
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
     value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar
+from unicodedata import category
 
 T = TypeVar("T")
 
@@ -108,6 +109,13 @@ def plain_line(text: str, longest: int = LONGEST) -> str:
     cut = text[: 4 * longest]  # what follows cannot be shown, and need not be looked at
     line = " ".join("".join(one if one.isprintable() or one.isspace() else _escape(one) for one in cut).split())
     return line if len(line) <= longest and len(cut) == len(text) else f"{line[: longest - 3]}..."
+
+
+def plain_text(text: str) -> str:
+    r"""`text` with its lines and tabs; other characters that cannot be printed stand as escapes such as ``\x1b``."""
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one in "\n\t" or category(one) == "Zs" else _escape(one) for one in text)
 
 
 def _escape(character: str) -> str:

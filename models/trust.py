@@ -55,11 +55,17 @@ def also_trusted(folder: Path) -> Iterator[None]:
 def check_trusted(path: str | Path) -> None:
     """Raise UntrustedFileError if the file at `path` may not be opened; links count as the file they lead to."""
     trust = _TRUST.get()
-    if trust is None:
-        return
-    place = Path(path).resolve()
-    if not any(place.is_relative_to(folder) for folder in trust.folders):
+    if trust is not None and not is_trusted(path):
         raise UntrustedFileError(
             f"{trust.source} names '{path}', which does not ship: files that it names are neither opened nor run; if "
-            f"you trust all files in its folder, give --trust-terms {place.parent}"
+            f"you trust all files in its folder, give --trust-terms {Path(path).resolve().parent}"
         )
+
+
+def is_trusted(path: str | Path) -> bool:
+    """Whether the file at `path` may be opened; see `check_trusted`."""
+    trust = _TRUST.get()
+    if trust is None:
+        return True
+    place = Path(path).resolve()
+    return any(place.is_relative_to(folder) for folder in trust.folders)

@@ -185,3 +185,12 @@ def test_a_public_class_has_a_name_of_its_own():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].append(name)
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+def test_text_goes_to_the_terminal_by_two_doors_that_escape_it():
+    """Names come from files, and files from anybody: only `echo` and the console of `bench/progress.py` print."""
+    doors = {ROOT / "bench/command_line/echo.py": "typer.echo(", ROOT / "bench/progress.py": "Console("}
+    for package in ALLOWED.keys() - {"studies"}:
+        for path in (ROOT / package).rglob("*.py"):
+            printed = set(re.findall(r"\btyper\.s?echo\(|\b_?(?:Plain)?Console\(", path.read_text(encoding="utf-8")))
+            assert not {call.removeprefix("_Plain") for call in printed} - {doors.get(path)}, path

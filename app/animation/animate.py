@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from diffdrive_mpc.app.animation.film import STILL, WRITERS, Film, film_path
 from diffdrive_mpc.app.animation.playback import Playback
 from diffdrive_mpc.app.animation.recording import read_recording
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
@@ -70,7 +70,7 @@ def animate_log(
         film = replace(wanted.film, surface=surface or playback.surface or wanted.film.surface)
         write_film(playback, film, body, draft)
     for line in missing(playback, body, log.name):
-        typer.echo(line)
+        echo(line)
 
 
 def _told_body(playback: Playback, log: Path) -> BodyShape | None:
@@ -156,7 +156,7 @@ def watched(
         yield ViewedController(controller, plant, viewer)
         closed = not viewer.open
     if closed:
-        typer.echo("the viewer was closed; the run went on without it, as fast as it could")
+        echo("the viewer was closed; the run went on without it, as fast as it could")
 
 
 class ViewedController:

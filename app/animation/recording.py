@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.app.animation.playback import NO_PLANS, Playback, from_columns
-from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.drive_log.reader import DriveLog, is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.logs.table_file import read_header
+from diffdrive_mpc.mpc.config.config_file import values_from_log
 from diffdrive_mpc.sim.log_csv import read_rows
 from diffdrive_mpc.sim.plants.make import PHYSICS
 
@@ -57,9 +58,16 @@ def from_drive_log(log: DriveLog, limits: tuple[float, float] | None = None) -> 
             row[: len(plan)] = plan
     config_text, case = log.metadata.get("configuration", {}).get("yaml"), log.metadata.get("case", {})
     if limits is None and config_text is not None:
-        config_limits = parse_yaml(config_text)["limits"]
-        limits = config_limits["v"], config_limits["omega"]
+        limits = _limits(values_from_log(config_text, log.path))
     return replace(from_columns(log.columns, plans, limits), plant=case.get("plant"), surface=case.get("surface"))
+
+
+def _limits(config: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Largest v [m/s] and omega [rad/s] that a configuration states; None where it states none."""
+    try:
+        return float(config["limits"]["v"]), float(config["limits"]["omega"])
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def read_columns(log: Path) -> Mapping[str, NDArray[Any]]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.bench.command_line.echo import echo
 
 config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain controller configurations.")
 
@@ -27,7 +28,7 @@ def show(
     from diffdrive_mpc.mpc.config.config_file import load_config  # noqa: PLC0415
     from diffdrive_mpc.mpc.config.described import commented_yaml  # noqa: PLC0415 - --help does without it
 
-    typer.echo(commented_yaml(load_config(source)), nl=False)
+    echo(commented_yaml(load_config(source)), nl=False)
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")
@@ -38,13 +39,13 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configurat
 
     config = load_config(file)
     Controller(config)
-    typer.echo(
+    echo(
         f"{file}: valid, horizon {config.horizon} steps of {config.sample_time:g} s "
         f"({config.horizon * config.sample_time:.2f} s)"
     )
     unset = robot_defaults(config)
     if unset:
-        typer.echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
+        echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config schema weights")
@@ -77,6 +78,6 @@ def schema(
         with whole_file(out) as draft:
             draft.write_text(schema_text(KINDS["controller"]), encoding="utf-8")
     elif as_json:
-        typer.echo(schema_text(KINDS["controller"]), nl=False)
+        echo(schema_text(KINDS["controller"]), nl=False)
     else:
         print_schema(part)

@@ -19,6 +19,7 @@ from diffdrive_mpc.app.commands.options import (
     with_dimensions,
 )
 from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
 from diffdrive_mpc.bench.command_line.options import Jobs, out_folder, out_option
 
@@ -379,7 +380,7 @@ def bench(
     )
     complaint = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
     if complaint:
-        typer.echo(f"error: {complaint}", err=True)
+        echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)
 
 

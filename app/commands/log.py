@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.options import out_option
 
 log_app = typer.Typer(no_args_is_help=True, help="Open logs in Foxglove, PlotJuggler and Rerun.")
@@ -18,7 +19,7 @@ def layouts(out: Annotated[Path, out_option("foxglove.json and plotjuggler.xml")
     from diffdrive_mpc.app.layouts import write_layouts  # noqa: PLC0415 - --help does without it
 
     for path in write_layouts(out):
-        typer.echo(path)
+        echo(path)
 
 
 @log_app.command(epilog="Example: diffdrive-mpc log rerun drive.mcap --to drive.rrd")
@@ -29,4 +30,4 @@ def rerun(
     """Show a log in Rerun: robot, plan and reference, and the numbers over time. Needs the extra `rerun`."""
     from diffdrive_mpc.app.rerun_view import show_log  # noqa: PLC0415 - --help does without it
 
-    typer.echo(f"{file}: {show_log(file, to)} ticks" + (f", {to}" if to != "live" else ""))
+    echo(f"{file}: {show_log(file, to)} ticks" + (f", {to}" if to != "live" else ""))

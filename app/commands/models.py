@@ -12,6 +12,7 @@ import typer
 from diffdrive_mpc.app.commands.options import Mapping
 from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.bench.command_line.echo import echo
 
 _TWO_MINUTES = 120.0
 _INTERRUPTED = 130
@@ -51,7 +52,7 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A model file
     from diffdrive_mpc.models.load import load_model  # noqa: PLC0415
 
     model = load_model(file)
-    typer.echo(f"{file}: valid, {model.structure.upper()} '{model.name}' with {model.order} states")
+    echo(f"{file}: valid, {model.structure.upper()} '{model.name}' with {model.order} states")
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models compare drive.csv --mapping mine.yaml")
@@ -95,7 +96,7 @@ def compare(
 
         def show_score(comparison: ModelComparison) -> None:
             so_far.append(comparison)
-            typer.echo(comparison.line(comparison.scores[-1]), err=True)
+            echo(comparison.line(comparison.scores[-1]), err=True)
 
         interrupted = False
         try:
@@ -104,9 +105,9 @@ def compare(
             interrupted = True
     if so_far:
         output_console().print(rich_table(so_far[-1].table()))
-        typer.echo(so_far[-1].sentence())
+        echo(so_far[-1].sentence())
     if interrupted:
-        typer.echo("interrupted: kinds that are not in the table were not compared", err=True)
+        echo("interrupted: kinds that are not in the table were not compared", err=True)
         raise typer.Exit(_INTERRUPTED)
 
 

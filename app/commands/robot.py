@@ -11,6 +11,7 @@ import typer
 from diffdrive_mpc.app.commands.drives import Runs, Scheduler
 from diffdrive_mpc.app.commands.options import Mapping
 from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
 from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
 
@@ -88,9 +89,7 @@ def _structure(structure: str | None, model: str | None) -> str:
         return _DEFAULT_STRUCTURE if structure is None else structure
     if structure is not None:
         raise ValueError("--model is the old name of --structure; give the new one alone")
-    typer.echo(
-        f"warning: --model is now --structure, and goes with the next release; write --structure {model}", err=True
-    )
+    echo(f"warning: --model is now --structure, and goes with the next release; write --structure {model}", err=True)
     return model
 
 
@@ -172,7 +171,7 @@ def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float)
     segments = slip_excitation(side, seconds, speed, yaw_rate)
     write_excitation(out, segments)
     correlation = told_apart(segments)
-    typer.echo(
+    echo(
         f"{out}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without the time to "
         "change between them. Terms in v, omega and v omega: the two least apart correlate by "
         f"{correlation:.2f} (1: not apart)."
@@ -306,7 +305,7 @@ def tune(
         storage=storage,
         worker=worker,
     )
-    typer.echo(f"{result.sentence}; configuration in {result.config_path}")
+    echo(f"{result.sentence}; configuration in {result.config_path}")
 
 
 # `diffdrive-mpc prove`: how often a controller fails, and where it stops to hold.
@@ -351,7 +350,7 @@ def prove(
     unsafe = sum(map(is_unsafe, proven.driven))
     complaint = f"{unsafe} runs had an unsafe command" if unsafe else failed(proven.driven)
     if complaint:
-        typer.echo(f"error: {complaint}", err=True)
+        echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)
 
 
@@ -434,7 +433,7 @@ def commission(
     try:
         passed = commission_into(request.quick() if quick else request, out, one_step=step, drawn=drawn)
     except NeedsAPersonError as need:
-        typer.echo(f"Next: {need}.")
+        echo(f"Next: {need}.")
         return
     if not passed:
         raise typer.Exit(FAILED)

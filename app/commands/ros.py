@@ -9,6 +9,7 @@ import typer
 
 from diffdrive_mpc.app.commands.options import ConfigFile, Model, Settings, ros_arguments, with_dimensions
 from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
 from diffdrive_mpc.bench.command_line.options import file_option, out_option
 
@@ -157,7 +158,7 @@ def monitor(
         from diffdrive_mpc.mpc.monitor.export import export_judge  # noqa: PLC0415 - --help does without it
         from diffdrive_mpc.mpc.monitor.rules import load_rules  # noqa: PLC0415
 
-        typer.echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
+        echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
         return
     from diffdrive_mpc.mpc.monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
     from diffdrive_mpc.mpc.monitor.ros.node import MonitorSettings  # noqa: PLC0415
@@ -221,12 +222,12 @@ def doctor(
 
     findings = examination.examine()
     if as_json:
-        typer.echo(examination.as_json(findings))
+        echo(examination.as_json(findings))
     else:
         console = output_console()
         console.print(examination.heading(), markup=False, highlight=False)
         for table in examination.tables(findings):
-            typer.echo()
+            echo()
             console.print(table.rich())
     if not examination.can_run(findings):
         raise typer.Exit(FAILED)

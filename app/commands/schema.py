@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.bench.command_line.echo import echo
 
 SCHEMA_EXAMPLE = "Example: diffdrive-mpc schema trajectory --out trajectory.schema.json"
 
@@ -46,9 +47,9 @@ def schema(
     if out is not None and path:
         raise ConfigError("--path names a file that is there already; give --path or --out")
     if path:
-        typer.echo(placed(described))
+        echo(placed(described))
     elif out is None:
-        typer.echo(schema_text(described), nl=False)
+        echo(schema_text(described), nl=False)
     else:
         with whole_file(out) as draft:
             draft.write_text(schema_text(described), encoding="utf-8")

@@ -18,7 +18,7 @@ from pydantic import Field
 from diffdrive_mpc.bench.campaign.identity import environment
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked, parse_json
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.whole_file import whole_file
 
@@ -76,7 +76,7 @@ class Ledger:
         self.folder = folder
         self._path = folder / FILE
         try:
-            data = json.loads(self._path.read_text(encoding="utf-8")) if self._path.exists() else {}
+            data = parse_json(self._path.read_text(encoding="utf-8")) if self._path.exists() else {}
             self.steps = {str(name): Done(**step) for name, step in dict(data.get("steps", {})).items()}
         except (OSError, ValueError, TypeError, AttributeError) as error:
             raise ConfigError(f"{self._path}: not written by this command; move it away") from error

@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
 from diffdrive_mpc.app.identification.trial_drives import (
@@ -21,6 +19,7 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_table,
 )
 from diffdrive_mpc.app.identification.verdict import DRIVES, TrialVerdict, judge_by_drives
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
@@ -134,9 +133,9 @@ def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
     elif verdict.against:
         old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
         raise ConfigError(f"{verdict.against}; no model and no configuration are written{old}, --force writes them")
-    typer.echo()
+    echo()
     for line in verdict.lines(out):
-        typer.echo(line)
+        echo(line)
 
 
 def _print_log(log: Log) -> None:
@@ -206,14 +205,14 @@ def write_draft(logs: Sequence[Path], out: Path | None) -> None:
         raise ConfigError(f"{target}: exists and is not replaced; move it away, or give --out FILE.yaml") from error
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
-    typer.echo(f"{target}: guesses with their reasons; correct them\n")
-    typer.echo(text)
+    echo(f"{target}: guesses with their reasons; correct them\n")
+    echo(text)
     try:
         remarks = [str(finding) for finding in read_log(logs[0], target).findings]
     except ConfigError as error:
         remarks = [str(error)]
     if remarks:
-        typer.echo("Read with this draft:")
-        typer.echo("\n".join(f"  {remark}" for remark in remarks))
+        echo("Read with this draft:")
+        echo("\n".join(f"  {remark}" for remark in remarks))
     command = shlex.join(["diffdrive-mpc", "identify", str(logs[0]), "--mapping", str(target)])
-    typer.echo(f"Next: correct {target}, then {command}")
+    echo(f"Next: correct {target}, then {command}")

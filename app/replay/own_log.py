@@ -15,7 +15,7 @@ from diffdrive_mpc.app.replay.bag import LoggedConfigs, recorded_drive
 from diffdrive_mpc.app.replay.open_loop import Replayed
 from diffdrive_mpc.app.replay.recording import RecordedTick, Recording, Start
 from diffdrive_mpc.app.replay.signals import logged_reference
-from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
@@ -27,6 +27,7 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.logs.table_file import read_header, read_table
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.mpc.config.config_file import values_from_log
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from diffdrive_mpc.sim.log_csv import TEXTS, read_rows
 
@@ -73,7 +74,7 @@ def read_own_mcap(path: Path, configs: LoggedConfigs) -> Recording:
     columns = log.columns
     numbers = {name: column for name, column in columns.items() if column.dtype != object}
     texts = {name: list(columns[name]) for name in TEXTS}
-    config = _config(log.metadata, configs)
+    config = _config(path, log.metadata, configs)
     recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements, config)
     approximated = recording.approximated
     if "--laps" in log.metadata.get("case", {}).get("repeat", "").split():
@@ -117,12 +118,12 @@ def _recording(
     return Recording(path.name, source, tuple(ticks), approximated=(_BETWEEN,) if interpolated else ())
 
 
-def _config(metadata: Mapping[str, Mapping[str, str]], configs: LoggedConfigs) -> ControllerConfig | None:
+def _config(path: Path, metadata: Mapping[str, Mapping[str, str]], configs: LoggedConfigs) -> ControllerConfig | None:
     """The configuration that the file holds; None where its controller had none, or `configs` leaves it out."""
     if "configuration" not in metadata:
         return None
-    values = parse_yaml(metadata["configuration"]["yaml"])
-    text = "" if is_shipped(values.get("model")) else metadata.get("model", {}).get("yaml", "")
+    values = values_from_log(metadata["configuration"].get("yaml", ""), path)
+    text = "" if is_shipped(str(values.get("model"))) else metadata.get("model", {}).get("yaml", "")
     return configs.read(values, text)
 
 

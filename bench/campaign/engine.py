@@ -30,7 +30,8 @@ from diffdrive_mpc.bench.runner import (
     processes_last,
     run_tasks,
 )
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
+from diffdrive_mpc.models.input_file import MEGABYTE
 from diffdrive_mpc.models.whole_file import reason, whole_file
 
 # One run on its way to whoever drives it.
@@ -72,6 +73,9 @@ def do(task: CampaignTask) -> Row:
 
 
 RUNS = "runs"
+_ALWAYS = {"completed", "error"}
+"""Columns of every row."""
+_CELL = (bool, int, float, str, type(None))
 _LEFT_OVER = 3600.0
 """A draft that is older [s] has lost its writer."""
 
@@ -104,14 +108,15 @@ class Store:
             draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     def load(self, key: str) -> Row | None:
-        """The row of a run; None where there is none, or a file that was cut off (by a disk that was full)."""
+        """The row of a run; None where there is none, or a file that holds none (cut off by a disk that was full)."""
         path = self._path(key)
         try:
-            record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            row: Row = record["row"]
+            with path.open("rb") as file:
+                row: Any = parse_json(file.read(MEGABYTE))["row"]
         except (FileNotFoundError, ValueError, KeyError, TypeError):
             return None
-        return row
+        whole = isinstance(row, dict) and row.keys() >= _ALWAYS
+        return row if whole and all(isinstance(value, _CELL) for value in row.values()) else None
 
     def _path(self, key: str) -> Path:
         return self._folder / key[:2] / f"{key}.json"

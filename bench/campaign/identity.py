@@ -14,6 +14,7 @@ from diffdrive_mpc.bench import case, command_check, controllers, peers, run_row
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.machine import package_version
 from diffdrive_mpc.models.checked_yaml import read_yaml
+from diffdrive_mpc.models.trust import is_trusted
 
 LIBRARIES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control")
 """Packages whose version can change a number of a run."""
@@ -99,7 +100,7 @@ def _texts(data: object) -> Iterator[str]:
 
 def _is_file(path: str | Path) -> bool:
     try:
-        return str(path) != "" and Path(path).is_file()
+        return str(path) != "" and is_trusted(path) and Path(path).is_file()
     except (OSError, ValueError):  # a sentence is too long for a name
         return False
 

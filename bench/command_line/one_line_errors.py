@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NoReturn, TextIO
 import typer
 from typer.core import TyperGroup
 
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.options import typed
 from diffdrive_mpc.models.table import plain_line
 
@@ -99,7 +100,7 @@ class OneLineErrors(TyperGroup):
                 _complain(str(error))
                 sys.exit(FAILED)
             if type(error).__name__ == "NoArgsIsHelpError":
-                typer.echo(error.format_message())
+                echo(error.format_message())
             else:
                 _complain(f"{error.format_message().rstrip('.')}; see --help")
             sys.exit(BAD_INPUT)
@@ -125,7 +126,7 @@ def _show_warning(
         note = f"note: {plain_line(str(message))}"
         if note not in _SHOWN_NOTES:
             _SHOWN_NOTES.add(note)
-            typer.echo(note, err=True)
+            echo(note, err=True)
     else:
         (file or sys.stderr).write(warnings.formatwarning(message, category, filename, lineno, line))
 
@@ -169,4 +170,4 @@ def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def _complain(message: str) -> None:
-    typer.echo(f"error: {plain_line(message)}", err=True)
+    echo(f"error: {plain_line(message)}", err=True)

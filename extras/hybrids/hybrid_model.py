@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, check
 from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import Positive
@@ -135,7 +136,8 @@ def hybrid_model(
 _HEAD = (
     "A linear model and a network on what it leaves. Features: states, v_ref [m/s] and omega_ref [rad/s] over scale."
 )
-Rows = Annotated[list[list[Finite]], Field(min_length=1)]
+_Row = Annotated[list[Finite], Field(max_length=file_limits().units)]
+Rows = Annotated[list[_Row], Field(min_length=1, max_length=file_limits().units)]
 
 
 class CorrectionContent(StrictModel):

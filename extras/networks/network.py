@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
@@ -30,11 +32,18 @@ class Architecture(StrictModel):
     with `activation`, and through a linear one to (v [m/s], omega [rad/s]) one sample later. Nothing is fed back.
     """
 
-    window: int = 20
-    units: int = 30
-    dense: int = 32
-    layers: int = 1
+    window: Annotated[int, Field(ge=1, le=file_limits().window)] = 20
+    units: Annotated[int, Field(ge=1, le=file_limits().units)] = 30
+    dense: Annotated[int, Field(ge=1, le=file_limits().units)] = 32
+    layers: Annotated[int, Field(ge=1, le=file_limits().layers)] = 1
     activation: Literal["tanh", "relu"] = "tanh"
+
+    @model_validator(mode="after")
+    def _quick_enough(self) -> Architecture:
+        most, count = file_limits().multiplications, self.window * self.parameters
+        if count > most:
+            raise ValueError(f"a step takes {count:,} multiplications, at most {most:,} are done; train a smaller one")
+        return self
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,7 +20,8 @@ from pydantic import Field, field_validator
 
 from diffdrive_mpc.extras.networks.network import Architecture, Network, packed, work
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
-from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc.models.nonlinear_model import CompiledStep, NonlinearModel
@@ -128,8 +131,14 @@ def _graph(network: Network, window: ca.MX) -> ca.MX:
 
 _HEAD = "A network on past commands; its weights lie in the file that it names. Times [s]."
 _FIRST_DAY = (1980, 1, 1, 0, 0, 0)
-
-_LARGEST_WEIGHTS = 500 * MEGABYTE
+_DOUBLE = 8
+"""Bytes of a number at most."""
+_NPY_HEADER = 10_000
+"""Bytes of an array's header at most; NumPy reads no longer one, either."""
+_ENCRYPTED = 1
+"""Bit of an archive's entry."""
+_SHOWN = 10
+"""Names that a message lists."""
 
 
 class NetworkFile(FunctionFile):
@@ -161,20 +170,53 @@ def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what 
     """
     content = check(NetworkFile, data, str(path))
     place = path.parent / content.weights
+    largest = _DOUBLE * content.architecture.parameters + file_limits().weights_spare
     try:
-        packed = read_input(place, _LARGEST_WEIGHTS)
+        packed = read_input(place, largest)
     except OSError as error:
-        raise ConfigError(
-            f"{path}: weights: {place} cannot be read ({error.strerror or error}); keep both files together"
-        ) from error
+        remedy = "train the network again" if error.errno == errno.EFBIG else "keep both files together"
+        raise ConfigError(f"{path}: weights: {place} cannot be read ({error.strerror or error}); {remedy}") from error
     if hashlib.sha256(packed).hexdigest() != content.sha256:
         raise ConfigError(f"{path}: sha256: {place} is not the file that was written with it; train the network again")
     try:
-        with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
-            network = Network(content.architecture, {name: arrays[name] for name in arrays.files})
-    except (ValueError, zipfile.BadZipFile) as error:
-        raise ConfigError(f"{path}: {error}") from error
+        network = Network(content.architecture, _unpacked(packed, content.architecture.shapes))
+    except Exception as error:  # zipfile, zlib and NumPy have many for damaged bytes
+        words = " ".join(str(error).split()).removesuffix("; train the network again") or type(error).__name__
+        raise ConfigError(f"{path}: weights: {place}: {words}; train the network again") from error
     return network_model(content.name, network, content.sample_time, content.origins)
+
+
+def _unpacked(packed: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, FloatArray]:
+    """The arrays of an npz archive, which has to hold numbers in these shapes and nothing else.
+
+    NumPy would allocate and unpack what the archive says: here sizes are counted from its directory first.
+    """
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+        odd = set(shapes) ^ set(entries)
+        if odd:
+            raise ValueError(f"arrays {', '.join(sorted(odd)[:_SHOWN])} are missing or unknown")
+        return {name: _array(archive, entries[name], name, shape) for name, shape in shapes.items()}
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str, shape: tuple[int, ...]) -> FloatArray:
+    """One array of an archive; never more is unpacked than its shape takes."""
+    count = math.prod(shape)
+    if entry.flag_bits & _ENCRYPTED:
+        raise ValueError(f"{name} is encrypted")
+    if entry.file_size > _DOUBLE * count + _NPY_HEADER:
+        raise ValueError(f"{name} unpacks to {entry.file_size:,} bytes, its shape {shape} takes {_DOUBLE * count:,}")
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        if version != (1, 0):
+            raise ValueError(f"{name} is of version {version} of NumPy's format, expected (1, 0)")
+        stated, fortran, kind = np.lib.format.read_array_header_1_0(file)
+        if stated != shape or kind.kind != "f" or kind.itemsize > _DOUBLE:
+            raise ValueError(f"{name} holds {kind} in shape {stated}, expected floating-point numbers in {shape}")
+        content = file.read(kind.itemsize * count)
+    if len(content) != kind.itemsize * count:
+        raise ValueError(f"{name} holds {len(content):,} bytes, its shape {shape} takes {kind.itemsize * count:,}")
+    return np.frombuffer(content, dtype=kind).reshape(shape, order="F" if fortran else "C")
 
 
 def network_content(network: Network, **fields: Any) -> NetworkFile:  # noqa: ANN401 - fields of NetworkFile

@@ -22,17 +22,18 @@ from urllib.parse import quote
 import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import MEGABYTE, open_input
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
 
-MOST_UNPACKED = 64 * MEGABYTE
-"""Of one chunk or message; recorders write chunks of some megabytes."""
-MOST_OPEN = 2 * MOST_UNPACKED
+MOST_UNPACKED = file_limits().bag_chunk
+"""Of one chunk or message."""
+MOST_OPEN = file_limits().bag_open
 """Of chunks whose times overlap, which are held together."""
-MOST_RATIO, ALWAYS = 100, 16 * MEGABYTE
-"""A file may unpack to so many times its size, and to so much in any case; recordings of a robot take 2 to 20."""
+MOST_RATIO, ALWAYS = file_limits().bag_ratio, file_limits().bag_always
+"""A file may unpack to so many times its size, and to so much in any case."""
 _MCAP, _ROS1, _SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG ", b"SQLite f"
 _CHUNK, _CHUNK_INDEX = 0x06, 0x08
 _BLOCK = 1 << 20

@@ -38,14 +38,14 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
     """
     if not _is_parquet(path):
         return csv_table.read_table(path, names)
-    with _parquet(path) as file:
+    with _parquet(path, names) as file:
         header = list(file.schema_arrow.names)
         wanted = [name for name in header if name in names]
         values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
         empty: dict[str, Growing[np.bool_]] = {name: Growing(np.bool_) for name in wanted}
         words: dict[str, float] = {}
         count = file.metadata.num_rows
-        Budget(path, path.stat().st_size, "convert it to CSV").take(8 * count * len(wanted))
+        Budget(path, path.stat().st_size, "convert it to CSV").take(8 * count * len(wanted) + _unpacked(file, wanted))
         for batch in file.iter_batches(columns=wanted):
             for name in wanted:
                 column = batch.column(name)
@@ -67,8 +67,11 @@ def _is_parquet(path: Path) -> bool:
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[Any]:
-    """A `pyarrow.parquet.ParquetFile`; raises ConfigError where it cannot be read, here or in the context."""
+def _parquet(path: Path, names: Collection[str] = ()) -> Iterator[Any]:
+    """A `pyarrow.parquet.ParquetFile`; raises ConfigError where it cannot be read, here or in the context.
+
+    Words in the columns `names` stay a dictionary where the file has one: each is read once, not once a row.
+    """
     try:
         from pyarrow import ArrowException  # noqa: PLC0415 - only who reads such files needs it
         from pyarrow.parquet import ParquetFile  # noqa: PLC0415
@@ -79,9 +82,17 @@ def _parquet(path: Path) -> Iterator[Any]:
         ) from error
     try:
         with open_input(path) as file, ParquetFile(file) as parquet:
-            yield parquet
+            columns = {parquet.schema.column(index).path for index in range(len(parquet.schema))}
+            yield ParquetFile(file, metadata=parquet.metadata, read_dictionary=sorted(columns & set(names)))
     except (ArrowException, OSError) as error:
         raise ConfigError(f"{path}: cannot be read as Parquet ({' '.join(str(error).split())})") from error
+
+
+def _unpacked(file: Any, names: Collection[str]) -> int:  # noqa: ANN401 - pyarrow has no types
+    """Bytes to which the columns of a Parquet file unpack, as its directory states them."""
+    groups = [file.metadata.row_group(index) for index in range(file.metadata.num_row_groups)]
+    chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
+    return sum(chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema in names)
 
 
 def _numbers(path: Path, name: str, column: Any, words: dict[str, float]) -> FloatArray:  # noqa: ANN401
@@ -90,7 +101,10 @@ def _numbers(path: Path, name: str, column: Any, words: dict[str, float]) -> Flo
 
     types, factor = pyarrow.types, 1.0
     if types.is_dictionary(column.type):
-        column = column.dictionary_decode()
+        # A word that every row names stands once in the file, and is not copied for each.
+        of_word = np.append(_numbers(path, name, column.dictionary, words), np.nan)
+        rows = column.indices.fill_null(len(of_word) - 1).to_numpy(zero_copy_only=False)
+        return np.asarray(of_word[rows])
     kind = column.type
     if types.is_string(kind) or types.is_large_string(kind):
         return as_numbers([(cell or "").strip() for cell in column.to_pylist()], words)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.models.checked_yaml import parse_json
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 
@@ -156,7 +157,7 @@ class DriveRecord:
 
 def _parsed(line: str) -> dict[str, Any]:
     try:
-        data = json.loads(line)
+        data = parse_json(line)
     except ValueError as error:
         raise TickRecordError(f"no JSON ({error})") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:

@@ -12,9 +12,10 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.named_file import kept_editor_line
-from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.robot import Positive, SampleTime
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 
@@ -97,7 +98,7 @@ class ParameterFile(StrictModel):
 class FunctionFile(ParameterFile):
     """What every file of a model that is a function of samples has."""
 
-    sample_time: Annotated[float, Field(gt=0, allow_inf_nan=False)] = Field(description="of commands and outputs [s]")
+    sample_time: SampleTime = Field(description="of commands and outputs [s]")
 
 
 class ModelFile(ParameterFile):
@@ -257,8 +258,8 @@ class SsmFile(ModelFile):
     """SSM: one MIMO state-space model (Guffanti, Pavon, Sensors 2025, 25(18), 5821)."""
 
     structure: Literal["ssm"]
-    A: list[list[float]]
-    B: list[list[float]]
+    A: Annotated[list[list[float]], Field(max_length=file_limits().states)]
+    B: Annotated[list[list[float]], Field(max_length=file_limits().states)]
     C: list[list[float]]
 
     @model_validator(mode="after")

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, parse_yaml, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
@@ -56,7 +58,7 @@ def load_config(
             "a model goes beside it: Controller('ssm', model=model)",
         )
     path = named_file("configuration", PARAMETERS, source)
-    data = read_yaml(path)
+    data = read_yaml(path, file_limits().model_values)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
     shipped = path.parent == PARAMETERS
@@ -71,6 +73,17 @@ def load_config(
         config = config.model_copy(update={"energy": energy})
     terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
+
+
+def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:
+    """Keys and values of the `text` of a configuration that stands in a `log`; raises ConfigError if it has none."""
+    try:
+        values = parse_yaml(text, file_limits().model_values)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{log}: configuration: not valid YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{log}: configuration: expected keys and values")
+    return values
 
 
 def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequence[Path] = ()) -> ControllerConfig:

@@ -19,6 +19,7 @@ from sensor_msgs.msg import Imu
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Stamped
+from diffdrive_mpc.models.table import plain_line
 
 NANOSECONDS = 1_000_000_000
 # Rows of x, y and yaw in the 6 x 6 covariance of a pose message.
@@ -29,6 +30,9 @@ _NORM_TOLERANCE = 1e-2
 
 class MessageError(DiffdriveMpcError, ValueError):
     """A message cannot be used; says why, in few words."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(plain_line(reason))  # frames in it are anybody's text, and logs go to terminals
 
 
 def nanoseconds(stamp: TimeMessage) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.logs.bag_bounds import Budget, WithinFile, plain_chunk
@@ -147,7 +146,10 @@ def _take(record: Metadata | tuple[str, Channel, Message], content: _Found, *, p
         return
     _, channel, message = record
     if channel.topic == topic.STATE:
-        content.rows.append((message.log_time, json.loads(message.data)))
+        row = parse_json(message.data)
+        if not isinstance(row, dict):
+            raise ValueError(f"a tick is {type(row).__name__}, not keys and values")
+        content.rows.append((message.log_time, row))
     elif plans and channel.topic == topic.PLAN:
         path = ros.decoded(topic.KINDS[topic.PLAN], message.data)
         content.plans[message.log_time] = np.array([ros.planar(place.pose) for place in path.poses])

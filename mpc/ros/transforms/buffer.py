@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
 
 _SECOND = 1_000_000_000
@@ -30,6 +31,9 @@ _DISPUTED = 2
 
 class TransformError(DiffdriveMpcError, ValueError):
     """A transform cannot be used, or there is none; says why, in few words."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(plain_line(reason))  # frames in it are anybody's text, and logs go to terminals
 
 
 class TransformLookup(NamedTuple):

@@ -1,0 +1,36 @@
+"""Largest sizes that are read from files, so that no file fills the memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import yaml
+
+
+@dataclass(frozen=True)
+class FileLimits:
+    """Limits by name; `file_limits.yaml` states unit and reason of each."""
+
+    yaml_bytes: int
+    yaml_depth: int
+    yaml_values: int
+    model_values: int
+    states: int
+    window: int
+    units: int
+    layers: int
+    multiplications: int
+    weights_spare: int
+    bag_chunk: int
+    bag_open: int
+    bag_ratio: int
+    bag_always: int
+
+
+@cache
+def file_limits() -> FileLimits:
+    """The shipped limits. Read without `checked_yaml`, which needs them itself."""
+    text = Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8")
+    return FileLimits(**yaml.safe_load(text))
