@@ -121,6 +121,10 @@ def __getattr__(name: str) -> typer.Typer:
 def main() -> None:
     """Entry point of the console command."""
     leave_on_sigterm()
+    # Matrices are small, and campaigns have processes: threads of NumPy cost more than they bring, and another number
+    # of them rounds otherwise. What the user sets counts.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     completing = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
     app = command_line("" if completing else "".join(sys.argv[1:2]))
     # A shell that completes a line says it elsewhere.

@@ -18,6 +18,9 @@ from hypothesis import settings
 settings.register_profile("reproducible", deadline=None, derandomize=True, print_blob=False, max_examples=25)
 settings.register_profile("many", settings.get_profile("reproducible"), max_examples=200)
 settings.load_profile("reproducible")
+# As the command line does, before anybody imports NumPy.
+for library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 # Workers of xdist have a width of their own; tables are as wide as in a pipe.
 os.environ.pop("COLUMNS", None)
 

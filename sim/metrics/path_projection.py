@@ -13,6 +13,8 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 # Distances of points from segments that are worked out at once: as many as fit into a processor's cache.
 _AT_ONCE = 20_000
 _EQUALLY_NEAR, _LEEWAY = 1e-12, 1e-9  # [m]
+# Of searches that change; on its path a robot needs one or two.
+_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +70,28 @@ class Polyline:
         reach = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
         begin, end = first.copy(), last.copy()
         nearest, pieces = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
-        # Where a point is looked for depends on where the one before was found: until no search changes any more.
+
+        def search(rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+            """Where points are looked for, by where those before them were found."""
+            before, by = pieces[rows - 1], reach[rows - 1]
+            begins = np.minimum(first[rows], np.searchsorted(self.arc_end, self.arc_start[before] - by))
+            ends = np.maximum(last[rows], np.searchsorted(self.arc_start, self.arc_end[before] + by, side="right"))
+            return begins, ends
+
+        # All at once, and again those whose search changes with what was found before them. Where a robot is lost that
+        # goes from point to point, and so do we.
+        later = np.arange(1, len(points))
         rows = np.arange(len(points))
-        while rows.size:
+        for _ in range(_ROUNDS):
+            if not rows.size:
+                break
             nearest[rows], pieces[rows] = self._nearest(points[rows], begin[rows], end[rows])
-            before = pieces[:-1]
-            begins = np.minimum(first[1:], np.searchsorted(self.arc_end, self.arc_start[before] - reach))
-            ends = np.maximum(last[1:], np.searchsorted(self.arc_start, self.arc_end[before] + reach, side="right"))
-            rows = 1 + np.flatnonzero((begins != begin[1:]) | (ends != end[1:]))
+            begins, ends = search(later)
+            rows = later[(begins != begin[1:]) | (ends != end[1:])]
             begin[1:], end[1:] = begins, ends
+        for row in range(rows[0] if rows.size else len(points), len(points)):
+            one = np.array([row])
+            nearest[one], pieces[one] = self._nearest(points[one], *search(one))
         lateral[finite] = nearest
         return lateral
 

@@ -89,6 +89,9 @@ def test_where_nothing_drives_nothing_is_written(tmp_path, monkeypatch):
         return [StandIn(HELD_OUT, model, BaseEffects())]
 
     monkeypatch.setattr(verdicts, "stand_ins", hardly_turns)
+    # Drives that fail take long: of the lowered limits only the least.
+    slowest = trial_drives.trial_settings().model_copy(update={"shares": trial_drives.trial_settings().shares[-1:]})
+    monkeypatch.setattr(verdicts, "trial_settings", lambda: slowest)
     log, mapping = write_csv(tmp_path / "a.csv", drive()), write_mapping(tmp_path / "m.yaml", MAPPING + TRACK)
     words = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
