@@ -23,6 +23,7 @@ FUZZ ?= short
 GOALS ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
+MARKED ?= not system and not long
 # Lists of packages that stand beside the project's own, pinned with hashes too.
 HASHED := --no-config --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
 	--no-header --no-annotate --quiet
@@ -111,8 +112,8 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
 	$(BIN)/uv build --python $(BIN)/python --out-dir dist
 
-test: $(READY) ## all tests but those of `make test-system`
-	$(BIN)/pytest -n 2 --dist worksteal -m "not system" $(TEST)
+test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tests`
+	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
 test-system: $(READY) ## tests that need Debian packages: a browser, ffmpeg, cross compilers, an emulator, an X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)

@@ -47,7 +47,12 @@ LONG_TESTS = {
     "test_tutorials.py",
 }
 """Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
-deselected_system_tests = pytest.StashKey[int]()
+LEFT_OUT = {
+    "system": f"need Debian packages ({', '.join(SYSTEM_PACKAGES)}): make test-system",
+    "long": "take long: .ci/long tests",
+}
+"""By mark: what is said of tests that a run leaves out."""
+deselected_tests = pytest.StashKey[dict[str, int]]()
 
 
 @cache
@@ -73,7 +78,7 @@ def missing_packages(needs):
 
 
 def pytest_configure(config):
-    config.stash[deselected_system_tests] = 0
+    config.stash[deselected_tests] = dict.fromkeys(LEFT_OUT, 0)
     # Workers of xdist would each fail with a traceback of their own.
     if config.option.markexpr == "system" and not hasattr(config, "workerinput"):
         line = missing_packages(SYSTEM_PACKAGES)
@@ -97,29 +102,31 @@ def pytest_runtest_setup(item):
 
 
 def pytest_deselected(items):
-    if items:
-        count = sum(item.get_closest_marker("system") is not None for item in items)
-        items[0].config.stash[deselected_system_tests] += count
+    for item in items:
+        mark = next((mark for mark in LEFT_OUT if item.get_closest_marker(mark) is not None), None)
+        if mark:
+            item.config.stash[deselected_tests][mark] += 1
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node, error):
     # Every worker of xdist collects all tests, and one that crashed reports nothing.
-    count = getattr(node, "workeroutput", {}).get("deselected_system_tests", 0)
-    node.config.stash[deselected_system_tests] = max(count, node.config.stash[deselected_system_tests])
+    counts = node.config.stash[deselected_tests]
+    for mark, count in getattr(node, "workeroutput", {}).get("deselected_tests", {}).items():
+        counts[mark] = max(count, counts[mark])
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_sessionfinish(session):
     config = session.config
     if hasattr(config, "workeroutput"):
-        config.workeroutput["deselected_system_tests"] = config.stash[deselected_system_tests]
+        config.workeroutput["deselected_tests"] = config.stash[deselected_tests]
     result = yield
     # Below pytest's own last line.
-    reporter, count = config.pluginmanager.getplugin("terminalreporter"), config.stash[deselected_system_tests]
-    if count and reporter:
-        needs = ", ".join(SYSTEM_PACKAGES)
-        reporter.write_line(f"{count} more tests need Debian packages ({needs}): make test-system")
+    reporter = config.pluginmanager.getplugin("terminalreporter")
+    for mark, count in config.stash[deselected_tests].items():
+        if count and reporter:
+            reporter.write_line(f"{count} more tests {LEFT_OUT[mark]}")
     return result
 
 

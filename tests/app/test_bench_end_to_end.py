@@ -43,6 +43,7 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.long
 def test_a_sweep_compares_the_values_of_a_field(tmp_path: Path) -> None:
     arguments = "--models ssm --trajectories cane --seeds 1 --jobs 1 --plant model:ssm --set horizon=8,25"
     invoke(app, "bench", "--out", tmp_path, *arguments.split())
@@ -68,6 +69,7 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
     assert np.isfinite(logs[0]["wheel_fl_rad_s"][5:]).all()
 
 
+@pytest.mark.long
 def test_scenarios_are_compared_and_replayed(tmp_path: Path) -> None:
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario none,push"
     invoke(app, "bench", "--out", tmp_path, *arguments.split())

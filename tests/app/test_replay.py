@@ -155,6 +155,7 @@ def verdicts(out):
     return " ".join(one["what"] for one in json.loads((out / "replay.json").read_text())["verdicts"])
 
 
+@pytest.mark.long
 def test_a_dead_time_that_is_too_short_is_found_to_a_few_milliseconds(tmp_path):
     """Commands reach the robot 100 ms later than the configuration knows."""
     _, path, _ = logged(Case(trajectory="slalom", seed=3), tmp_path, lambda plant: LatePlant(plant, 5))

@@ -25,6 +25,7 @@ def log(tmp_path_factory):
     return path
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("quick_search")
 def test_a_log_becomes_a_plant(log):
     out = log.parent / "twin"

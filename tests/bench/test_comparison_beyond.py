@@ -158,6 +158,7 @@ def test_a_rank_correlation_needs_a_few_points() -> None:
     assert "too few" in predicts(rows[:4])
 
 
+@pytest.mark.long
 def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: RunOutcome, tmp_path: Path) -> None:
     case = outcome.case
 

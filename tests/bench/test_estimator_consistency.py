@@ -70,6 +70,7 @@ def test_on_the_physics_innovations_and_errors_are_about_as_large_as_the_estimat
     assert 0.5 < heading < 2.0  # 0.75 to 1.66
 
 
+@pytest.mark.long
 def test_on_a_circle_of_a_minute_the_estimate_does_not_wander() -> None:
     """A gain that the filter takes for better known than it is would drift by the lap, and the robot off its path."""
     controller = Recorder(Controller(load_config("ssm")))

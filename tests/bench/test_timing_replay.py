@@ -138,6 +138,7 @@ def test_the_quiet_core_is_given_back() -> None:
         assert os.sched_getaffinity(0) == cores
 
 
+@pytest.mark.long
 def test_runs_do_not_depend_on_the_number_of_processes() -> None:
     cases = [quick_outcome(controller="kanayama", model="none", trajectory=name).case for name in ("circle", "s")]
     done: list[int] = []

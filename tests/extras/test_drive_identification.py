@@ -131,6 +131,7 @@ def data_of(*records):
     return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
 
 
+@pytest.mark.long
 def test_a_base_that_limits_slopes_is_a_drive_and_no_sm():
     data = data_of(driven(LIMITED, 2), driven(LIMITED, 3))
     found = compare_models(data, ["sm", "p2_experimental"], parts=2)

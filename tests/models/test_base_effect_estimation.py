@@ -165,6 +165,7 @@ def test_a_base_without_effects_ends_with_none():
     assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
 
 
+@pytest.mark.long
 def test_a_limit_that_the_plain_model_found_lives_on():
     record = record_of(BaseEffects(), 7, 75.0, clip=1.0)
     limits = identify_sm([record]).limits
@@ -187,6 +188,7 @@ def bare(record):
     return replace(record, wheels=None)
 
 
+@pytest.mark.long
 def test_the_same_records_give_the_same_numbers():
     record = bare(record_of(TRUE, 5, 30.0))
     first, second = (identify_with_effects([record]) for _ in range(2))
@@ -243,6 +245,7 @@ def test_a_record_without_gyro_is_refused_in_one_line_where_a_gyro_was_said():
 FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_speed": 0.7}})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effects", "clip", "gyro", "track"),
     [(BaseEffects(), 1.0, True, False), (BaseEffects(), 1.0, False, True), (FAST_WHEELS, np.inf, False, True)],
@@ -260,6 +263,7 @@ def test_with_effects_no_row_held_out_is_predicted_worse(effects, clip, gyro, tr
     assert (found > 94.0).all()  # what the robot does is found
 
 
+@pytest.mark.long
 def test_a_top_speed_tells_the_track_that_a_log_does_not():
     found = identify_with_effects([bare(record_of(FAST_WHEELS, 9, 120.0))]).identified.parameters
     for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):

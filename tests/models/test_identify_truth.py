@@ -90,6 +90,7 @@ def test_a_gyro_bias_is_told_from_a_turn():
     agrees(found, {**SM_TRUTH, "omega.offset": 0.04})
 
 
+@pytest.mark.long
 def test_four_times_the_data_halve_the_deviation():
     """On average: deviations are widened by the scatter of a few blocks, so that of one pair of drives tells little."""
     ratio = []

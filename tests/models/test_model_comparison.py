@@ -26,6 +26,7 @@ def data_of(*records):
     return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
 
 
+@pytest.mark.long
 def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
     found = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
@@ -38,6 +39,7 @@ def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     assert found.sentence().startswith("sm: ssm is ")
 
 
+@pytest.mark.long
 def test_channels_that_disturb_each_other_are_an_ssm(monkeypatch):
     """The published model of order 2, its cross terms ten times as large: to each command both speeds answer."""
     monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
@@ -49,6 +51,7 @@ def test_channels_that_disturb_each_other_are_an_ssm(monkeypatch):
     assert found.recommended.kind == "ssm"
 
 
+@pytest.mark.long
 def test_a_base_that_limits_slopes_is_an_sm_with_effects():
     effects = BaseEffects(twist_slew=TwistSlew(v=0.8, omega=1.5))
     records = [record_of(effects, seed, 30.0, noise=0.3) for seed in (1, 2)]

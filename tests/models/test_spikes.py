@@ -34,6 +34,7 @@ def as_read(drive, folder):
     return list(log.records), [finding for finding in log.findings if finding.kind == "spikes"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [5.0, 1000.0])
 def test_one_wild_reading_in_a_hundred_costs_nothing(size, tmp_path):
     clean = noisy_drive(TRUE, 5)

@@ -174,6 +174,7 @@ def lap(by, floor, reference, seed=0):
     return run.metrics.position_rmse_m, run.messages, run.true_pose
 
 
+@pytest.mark.long
 def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
     """On the floor where the robot turns about a point furthest from its middle; and bit for bit twice."""
     square, laps = load_trajectory("square"), []

@@ -92,6 +92,7 @@ SLIP = Slip(v_offset=0.04, longitudinal_gain=0.985, yaw_gain=0.85, side_slip=0.0
 LOADED = [replace(SLIP, turn_ahead=0.05), replace(SLIP, turn_left=0.05), replace(SLIP, load_shift=0.05)]
 
 
+@pytest.mark.long
 def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
     estimator = StateEstimator(MODEL, Estimator())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 2500)
@@ -106,6 +107,7 @@ def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
     assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slip", [SLIP, *LOADED], ids=["middle", "ahead", "left", "dips"])
 def test_where_the_robot_turns_about_is_found(slip):
     """On a noisy robot, each number within two of its deviations; the turning point within a centimetre and a half."""

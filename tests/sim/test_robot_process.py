@@ -54,6 +54,7 @@ def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
+@pytest.mark.long
 def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
     """However late the machine is: this much time is not given up here."""
     shipped = (Path(__file__).parents[2] / "sim" / "ros" / "base.yaml").read_text()

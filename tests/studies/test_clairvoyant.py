@@ -53,6 +53,7 @@ def test_with_the_shipped_weights_steady_arcs_are_exact(short):
     assert run.metrics.lateral_rmse_m < 1e-3
 
 
+@pytest.mark.long
 def test_it_holds_the_heading_error_that_side_slip_asks_for():
     run = drive("model:ssm", "slippery", "circle")
     known = know_plant("model:ssm", "slippery", ("circle",))
@@ -61,6 +62,7 @@ def test_it_holds_the_heading_error_that_side_slip_asks_for():
     assert np.abs(run.errors.course[steady]).max() < 3e-3
 
 
+@pytest.mark.long
 def test_on_the_physics_it_is_better_than_ours():
     bound = drive("mujoco", "slippery", "cane")
     ours = simulate(make_controller(Case()), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
@@ -69,6 +71,7 @@ def test_on_the_physics_it_is_better_than_ours():
     assert bound.metrics.lateral_rmse_m <= ours.metrics.lateral_rmse_m
 
 
+@pytest.mark.long
 def test_it_keeps_the_hard_limits_of_the_command():
     config = load_config("ssm")
     run = drive("model:ssm", "default", "square", horizon=12)
@@ -78,6 +81,7 @@ def test_it_keeps_the_hard_limits_of_the_command():
     assert (np.abs(steps) <= dt * np.array([limits.v_slew, limits.omega_slew]) + 1e-9).all()
 
 
+@pytest.mark.long
 def test_the_same_run_again_is_the_same_bit_for_bit(short):
     first, second = (drive("model:ssm", "default", short, horizon=12).command for _ in range(2))
     assert np.array_equal(first, second)

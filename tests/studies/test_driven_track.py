@@ -71,6 +71,7 @@ def test_errors_count_where_there_are_readings_and_in_the_paper_s_units():
     assert errors.omega == pytest.approx((np.degrees(0.1), np.degrees(0.1)))
 
 
+@pytest.mark.long
 def test_both_drive_models_beat_no_model_on_a_short_drive():
     study = load_study(quick=True).drive_models.model_copy(update={"drives": 2, "duration": 15.0})
     result = compare_on_twin(study, 77)

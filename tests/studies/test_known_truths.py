@@ -6,6 +6,7 @@ import pytest
 from studies.shipped_models.known_truths import RecoveredTruth, coverage_table, recover, recover_all
 
 
+@pytest.mark.long
 def test_truths_lie_within_four_standard_deviations():
     done = []
     recoveries = recover_all(6, lambda count, total: done.append((count, total)))

@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+import pytest
 from test_over_dds import BOUND, true_twists
 
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
@@ -10,6 +11,7 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from studies.ros.two_processes import own_domain, running
 
 
+@pytest.mark.long
 def test_a_robot_stops_by_itself_when_its_monitor_is_killed(tmp_path, monkeypatch):
     """The controller goes on to command, nobody forwards it, and the base's own timeout acts."""
     environment, bag = own_domain(tmp_path), tmp_path / "bag"

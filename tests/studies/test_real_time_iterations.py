@@ -76,6 +76,7 @@ def drive(trajectory, make, on_tick=None, seconds=np.inf, **overrides):
     return SimpleNamespace(command=command, cost=cost, controller=controller)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("trajectory", ["cane"])
 def test_a_drive_costs_what_it_costs_with_iterations_to_convergence(trajectory, converged):
     run, best = (drive(trajectory, make) for make in (Controller, converged))
@@ -83,6 +84,7 @@ def test_a_drive_costs_what_it_costs_with_iterations_to_convergence(trajectory, 
     assert run.cost == pytest.approx(best.cost, rel=0.01)
 
 
+@pytest.mark.long
 def test_that_holds_where_limits_are_active(converged):
     run, best = (drive("s", make, seconds=6.0, **TIGHT) for make in (Controller, converged))
     increments = np.abs(np.diff(run.command, axis=0))

@@ -170,6 +170,7 @@ SMALL = SsmStudy(
 )
 
 
+@pytest.mark.long
 def test_results_depend_on_the_repetition():
     """A fit beside drives, and the same fit alone; what another repetition is fitted to."""
     track = load_study(quick=True).driven_track.model_copy(update={"duration": 1.5, "settling": 0.5})
@@ -188,6 +189,7 @@ def test_results_depend_on_the_repetition():
     assert not np.array_equal(own.yaw_rate[:20], other.yaw_rate[:20])
 
 
+@pytest.mark.long
 def test_both_tracks_alone_tell_the_two_mbm_apart():
     """Where the robot is told to go straight, wheels differ only as motors do, and the track out of them counts.
 
@@ -222,6 +224,7 @@ def test_in_a_steady_turn_what_the_outer_side_drives_the_inner_one_brakes_but_fo
         assert (one.power.sum(axis=1) > 0).all()
 
 
+@pytest.mark.long
 def test_what_is_foreseen_of_a_drive_is_nearer_once_its_floor_was_learned():
     asked = load_study(quick=True).turning.model_copy(update={"seeds": (41,), "turns": 3})
     found = learn_turns(asked, "carpet")

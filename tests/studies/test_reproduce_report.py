@@ -90,6 +90,7 @@ def test_the_report_has_every_figure_and_the_verdicts(report: Path):
         assert f"](figures/{name})" in text
 
 
+@pytest.mark.long
 def test_the_same_results_give_the_same_files(report: Path, tmp_path: Path):
     write_made_up(made_up(), tmp_path)
     for name in ("reproduce.json", "reproduce.md", *(f"figures/{name}" for name in FIGURES)):

@@ -162,6 +162,7 @@ def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path, 
     assert all(run["driven_s"] > 1.0 for run in runs[0])
 
 
+@pytest.mark.long
 def test_no_sensor_of_honest_robots_of_the_market_is_given_up() -> None:
     """Slopes, loads aside, patches, wrong tracks and poor poses are no fault of a sensor."""
     cases = [case for path in ("circle", "s") for case in market_cases(6, "mpc", "ssm", path, spot_turns=False)]
@@ -201,6 +202,7 @@ def test_a_robot_that_answers_late_is_not_taken_for_one_that_gets_no_faster() ->
     assert metrics.lateral_max_m < 0.1
 
 
+@pytest.mark.long
 def test_a_small_study_runs_and_repeats(tmp_path: Path, short_path: Path) -> None:
     runs = []
     for jobs in ("1", "2"):

@@ -25,6 +25,7 @@ def report(small, tmp_path_factory):
     return json.loads((out / "speed.json").read_text())
 
 
+@pytest.mark.long
 def test_everyone_solves_the_same_problem(report):
     ours, peer = report["records"]
     assert (ours["solver"], peer["solver"]) == ("ours/auto/daqp", "casadi/sqpmethod")

@@ -95,6 +95,7 @@ def test_quick_is_a_part_of_the_whole() -> None:
     assert not {*STUDY.fit_radii} & {*STUDY.measured.radii}, "what is fitted is not what it is held against"
 
 
+@pytest.mark.long
 def test_our_own_robot_has_a_vehicle_and_no_least_radius() -> None:
     asked = small(STUDY).model_copy(update={"robot": "default"})
     vehicle, constants = parts_of(asked)

@@ -121,6 +121,7 @@ def test_a_world_brings_its_way() -> None:
         load_reference(Case(world="doorway", trajectory="s"))
 
 
+@pytest.mark.long
 def test_the_study_writes_what_it_drove(tmp_path: Path) -> None:
     runs = {"crossing": 1, "doorway": 1}
     study = WorldsStudy(load_settings(), ("crossing", "doorway"), controllers=("rpp+stop",), model="ssm", runs=runs)
