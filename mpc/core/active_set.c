@@ -18,12 +18,12 @@ enum {
     FEW = DDMPC_LANES     /* rows that are let in at once by the dual method: one block of columns */
 };
 
-/* By the number type: its rounding; steps that are none beside the largest; and the share of the largest term that the gradient
-   of the Lagrangian may keep. */
+/* By the number type: its rounding; steps that are none beside the largest; the share of a multiplier within which it is
+   reached; and the share of the largest term that the gradient of the Lagrangian may keep. */
 #ifdef DDMPC_FLOAT
-static const real EPSILON = FLT_EPSILON, NEGLIGIBLE = R(1e-3), STATIONARY = R(3e-4);
+static const real EPSILON = FLT_EPSILON, NEGLIGIBLE = R(1e-3), REACHED = R(1e-5), STATIONARY = R(3e-4);
 #else
-static const real EPSILON = DBL_EPSILON, NEGLIGIBLE = R(1e-7), STATIONARY = R(1e-8);
+static const real EPSILON = DBL_EPSILON, NEGLIGIBLE = R(1e-7), REACHED = R(1e-10), STATIONARY = R(1e-8);
 #endif
 /* Roundings that a sum over a plan adds up to. */
 static const real ROUNDINGS = R(16.0);
@@ -248,8 +248,11 @@ static way find_step(ddmpc_rows *rows, real *length, real *rise)
         ddmpc_solve_rows(rows);
         along = find_weak_row(rows);
         if (along == rows->active) {
-            for (int i = 0; i < rows->active; i++)
-                rows->step[i] = rows->wanted[i] - rows->multiplier[i];
+            for (int i = 0; i < rows->active; i++) {
+                const real step = rows->wanted[i] - rows->multiplier[i];
+                /* What rounding leaves of a step must not stop all others: it would be switched to and fro. */
+                rows->step[i] = ddmpc_fabs(step) > REACHED * ddmpc_fabs(rows->wanted[i]) ? step : R(0.0);
+            }
             *length = R(1.0);
             return TO_THE_TOP;
         }
@@ -312,7 +315,8 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
         const way next = find_step(rows, &length, &rise);
         int block = next == NO_STEP ? -1 : find_block(rows, &length);
         if (block < 0 && next == TO_THE_TOP) {
-            memcpy(rows->multiplier, rows->wanted, (size_t)rows->active * sizeof(real));
+            for (int i = 0; i < rows->active; i++)
+                rows->multiplier[i] = within(piece_of(rows, i), rows->wanted[i]);
             return SETTLED;
         }
         if (block < 0 && next == ENDLESS) {
