@@ -30,6 +30,7 @@ typedef struct {
     int model_parameters;    /* Q, numbers that it is given */
     int work;                /* reals of memory that it needs */
     int command_turns;       /* kinds of soft limit that keep the least commanded radius: 2, or 0 without one */
+    int pressing;            /* limits that may press at once: as many as there are commands, and soft ones that give way */
 } ddmpc_sizes;
 
 /* CasADi's signature: arguments in, results out. */

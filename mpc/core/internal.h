@@ -26,6 +26,7 @@
 #define NONLINEAR(c) DDMPC_NONLINEAR
 #define TURNS(c) DDMPC_TURNS
 #define COMMAND_TURNS(c) DDMPC_COMMAND_TURNS
+#define PRESSING(c) DDMPC_PRESSING
 #define DDMPC_MOST_SLIPS DDMPC_SLIPS
 #define SLIPS(c) DDMPC_SLIPS
 #define WORK(c) DDMPC_WORK
@@ -49,6 +50,7 @@
 #define NONLINEAR(c) ((c)->sizes.nonlinear)
 #define TURNS(c) ((c)->sizes.turns)
 #define COMMAND_TURNS(c) ((c)->sizes.command_turns)
+#define PRESSING(c) ((c)->sizes.pressing)
 #define SLIPS(c) ((c)->sizes.slips)
 #define WORK(c) ((c)->sizes.work)
 #endif
@@ -95,13 +97,6 @@ enum { PADDING = 8 };
 #define COMMANDS(c) (WINDOW(c) + HISTORY(c) + 2)
 enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
 #define KINDS(c) (HARD + SOFT(c))
-/* Limits that may press at once: as many as there are commands, and some soft ones that give way. */
-/* Exceeded soft limits take room, too, and there may be several at each sample; a small computer has less of it. */
-#ifdef DDMPC_EXPORT
-#define MOST_ACTIVE(c) (INPUTS(c) + 32)
-#else
-#define MOST_ACTIVE(c) (3 * INPUTS(c) + 32)
-#endif
 
 enum { WHEEL_SPEED, WHEEL_YAW_RATE, YAW_RATE, POSE_SENSOR };
 enum {

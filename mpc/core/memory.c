@@ -119,9 +119,9 @@ static void lay(ddmpc_controller *c, memory *m)
     result->planned_commands = reals(m, 2 * N);
     result->aim = reals(m, 4 * (N + 1));
     const int rows = KINDS(c) * (int)N;
-    c->limited.most_active = MOST_ACTIVE(c);
-    c->limited.reals = reals(m, DDMPC_LIMITED_REALS((long)INPUTS(c), (long)rows, (long)MOST_ACTIVE(c)));
-    c->limited.ints = ints(m, DDMPC_LIMITED_INTS((long)INPUTS(c), (long)rows, (long)MOST_ACTIVE(c)));
+    c->limited.most_active = PRESSING(c);
+    c->limited.reals = reals(m, DDMPC_LIMITED_REALS((long)INPUTS(c), (long)rows, (long)PRESSING(c)));
+    c->limited.ints = ints(m, DDMPC_LIMITED_INTS((long)INPUTS(c), (long)rows, (long)PRESSING(c)));
 }
 
 /* Whether local memory holds these sizes. */
@@ -133,7 +133,7 @@ static int fits(const ddmpc_sizes *s)
            (s->turns == 0 || s->turns == TURN_ROWS) && (s->command_turns == 0 || s->command_turns == TURN_ROWS) &&
            (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
            s->soft >= SHIPPED_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 &&
-           s->terms >= 0 && s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
+           s->pressing >= 2 * s->steps && s->terms >= 0 && s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
 }
 
 static memory counted(const ddmpc_sizes *sizes)

@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 def sizes_text(problem: Problem, *, single: bool) -> str:
     """Text of ddmpc_sizes.h: what makes the core one of fixed sizes, and how much memory that takes."""
     ffi, lib = load_core()
-    sizes = problem.sizes
+    sizes = _sizes(problem)
     c_sizes = ffi.new("ddmpc_sizes *", sizes)
     memory = {"reals": lib.ddmpc_reals(c_sizes), "ints": lib.ddmpc_ints(c_sizes)}
     first = {name: place.start for name, place in parameter_places(problem.terms).items()}
@@ -30,10 +30,15 @@ def sizes_text(problem: Problem, *, single: bool) -> str:
     return "\n".join([*head, *(["#define DDMPC_FLOAT"] if single else []), *lines, "", "#endif", ""])
 
 
+def _sizes(problem: Problem) -> dict[str, int]:
+    """Those of the problem, with less room for limits that press at once: it takes most of the memory."""
+    return problem.sizes | {"pressing": 2 * problem.config.horizon + 32}
+
+
 def constants_text(problem: Problem, functions: str | None) -> str:
     """Text of constants.c; `functions` is the stem of the file with the user's functions, if there are any."""
     tables, constants = [], []
-    for name, value in constant_fields(problem.sizes, problem.constants()):
+    for name, value in constant_fields(_sizes(problem), problem.constants()):
         if not isinstance(value, np.ndarray):
             constants.append((name, _written(value)))
         elif value.size:
@@ -41,7 +46,7 @@ def constants_text(problem: Problem, functions: str | None) -> str:
             constants.append((name, name))
         else:  # C has no empty arrays
             constants.append((name, "0"))
-    sizes = [(name, str(value)) for name, value in problem.sizes.items()]
+    sizes = [(name, str(value)) for name, value in _sizes(problem).items()]
     places = parameter_places(problem.terms)
     terms = ",\n".join(_term(index, term, places[term.name].start) for index, term in enumerate(problem.terms))
     step, output = (STEP, OUTPUT) if problem.prediction is None else ("0", "0")

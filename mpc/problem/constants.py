@@ -122,6 +122,8 @@ class Problem:
             "model_parameters": len(self.compiled_step.parameters) if self.compiled_step else 0,
             "work": self.compiled_step.work if self.compiled_step else 0,
             "command_turns": self._command_turns,
+            # Soft limits that are exceeded take room, too, and there may be several at each sample.
+            "pressing": 6 * self.config.horizon + 32,
         }
 
     def constants(self) -> Constants:
