@@ -1,7 +1,8 @@
 """Linear fits beside the thirty-line baseline with a limit of the command (`oracle/second_order.py`), on the same rows.
 
 `python tests/models/behind_baseline.py` prints FIT on rows held out, of three real logs and three simulated ones, and
-ends with 1 where a fit is more than a point behind, as MBM's is: its channels share their motors. Logs lie where DIFFDRIVE_MPC_DATA says.
+ends with 1 where a fit is more than a point behind, as MBM's is: its channels share their motors. Logs lie where
+DIFFDRIVE_MPC_DATA says.
 """
 
 from __future__ import annotations

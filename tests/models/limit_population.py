@@ -1,6 +1,6 @@
 """Drawn logs in which a command is clipped at a known level, or nothing is; what the linear fits find of it.
 
-`python tests/models/limit_population.py --seed 11 --count 60` prints how many limits are found, how many of these within
+`python tests/models/limit_population.py --seed 11 --count 60` prints how many limits are found, how many of them within
 5 %, and how many are found where there is none; it ends with 1 where these are too few or too many. Real logs lie where
 DIFFDRIVE_MPC_DATA says; without it only drawn robots take part.
 """
