@@ -102,7 +102,8 @@ def with_limit_if_better(
 ) -> OutputErrorFit:
     """`limited`, which has the last parameter more than `plain`, if models like it predict held-out blocks better.
 
-    Few commands lie beyond a limit, so its deviation is not taken below that between blocks. Records too short to hold
+    The log of the mean square error has to fall by as much as the settings ask for, counted in effective samples. Few
+    commands lie beyond a limit, so its deviation is not taken below that between blocks. Records too short to hold
     blocks out decide nothing: then `limited` stays.
     """
     experiments = joined(experiments)
@@ -110,7 +111,8 @@ def with_limit_if_better(
         with_it, without = (hold_out(fit, experiments, robust) for fit in (limited, plain))
     except ValueError:
         return limited
-    if np.log(with_it.powers.sum(axis=0) / without.powers.sum(axis=0)).sum() >= 0.0:
+    fall = np.log(without.powers.sum(axis=0) / with_it.powers.sum(axis=0))
+    if plain.effective_samples @ fall < estimator_settings().saturation.held_out_evidence:
         return plain
     wider = np.ones(len(limited.parameters))
     wider[-1] = max(1.0, with_it.deviation[-1] / np.sqrt(limited.covariance[-1, -1]))

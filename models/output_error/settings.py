@@ -21,6 +21,9 @@ class SaturationSettings(StrictModel):
     levels: int = Field(ge=2, description="number of levels tried")
     share: Positive = Field(lt=1, description="least share of samples commanded beyond the level [-]")
     evidence: Positive = Field(description="least fall of the information criterion [-]")
+    held_out_evidence: Positive = Field(
+        description="least fall of the log of the mean square error on blocks held out, times effective samples [-]"
+    )
 
 
 class ScatterSettings(StrictModel):

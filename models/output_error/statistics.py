@@ -170,8 +170,9 @@ def _widened(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatA
     for count in settings.blocks:
         ratio = np.diag(bread @ block_covariance(scores, count) @ bread) / variance
         student = stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975)
+        # Rounding may leave a variance of nothing below zero.
         shown = ratio > stats.chi2.ppf(settings.certain, count - 1) / (count - 1)
-        wider = np.where(shown, np.maximum(wider, student * np.sqrt(ratio)), wider)
+        wider = np.where(shown, np.maximum(wider, student * np.sqrt(np.maximum(ratio, 0.0))), wider)
     return np.asarray(covariance * np.outer(wider, wider))
 
 

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twis
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.structures.channel import identify_channel
+from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -82,7 +82,7 @@ class MotorsParametrisation:
 _MOTORS = tuple(Motors.model_fields)
 
 
-def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedModel:
+def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool = True) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
     The effective track is the one for which the motors' steady turning rate becomes that of the gyro, whatever the two
@@ -95,6 +95,8 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedMo
         a side are equal.
     wheel_radius
         [m], as the robot's firmware has it.
+    limits
+        Whether to look for levels at which the robot clips its commands.
 
     Raises
     ------
@@ -106,11 +108,10 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedMo
         [experiment.channel(1, 1) for experiment in twist_experiments(records)],
         "omega",
         offset=True,
-        limit=False,
+        limit=limits,
     )
     sides = _SIDES[: experiments[0].outputs.shape[1]]
-    layout = Layout(MotorsParametrisation(sides, wheel_radius), 2, len(sides), shared_dead_time=True)
-    fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius))], experiments)
+    fit = fit_output_error([_start(experiments, sides, wheel_radius, yaw, limits)], experiments)
     turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
     parameters = _with_effective_track(joined([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
@@ -129,7 +130,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float) -> IdentifiedMo
         },
         parameters=parameters,
         offset=np.array([0.0, yaw.parameters.value("offset")]),
-        limits={},
+        limits={channel: float(rounded(parameters.value(f"{channel}.limit"))) for channel in _limited(fit.layout)},
         yaw="gyro",
         method=METHOD,
         fits=(fit, yaw.fit),
@@ -149,15 +150,29 @@ def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -
     )
 
 
-def _start(experiments: Sequence[SampledExperiment], sides: tuple[int, ...], radius: float) -> FloatArray:
-    """Forward motion gives a motor for all, turning the track."""
+def _start(
+    experiments: Sequence[SampledExperiment],
+    sides: tuple[int, ...],
+    radius: float,
+    yaw: IdentifiedChannel,
+    limits: bool,
+) -> tuple[Layout, FloatArray]:
+    """Forward motion gives a motor for all and a limit of v, turning the track; `yaw` has the limit of omega."""
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
-    v = identify_channel(forward, "wheels", limit=False)
+    v = identify_channel(forward, "wheels", limit=limits)
     omega = identify_channel(turning, "wheels' difference", limit=False)
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
     track = np.log(omega.content["gain"] / v.content["gain"])
-    return np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")]])
+    limited = tuple("limit" in channel.parameters.names for channel in (v, yaw))
+    levels = [channel.parameters.value("limit") for channel, free in zip((v, yaw), limited, strict=True) if free]
+    layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), shared_dead_time=True, limited=limited)
+    return layout, np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")], levels])
+
+
+def _limited(layout: Layout) -> list[str]:
+    """Channels whose command is clipped."""
+    return [channel for channel, free in zip(CHANNELS, layout.limited, strict=True) if free]
 
 
 def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
@@ -176,11 +191,12 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
     names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
 
     def physical(row: FloatArray) -> FloatArray:
-        own, dead_time, *_ = fit.layout.split(row)
+        own, dead_time, _, levels = fit.layout.split(row)
         each = [TWO_POLES.values(motor) for motor in own[:-1].reshape(motors, -1)]
-        return np.concatenate([*each, np.exp(own[-1:]), dead_time])
+        return np.concatenate([*each, np.exp(own[-1:]), dead_time, levels])
 
-    return fit.estimate.derived((*names, "firmware_track", "dead_time"), physical)
+    limits = [f"{channel}.limit" for channel in _limited(fit.layout)]
+    return fit.estimate.derived((*names, "firmware_track", "dead_time", *limits), physical)
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from baseline_parts import baseline_fit
 
 from diffdrive_mpc.models.identification.log_data import divide
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import read_log
-from diffdrive_mpc.models.output_error.experiment import joined, twist_experiments
-from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, validate
+from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.sm import identify_sm
-from oracle.second_order import fit_second_order, response
 
 LOGS = {
     "husky_tile": "norlab_husky_tile",
@@ -67,20 +66,6 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
         train, held_out = halves(log)
         return validate(identify_sm(train, limits=False).system, held_out).fit_percent
 
-    def plain_fit(train, held_out):
-        """(2,) FIT [%] of the oracle on the records held out."""
-        fits = []
-        for row in (0, 1):
-            one, other = ([s.channel(row, row) for s in joined(twist_experiments(part))] for part in (train, held_out))
-            u, y, c = zip(*((s.inputs[:, 0], s.outputs[:, 0], s.counts[:, 0]) for s in one), strict=True)
-            plain = fit_second_order(u, y, c, one[0].dt)
-            firsts = [s.outputs[np.argmax(s.counts), 0] for s in other]
-            runs = [response(plain, s.inputs[:, 0], f, s.dt) for s, f in zip(other, firsts, strict=True)]
-            keep = [s.counts[:, 0] for s in other]
-            measured = [s.outputs[k, 0] for s, k in zip(other, keep, strict=True)]
-            fits.append(pooled_fit_percent(measured, [r[k] for r, k in zip(runs, keep, strict=True)]))
-        return np.array(fits)
-
     @pytest.mark.parametrize(("log", "cut"), CASES)
     def test_a_cut_costs_less_than_three_points(log, cut):
         train, held_out = halves(log)
@@ -89,11 +74,11 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
 
     @pytest.mark.parametrize("log", LOGS)
     def test_a_plain_fit_is_no_better(log):
-        assert (as_shipped(log) > plain_fit(*halves(log)) - 0.5).all()
+        assert (as_shipped(log) > baseline_fit(*halves(log)) - 0.5).all()
 
     @pytest.mark.parametrize(("log", "cut"), CASES)
     def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
         train, held_out = halves(log)
         train = stretches(train, cut, past=False)
         found = validate(identify_sm(train, limits=False).system, held_out).fit_percent
-        assert (found > plain_fit(train, held_out) - 0.5).all(), found
+        assert (found > baseline_fit(train, held_out) - 0.5).all(), found

@@ -181,12 +181,12 @@ def test_the_order_of_a_second_order_robot_is_two():
     assert [row.parameters for row in choice.rows] == [4 + 3, 8 + 3, 12 + 3]
 
 
-@pytest.mark.parametrize("four", [True, False])
-def test_mbm_finds_motors_and_both_tracks(four):
+@pytest.mark.parametrize(("four", "limit"), [(True, np.inf), (False, 0.4)])
+def test_mbm_finds_motors_both_tracks_and_a_limit(four, limit):
     radius, firmware, effective = 0.07, 0.4, 0.62
     commands = set_points(17, 2000, (0.6, 1.2))
     motors = [(0.95, 12.0, 0.9), (1.02, 10.0, 1.2)]
-    rims = commands @ np.array([[1.0, 1.0], [-firmware / 2, firmware / 2]])
+    rims = np.clip(commands, [-limit, -np.inf], [limit, np.inf]) @ np.array([[1.0, 1.0], [-firmware / 2, firmware / 2]])
     both = two_channels(*motors, dead_time=(0.047, 0.047)).discretise(DT).simulate(rims / radius)
     yaw_rate = radius * (both[:, 1] - both[:, 0]) / effective
     stream = np.random.default_rng(18)
@@ -203,7 +203,9 @@ def test_mbm_finds_motors_and_both_tracks(four):
         wheel_speeds=np.tile(both, 2) + 0.1 * stream.normal(size=(2000, 4)) if four else None,
     )
     found = identify_mbm([drive], radius)
-    truth = {"firmware_track": firmware, "dead_time": 0.047}
+    limits = {} if np.isinf(limit) else {"v": limit}
+    assert found.limits.keys() == limits.keys()
+    truth = {"firmware_track": firmware, "dead_time": 0.047} | {f"{name}.limit": x for name, x in limits.items()}
     for side, motor in zip(("left", "right"), motors, strict=True):
         for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
             truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}

@@ -17,6 +17,7 @@ HELPERS = {
     "models.checked_yaml",
     "models.compiled",
     "models.errors",
+    "models.file_limits",
     "models.input_file",
     "models.named_file",
     "models.table",

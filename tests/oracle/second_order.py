@@ -1,15 +1,24 @@
-"""The least that an identification has to beat: a second-order lag with dead time for each channel, fitted plainly."""
+"""The least that an identification has to beat: a second-order lag with dead time for each channel, fitted plainly.
+
+With `clip` the command may have a limit, too.
+"""
 
 import numpy as np
 from scipy import signal
 from scipy.optimize import least_squares
 
 _STARTS = [(gain, lag, dead_time) for gain in (0.5, 1.0) for lag in (0.1, 0.3, 1.0) for dead_time in (0.02, 0.2)]
+_LEVELS = np.linspace(0.4, 0.95, 12)
 
 
 def response(parameters, command, first, dt):
-    """(K,) from the command (K,) alone, settled at the `first` reading; gain, two lags [s], dead time [s], offset."""
-    gain, slow, fast, dead_time, offset = parameters
+    """(K,) from the command (K,) alone, settled at the `first` reading.
+
+    Parameters are gain, two lags [s], dead time [s], offset and, where there is one, the limit of the command.
+    """
+    gain, slow, fast, dead_time, offset, *limit = parameters
+    for level in limit:
+        command = np.clip(command, -level, level)
     late = int(dead_time / dt)
     rest = dead_time / dt - late
     line = np.concatenate([np.full(late + 1, (first - offset) / gain), command])
@@ -20,8 +29,8 @@ def response(parameters, command, first, dt):
     return gain * (drive + line[0]) + offset
 
 
-def fit_second_order(commands, readings, fresh, dt):
-    """(5,) parameters from lists of stretches of one channel: commands, readings and which of these count."""
+def fit_second_order(commands, readings, fresh, dt, clip=False):
+    """(5,) or with `clip` (6,) parameters from lists of stretches of one channel: commands, readings, which count."""
     firsts = [y[np.argmax(f)] for y, f in zip(readings, fresh, strict=True)]
 
     def errors(parameters):
@@ -33,4 +42,11 @@ def fit_second_order(commands, readings, fresh, dt):
         ([g, lag, 0.3 * lag, d, 0.0] for g, lag, d in _STARTS), key=lambda start: np.sum(errors(start) ** 2)
     )
     fits = [least_squares(errors, start, bounds=bounds, x_scale=[1, 0.1, 0.1, 0.1, 0.1]) for start in starts[:2]]
+    best = min(fits, key=lambda fit: fit.cost).x
+    if not clip:
+        return best
+    largest = max(np.abs(u).max() for u in commands)
+    starts = sorted(([*best, level * largest] for level in _LEVELS), key=lambda start: np.sum(errors(start) ** 2))
+    bounds = [[*bound, level] for bound, level in zip(bounds, (0.2 * largest, largest), strict=True)]
+    fits = [least_squares(errors, start, bounds=bounds, x_scale=[1, 0.1, 0.1, 0.1, 0.1, 0.1]) for start in starts[:2]]
     return min(fits, key=lambda fit: fit.cost).x
