@@ -29,6 +29,7 @@ _OUTDATED = 0.3
 """Where a moving robot was so long ago is not where a reference should begin [s]."""
 _LONGEST_LAYING = 15.0
 """A path that is not laid after so long is given up, whatever the process beside the loop does [s of the computer]."""
+_ABANDONED = "nobody waits for it any more: its client has ended"
 _SETTLES = 1.0
 """After a command of zero for so long the robot is taken to stand, whatever its wheels say [s]."""
 
@@ -66,7 +67,7 @@ class End:
 
 @dataclass(eq=False)
 class FollowGoal:
-    """One goal. The loop's thread writes `progress` and `end`, that of the action server `cancelled`.
+    """One goal. The loop's thread writes `progress` and `end`, that of the action server `cancelled` and `abandoned`.
 
     Attributes
     ----------
@@ -80,6 +81,8 @@ class FollowGoal:
         Why it cannot be driven, as was found before the loop saw it; None if nothing was.
     cancelled
         Whether it shall end.
+    abandoned
+        Whether nobody waits for it any more.
     progress
         Distance to the goal along the path [m] and speed [m/s]; None until it is driven.
     end
@@ -91,6 +94,7 @@ class FollowGoal:
     stamp: int = 0
     fault: tuple[Code, str] | None = None
     cancelled: bool = False
+    abandoned: bool = False
     progress: tuple[float, float] | None = None
     end: End | None = None
     laid: Laid | None = field(default=None, repr=False)
@@ -207,6 +211,8 @@ class Following:
             self._close(coming, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
             # Whoever sent it did not mean the one that it was to replace either.
             self._give_up("a newer goal was cancelled")
+        elif coming is not None and coming.abandoned:
+            self._refuse(coming, Code.UNKNOWN, _ABANDONED)
         elif coming is not None and time.monotonic() - coming.handed_on > _LONGEST_LAYING:
             self._refuse(coming, Code.CONTROLLER_TIMED_OUT, f"to lay the path takes longer than {_LONGEST_LAYING:g} s")
         if goal is None:
@@ -292,6 +298,8 @@ class Following:
         goal.began = goal.began or ours
         if goal.cancelled:
             return End(GoalOutcome.CANCELED, Code.NONE, "cancelled")
+        if goal.abandoned:
+            return End(GoalOutcome.ABORTED, Code.UNKNOWN, _ABANDONED)
         if tick.state is LoopState.FAULT:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, tick.message)
         if goal.began and (not ours or tick.state is LoopState.IDLE):

@@ -6,6 +6,7 @@ It has a node and a thread of its own: to take a path of some thousand poses apa
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 
 import numpy as np
@@ -67,6 +68,9 @@ class FollowPathServer:
             cancel_callback=self._cancel,
             result_timeout=_RESULT_KEPT,
         )
+        # Every client of an action hears its feedback: where nobody does, the client is gone.
+        self._feedback = f"{node.resolve_topic_name(ACTION)}/_action/feedback"
+        self._client_seen = time.monotonic()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._side.create_timer(_LOOK, self._look, clock=steady)
         self._side.create_timer(1.0 / settings.follow_feedback_rate, self._tell, clock=steady)
@@ -177,6 +181,12 @@ class FollowPathServer:
             entry[2].set_result(entry[0].end)
 
     def _tell(self) -> None:
+        patience, now = self._settings.follow_client_timeout, time.monotonic()
+        if not self._open or self._side.count_subscribers(self._feedback):
+            self._client_seen = now
+        elif patience and now - self._client_seen > patience:
+            for goal, _, _ in self._open:
+                goal.abandoned = True
         for goal, handle, _ in self._open:
             if goal.progress is not None and goal.end is None:
                 distance, speed = goal.progress

@@ -49,7 +49,7 @@ from diffdrive_mpc.mpc.ros.reference_input import (
     read_speed_limit,
     read_trajectory,
 )
-from diffdrive_mpc.mpc.ros.rivals import Others, Rivals, drive_too, publish_too
+from diffdrive_mpc.mpc.ros.rivals import Others, Rivals, drive_too, publish_too, speak_together
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.surroundings_input import SurroundingsInput
@@ -385,7 +385,13 @@ class TrackingNode(LifecycleNode):
         objection = drive_too(others, self._rivals.topic)
         if not objection and others.foreign and self._settings.exclusive_cmd_vel:
             objection = f"{publish_too(others, self._rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
+        if not objection and self._settings.exclusive_inputs:
+            objection = self._voices()
         return objection
+
+    def _voices(self) -> str:
+        """Which input has more than one voice."""
+        return speak_together(self, (subscription.topic_name for _, subscription in self._watched))
 
     def _look_around(self) -> None:
         """Tell the loop who else publishes commands, which makes it brake or is named, and who does not hear it."""
@@ -397,6 +403,7 @@ class TrackingNode(LifecycleNode):
         topic = self._rivals.topic
         warnings = (
             "" if loop.objection else publish_too(others, topic),
+            "" if loop.objection else self._voices(),
             deaf_to_commands(self, topic, stamped=self._settings.stamped),
             self._out_of_step(loop),
         )

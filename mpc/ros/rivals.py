@@ -1,8 +1,9 @@
-"""Who else publishes on the topic of the commands: another node of this project, or somebody else."""
+"""Who else publishes on the topic of the commands, and who on the inputs, each of which has to have one voice."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from rclpy.node import Node
@@ -82,16 +83,32 @@ class Rivals:
         return Others(tuple(project), tuple(foreign))
 
     def _beside_own(self, topic: str) -> list[str]:
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        names = sorted(
-            _NAMELESS if _UNKNOWN in each.node_name else f"{each.node_namespace.rstrip('/')}/{each.node_name}"
-            for each in publishers
-        )
+        names = _publishing(self._node, topic)
         own = self._node.get_fully_qualified_name()
         # One of that name is this node; a second one is another.
         if own in names:
             names.remove(own)
         return names
+
+
+def _publishing(node: Node, topic: str) -> list[str]:
+    """Full names of the nodes that publish on `topic`, one for each publisher."""
+    return sorted(
+        _NAMELESS if _UNKNOWN in each.node_name else f"{each.node_namespace.rstrip('/')}/{each.node_name}"
+        for each in node.get_publishers_info_by_topic(topic)
+    )
+
+
+def speak_together(node: Node, topics: Iterable[str]) -> str:
+    """Which nodes publish on the same input, and what to do; empty where each input has one voice.
+
+    A node that was started again has the name of the one before, which the middleware may take a while to forget.
+    """
+    for topic in topics:
+        names = sorted(set(_publishing(node, topic)) - {_NAMELESS})
+        if len(names) > 1:
+            return f"{_names(names)} publish on {topic}, and nobody knows whose message is true; stop all but one"
+    return ""
 
 
 def drive_too(others: Others, topic: str) -> str:
@@ -106,5 +123,5 @@ def publish_too(others: Others, topic: str) -> str:
     return f"{_names(others.foreign)} publishes on {topic} too" if others.foreign else ""
 
 
-def _names(names: tuple[str, ...]) -> str:
+def _names(names: Sequence[str]) -> str:
     return " and ".join(names)

@@ -41,6 +41,11 @@ class NodeSettings(StrictModel, strict=True):
         description="refuse activation, and brake, while anybody else publishes on `cmd_vel`; false: only warn, unless "
         "it is an active node of this project, which is never let through [-]",
     )
+    exclusive_inputs: bool = Field(
+        True,
+        description="refuse activation, and brake, while two nodes publish on `odom`, `imu` or `pose`: which "
+        "message is whose is not known; false: only warn [-]",
+    )
     discovery_wait: NotNegative = Field(
         1.0, description="a node is as old at least before it is activated: it looks who else is there [s]"
     )
@@ -137,6 +142,12 @@ class NodeSettings(StrictModel, strict=True):
     follow_goal_heading: Positive = Field(0.15, description="arrived if no further from the goal's heading [rad]")
     follow_patience: Positive = Field(
         1.0, description="a goal is aborted if the robot cannot be driven for longer: no pose, no way, no solution [s]"
+    )
+    follow_client_timeout: NotNegative = Field(
+        1.0,
+        description="a goal is aborted, and the robot braked, where nobody has waited for it for longer: its client "
+        "has ended, or was killed and the middleware has noticed (Fast DDS: after 20 s); 0: it is driven to its end "
+        "[s]",
     )
     follow_feedback_rate: Rate = Field(10.0, description="how often feedback is sent [Hz]")
     follow_most_poses: Annotated[int, Field(ge=2, le=100_000)] = Field(

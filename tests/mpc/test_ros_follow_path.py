@@ -101,6 +101,23 @@ def test_a_cancelled_goal_is_braked_at_the_braking_limits(parts):
         assert np.hypot(*(pose(follow) - stands)[:2]) < 5e-3
 
 
+@pytest.mark.parametrize("how", ["terminate", pytest.param("kill", marks=pytest.mark.long)])
+def test_a_goal_whose_client_has_ended_is_braked(parts, how):
+    """One that is killed says nothing: the middleware forgets it after its lease."""
+    # Long enough for 25 s at 0.6 m/s.
+    path = np.column_stack([np.linspace(0.0, 20.0, 401), np.zeros((401, 2))])
+    with parts.following(follow_client_timeout=0.5) as follow:
+        follow.client.send("a", path)
+        follow.driven()
+        since, place = len(follow.base.commands), pose(follow)[0]
+        getattr(follow.client.process, how)()
+        follow.until(lambda: not np.any(follow.base.commands[-1]), "the stop", pace=parts.DT)
+        limits = follow.made.node._controller.config.limits
+        braking = np.array([limits.v_braking, limits.omega_braking]) * parts.DT
+        assert (np.abs(np.diff(commanded(follow, since), axis=0)) <= braking * 1.001).all()
+        assert pose(follow)[0] < place + (1.2 if how == "terminate" else 15.0)
+
+
 def test_a_path_with_a_cusp_is_backed_out_of(parts):
     back = np.linspace(0.0, 0.8, 17)[1:]
     path = np.concatenate(

@@ -9,9 +9,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
 from ros_parts import CONFIG, DT, stack
+from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.node import TrackingNode
@@ -97,6 +100,33 @@ def test_found_too_late_both_brake_until_one_is_gone():
         s.base.run(2)
         assert s.trigger("start").success
         assert s.base.run(30)[-1, 0] > 0.1
+
+
+def test_a_second_voice_on_an_input_stops_the_robot_until_it_is_gone():
+    with stack(drive=True) as s:
+        before = s.base.run(40)
+        forger = rclpy.create_node("forger", context=s.base.context)
+        odometry = forger.create_publisher(Odometry, "odom", qos_profile_sensor_data)
+        s.base.until(lambda: s.loop.objection, "the objection")
+        assert s.loop.objection.startswith("/fake_base and /forger publish on /odom, and nobody knows whose message is")
+        braking = s.base.run(60)
+        assert not braking[-1].any()
+        assert (np.abs(np.diff(np.vstack([before, braking]), axis=0)) <= SLEW).all()
+        forger.destroy_publisher(odometry)
+        s.base.until(lambda: not s.loop.objection, "the end of it")
+        forger.destroy_node()
+        assert s.base.run(40)[-1, 0] > 0.1
+
+
+def test_where_inputs_may_have_two_voices_they_are_named():
+    with stack(drive=True, exclusive_inputs=False) as s:
+        s.base.run(20)
+        forger = rclpy.create_node("forger", context=s.base.context)
+        forger.create_publisher(Imu, "imu", qos_profile_sensor_data)
+        s.base.until(lambda: s.loop.warning, "the warning")
+        assert s.loop.warning.startswith("/fake_base and /forger publish on /imu")
+        assert s.base.run(20)[-1, 0] > 0.1
+        forger.destroy_node()
 
 
 def test_a_teleop_that_appears_is_named_and_nothing_else():
