@@ -438,6 +438,8 @@ static void fill_input(ddmpc_input *input, const robot *r)
     input->request = once_in(40) ? 1 + below(2) : DDMPC_DRIVE;
     input->reference_time = spoilt(r->reference_time, 200);
     input->on_time = !once_in(8);
+    input->deadline = once_in(20) ? spoilt(1e-9, 4) : 0.0;
+    input->most_iterations = once_in(20) ? below(4) - 1 : 0;
 }
 
 /* The time of the next tick: mostly one sample on. */
@@ -593,7 +595,7 @@ static void drive(const subject *one)
 
 static void check_bounds(void)
 {
-    const ddmpc_sizes good = {3, 2, 0, 1, 2, 4, 1, 0, 0, SHIPPED_SOFT, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0};
+    const ddmpc_sizes good = {3, 2, 0, 1, 2, 4, 1, 0, 0, SHIPPED_SOFT, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 38};
     ddmpc_controller *c = malloc(ddmpc_controller_bytes());
     for (int field = 0; field < 11; field++)
         for (int bad = 0; bad < 3; bad++) {
@@ -611,17 +613,17 @@ static void check_bounds(void)
 int main(int count, char **words)
 {
     const subject subjects[] = {
-        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
-        {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, CURVED_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
-        {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
-        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, FLAT_SLIPS, 0, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
-        {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
-        {"eight states, terms", {9, 8, 3, 2, 5, 16, 0, 9, 3, 8, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
-        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1, 0, FLAT_SLIPS, 0, 7, 0}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
-        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 1000},
-        {"largest", {200, 64, 500, 510, 512, 16, 60, 3, 3, 29, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
-        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
-        {"turns, commanded", {8, 2, 1, 2, 4, 8, 1, 1, 0, 9, 0, 0, 0, 2, FLAT_SLIPS, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
+        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
+        {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, CURVED_SLIPS, 0, 0, 0, 42}, {{0, 0, 0, 0}}, 3000},
+        {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0, 13}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, FLAT_SLIPS, 0, 0, 0, 34}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 62}, {{0, 0, 0, 0}}, 3000},
+        {"eight states, terms", {9, 8, 3, 2, 5, 16, 0, 9, 3, 8, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0, 20}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
+        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1, 0, FLAT_SLIPS, 0, 7, 0, 56}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
+        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 40}, {{0, 0, 0, 0}}, 1000},
+        {"largest", {200, 64, 500, 510, 512, 16, 60, 3, 3, 29, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0, 432}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
+        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0, 432}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
+        {"turns, commanded", {8, 2, 1, 2, 4, 8, 1, 1, 0, 9, 0, 0, 0, 2, FLAT_SLIPS, 0, 0, 2, 48}, {{0, 0, 0, 0}}, 3000},
     };
     state = count > 1 ? strtoull(words[1], 0, 10) : 1;
     state = state * 0x9E3779B97F4A7C15u + 1;

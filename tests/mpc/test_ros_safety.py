@@ -157,7 +157,7 @@ def test_a_single_jump_is_ignored_and_a_lasting_one_stops_it_first():
 
 
 class FailingBackend:
-    def solve(self, program, kinds, guess, multipliers):
+    def solve(self, program, kinds, guess, multipliers, time_limit=None):
         return Solved(guess, 0 * multipliers, SolverStatus.MAX_ITERATIONS)
 
 
@@ -177,7 +177,7 @@ def test_solver_failures_end_in_braking(monkeypatch):
 
 
 def test_an_exception_ends_in_zero_and_the_node_lives_on(monkeypatch):
-    def broken(*_):
+    def broken(*_, **__):
         raise ZeroDivisionError("a fault in the code")
 
     with stack(drive=True) as s:
