@@ -123,11 +123,11 @@ class TrialVerdict:
         why = f": {'; '.join(self.reasons)}" if self.reasons else " at the speeds and on the floor of the log"
         fast = f"In trial drives in simulation it {self.promise}." if self.promise else "Not at all."
         if self.promise and self.grade == "Yes":
-            following = "Drive it in simulation, then as the end of report.md says:"
+            following = "In simulation with this, then on the robot as report.md ends:"
         elif self.promise:
-            following = "Read the warnings, mend what you can, then drive gently. Begin with"
+            following = "Read report.md's warnings, then drive slowly, in simulation first:"
         else:
-            following = "Mend what is named above; report.md says how."
+            following = "report.md says what to mend."
         return [f"{self.grade}{why}.", fast, explained, following]
 
     def lines(self, folder: Path = Path()) -> list[str]:
