@@ -233,12 +233,14 @@ static int find_active_set(ddmpc_controller *c)
     memcpy(p->multipliers, p->values, (size_t)rows * sizeof(real));
     report->status = DDMPC_QP_SOLVED;
     report->path = DDMPC_ACTIVE_SET;
-    if (found.status == DDMPC_UNFINISHED) {
-        report->status = found.late ? DDMPC_QP_STOPPED_IN_TIME : DDMPC_QP_STOPPED;
-        take_unfinished(c);
-    }
     report->primal_residual = found.primal;
     report->dual_residual = found.dual;
+    if (found.status == DDMPC_UNFINISHED) {
+        report->status = found.late ? DDMPC_QP_STOPPED_IN_TIME : DDMPC_QP_STOPPED;
+        report->primal_residual = R(0.0);
+        report->dual_residual = (real)NAN;
+        take_unfinished(c);
+    }
     for (int i = hard; i < rows; i++)
         report->soft_limits |= p->multipliers[i] != R(0.0);
     return 1;

@@ -77,6 +77,7 @@ def test_a_stopped_plan_keeps_ranges_and_slew_and_costs_no_more_than_the_rest_of
             last = result.command
             continue
         stopped += 1
+        assert result.solver.primal_residual == 0.0 and np.isnan(result.solver.dual_residual)
         plan, before, last = result.planned_commands, last, result.command
         moves = np.diff(np.vstack([before, plan]), axis=0)
         assert (np.abs(plan) <= most + 1e-12).all()
