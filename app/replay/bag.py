@@ -107,8 +107,13 @@ def recorded_drive(
     for key, record in ticks:
         hold = None if record.hold is None else Hold(*record.hold)
         tick = RecordedTick(record.time, record.measurement, record.command, hold)
-        tick = replace(tick, mode=record.mode, solver_path=record.solver_path, message=record.message)
-        tick = replace(tick, stopped_after=record.stopped_after)
+        tick = replace(
+            tick,
+            mode=record.mode,
+            solver_path=record.solver_path,
+            message=record.message,
+            stopped_after=record.stopped_after,
+        )
         if key != now:
             tick = _begin(tick, by_number.get(key), config_of.get(key), now is None, approximated)
         now = key

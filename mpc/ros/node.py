@@ -403,7 +403,8 @@ class TrackingNode(LifecycleNode):
         topic = self._rivals.topic
         warnings = (
             "" if loop.objection else publish_too(others, topic),
-            "" if loop.objection else self._voices(),
+            # Where inputs are exclusive the objection has looked already.
+            "" if loop.objection or self._settings.exclusive_inputs else self._voices(),
             deaf_to_commands(self, topic, stamped=self._settings.stamped),
             self._out_of_step(loop),
         )

@@ -90,8 +90,8 @@ class Polyline:
             rows = later[(begins != begin[1:]) | (ends != end[1:])]
             begin[1:], end[1:] = begins, ends
         for row in range(rows[0] if rows.size else len(points), len(points)):
-            one = np.array([row])
-            nearest[one], pieces[one] = self._nearest(points[one], *search(one))
+            rows = np.array([row])
+            nearest[rows], pieces[rows] = self._nearest(points[rows], *search(rows))
         lateral[finite] = nearest
         return lateral
 

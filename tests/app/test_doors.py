@@ -219,7 +219,6 @@ def _messages(stranger, _):
     for kind in ("std_msgs/msg/String", "nav_msgs/msg/Path", "trajectory_msgs/msg/MultiDOFJointTrajectory"):
         with pytest.raises(Exception):  # noqa: B017 - the library's own kinds
             decoded(kind, pickle.dumps(Reduced(stranger)))
-    pytest.importorskip("rclpy")
     from diffdrive_mpc.mpc.ros.conversions import MessageError, check_frame
     from diffdrive_mpc.mpc.ros.parameters import fields
 

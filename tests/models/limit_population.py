@@ -182,11 +182,11 @@ def population(seed: int, count: int) -> list[LimitCase]:
 
 def judged(case: LimitCase, limits) -> tuple[bool, bool, int]:
     """Whether the limit was found, whether within the tolerance, and how many were found where there are none."""
-    found = case.channel in limits
-    close = found and abs(limits[case.channel] / case.level - 1) <= TOLERANCE
+    is_found = case.channel in limits
+    close = is_found and abs(limits[case.channel] / case.level - 1) <= TOLERANCE
     low, high = case.known
     false = [name for name in limits if name != case.channel and not (name == "v" and low < limits[name] < high)]
-    return found, close, len(false)
+    return is_found, close, len(false)
 
 
 def main():

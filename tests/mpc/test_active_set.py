@@ -301,10 +301,10 @@ def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
 
 
 def test_without_room_for_all_rows_it_is_stopped():
-    p, found = pressing_problem(0)
-    stopped = solve(p, most_active=found.active - 2)
+    p, solution = pressing_problem(0)
+    stopped = solve(p, most_active=solution.active - 2)
     assert stopped.status == UNFINISHED
-    assert 0 < stopped.active <= found.active - 2
+    assert 0 < stopped.active <= solution.active - 2
 
 
 def test_hard_rows_that_contradict_each_other_are_found():

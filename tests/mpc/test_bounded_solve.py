@@ -73,12 +73,12 @@ def test_a_stopped_plan_keeps_ranges_and_slew_and_costs_no_more_than_the_rest_of
         result = driven.step(robot.time, robot.measure())
         assert result.mode is Mode.TRACKING
         robot.advance(result.command)
+        before, last = last, result.command
         if result.solver.status is not SolverStatus.STOPPED:
-            last = result.command
             continue
         stopped += 1
         assert result.solver.primal_residual == 0.0 and np.isnan(result.solver.dual_residual)
-        plan, before, last = result.planned_commands, last, result.command
+        plan = result.planned_commands
         moves = np.diff(np.vstack([before, plan]), axis=0)
         assert (np.abs(plan) <= most + 1e-12).all()
         assert (np.abs(moves) <= slew + 1e-12).all()
@@ -137,8 +137,8 @@ def test_the_node_bounds_its_solves_by_the_clock_and_its_replay_is_exact(time_li
 
 @pytest.mark.parametrize("backend", ["osqp", "daqp"])
 def test_the_clock_ends_a_backend_too(backend):
-    asked = controller(**{"solver.strategy": "backend", "solver.backend": backend})
-    results = drive(asked, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
+    by_backend = controller(**{"solver.strategy": "backend", "solver.backend": backend})
+    results = drive(by_backend, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
     late = results[20]
     assert late.solver.status is not SolverStatus.SOLVED or late.solver.iterations <= 50
     assert np.isfinite(late.command).all()
