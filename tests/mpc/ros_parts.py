@@ -242,25 +242,28 @@ class Stack:
         return self.node._loop
 
     def call(self, kind, name, request):
-        """Call a service of the node over DDS."""
+        """Call a service of the node over DDS.
+
+        Fast DDS may lose a service for good (ros2/rmw_fastrtps#792), and an answer to a client that the node does not
+        know yet: a new participant discovers both anew, and asks again.
+        """
         with ExitStack() as stack:
             node = self.base.node
-            client = node.create_client(kind, name)
-            while not self.is_discovered(client, DISCOVERY):
-                # Fast DDS may lose a service for good (ros2/rmw_fastrtps#792); a new participant discovers it anew.
-                node.destroy_client(client)
-                assert node is self.base.node, f"discovered in vain: {name}"
-                node = stack.enter_context(self.new_participant())
+            for _ in range(2):
                 client = node.create_client(kind, name)
-            future = client.call_async(request)
-            self.base.until(future.done, name)
-            node.destroy_client(client)
-            return future.result()
+                stack.callback(node.destroy_client, client)
+                known = self.comes(client.service_is_ready, DISCOVERY)
+                if known and self.comes(lambda: self.node.count_clients(name) > 0, DISCOVERY):
+                    future = client.call_async(request)
+                    if self.comes(future.done, PATIENCE):
+                        return future.result()
+                node = stack.enter_context(self.new_participant())
+        raise AssertionError(f"waited in vain: {name}")
 
-    def is_discovered(self, client, patience):
-        """Whether the service of a client is there within `patience` [s]."""
+    def comes(self, condition, patience):
+        """Whether a condition comes true within `patience` [s]."""
         end = time.monotonic() + patience
-        while not client.service_is_ready():
+        while not condition():
             if time.monotonic() > end:
                 return False
             self.base.spin()
@@ -290,8 +293,15 @@ class Stack:
 
     def change(self, number):
         """Ask for a transition of the lifecycle; whether it was made."""
+        before = self.state
         request = ChangeState.Request(transition=Transition(id=number))
-        return self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+        made = self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+        # Where the first answer was lost, the second refuses what has been done.
+        return made or self.state != before
+
+    @property
+    def state(self):
+        return self.node._state_machine.current_state
 
     def listen(self, kind, topic, qos=10):
         """All messages of a topic that the base hears from now on."""
