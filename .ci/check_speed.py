@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-OURS = ("ours/auto", "ours/auto/daqp", "ours/osqp", "ours/daqp")
+OURS = ("ours/auto", "ours/osqp", "ours/daqp")
 PEERS = ("acados", "acados/hard", "do-mpc", "casadi/ipopt", "casadi/fatrop", "casadi/sqpmethod")
 TIMES = ("step_p50_s", "step_p95_s", "step_p99_s", "step_max_s")
 KEYS = {"solver", "model", "horizon", *TIMES, "solver_p50_s", "iterations_p50", "closed_loop_cost"}

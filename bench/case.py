@@ -29,6 +29,8 @@ MOST_CASES = 100_000
 """Of one study: some days on two cores, and a gigabyte of results."""
 COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
+OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
+"""Model that `bench` without options compares with OSQP at every tick, too, and what asks for it."""
 HORIZONS = (5, 10, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model with the first seed [steps]."""
 

@@ -119,6 +119,10 @@ def model_name(name: str) -> str:
     }.get(name, name)
 
 
+def _setting(key: str, value: object) -> str:
+    return str(value).upper() if key == "solver.method" else f"{key}={value}"
+
+
 def driver_names(cases: Sequence[Case]) -> list[str]:
     """What is compared among several cases: controller and model, and place and settings where they vary.
 
@@ -133,6 +137,6 @@ def driver_names(cases: Sequence[Case]) -> list[str]:
     for case, of in zip(cases, labels, strict=True):
         parts = [who_drives(case)]
         parts += [of[one.name] if one.kind is str else f"{one.name}={of[one.name]}" for one in varying]
-        parts += [f"{key}={value}" for key, value in case.overrides] if several else []
+        parts += [_setting(key, value) for key, value in case.overrides] if several else []
         names.append(", ".join(parts))
     return names

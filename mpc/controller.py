@@ -660,7 +660,9 @@ class Controller:
         tick, solver = self._tick, self._config.solver
         solved, report = ask(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
         ffi = tick.ffi
-        plan, multipliers = np.ascontiguousarray(solved.plan), np.ascontiguousarray(solved.multipliers)
+        plan, multipliers = (
+            ffi.from_buffer("real[]", np.ascontiguousarray(values)) for values in (solved.plan, solved.multipliers)
+        )
         refused = report.status is SolverStatus.REFUSED
         status = SolverStatus.NOT_RUN if refused else report.status
         answer = {
@@ -671,8 +673,7 @@ class Controller:
             "primal_residual": report.primal_residual,
             "dual_residual": report.dual_residual,
         }
-        at = ffi.cast("const real *", plan.ctypes.data), ffi.cast("const real *", multipliers.ctypes.data)
-        tick.lib.ddmpc_answer(self._c, *at, ffi.new("ddmpc_report *", answer))
+        tick.lib.ddmpc_answer(self._c, plan, multipliers, ffi.new("ddmpc_report *", answer))
         return refused
 
     def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:

@@ -11,8 +11,8 @@ import sys
 
 CASES = {
     "shipped": {},
-    "osqp": {"solver.backend": "osqp", "solver.strategy": "backend"},
-    "daqp": {"solver.strategy": "backend"},
+    "osqp": {"solver.method": "osqp"},
+    "daqp": {"solver.method": "daqp"},
     "rehearsal": {"rehearsal.enabled": True},
     "floor": {"rehearsal.enabled": True, "rehearsal.by": "floor"},
     "dead time": {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.01},

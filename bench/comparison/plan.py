@@ -11,9 +11,11 @@ from typing import Annotated, Any
 from pydantic import Field, create_model
 
 from diffdrive_mpc.bench.case import (
+    BY_OSQP,
     DIMENSIONS,
     HORIZONS,
     NO_MODEL,
+    OSQP_MODEL,
     Case,
     Overrides,
     check_count,
@@ -34,6 +36,7 @@ class ComparisonSettings(StrictModel):
     config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
     scaled: bool = Field(False, description="whether paths are scaled to the configuration's robot")
+    osqp: bool = Field(True, description="whether OSQP at every tick is compared with the other solvers, too")
     beyond: bool = Field(False, description="other speeds, dead times and seeds beside the tables, see `CasePlan`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
@@ -100,6 +103,7 @@ def read_options(
         raise ConfigError(
             "--sweeps: beside it give --controllers, --models, --seeds and --horizons alone, or leave it out"
         )
+    options["osqp"] = not (config or settings or {"controllers", "models"} & set(options))
     chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options})
     if not chosen.ours:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
@@ -184,8 +188,10 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}
     places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
     driven_by = {name: peers.get(name, drivers) for name in controllers}
-    check_count(sum(map(len, driven_by.values())) * len(places))
-    main = [replace(driver, **place) for name in controllers for driver in driven_by[name] for place in places]
+    by_osqp = [replace(case, overrides=BY_OSQP) for case in ours if settings.osqp and case.model == OSQP_MODEL]
+    compared = [*itertools.chain.from_iterable(driven_by.values()), *by_osqp]
+    check_count(len(compared) * len(places))
+    main = [replace(driver, **place) for driver in compared for place in places]
     first = {name: values[0] for name, values in several.items() if name != "trajectory"}
     swept = [one for one in several["trajectory"] if not settings.beyond or one in SWEPT_TRAJECTORIES]
     check_count(len(ours) * len(settings.horizons) * len(swept))

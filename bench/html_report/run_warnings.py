@@ -62,7 +62,7 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
         (_late(run), of.late),
         (_poses_lost(run, of), of.poses_lost),
         (_at_limit(run, config, of), of.at_limit),
-        (_on_backend(run, of), of.backend),
+        (_on_backend(run, config, of), of.backend),
         (_said(run), of.messages),
     ]
     before = f"{name}: " if name else ""
@@ -130,7 +130,10 @@ def _at_limit(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
     )
 
 
-def _on_backend(run: Run, of: Remedies) -> str:
+def _on_backend(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
+    """Where it was not chosen."""
+    if config is not None and config.solver.method != "auto":
+        return ""
     share = SolverShares.of(run).method_backend_percent
     return f"A backend had to solve {share:.0f} % of the ticks." if share > of.share_on_backend else ""
 

@@ -35,8 +35,8 @@ USER = (
     "limits.wheel_speed",
     "limits.min_turn_radius",
     "wheels",
-    "solver.strategy",
-    "solver.backend",
+    "solver.method",
+    "solver.osqp",
     "solver.time_limit",
     "failure.max_pose_age",
     "failure.resume",
@@ -75,6 +75,7 @@ FORMER = {
     "drivable.largest": "drivable.max_shift",
 }
 """Present names of keys by those that they had in earlier files."""
+_FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 
 
 def is_for_users(key: str) -> bool:
@@ -115,6 +116,7 @@ def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     stated = dict(_leaves(first))
     moved = {key: shown_key(plain_key(key)) for key in stated if shown_key(plain_key(key)) != key}
     moved |= {f"{EXPERT}.{key}": shown_key(FORMER[key]) for key, _ in _leaves(second) if key in FORMER}
+    moved |= {f"solver.{key}": "solver.method" for key in ("strategy", "backend") if f"solver.{key}" in stated}
     if moved and where:
         old, new = next(iter(moved.items()))
         more = f", and {len(moved) - 1} more keys like it" if len(moved) > 1 else ""
@@ -160,7 +162,20 @@ def with_present_names(data: dict[str, Any]) -> dict[str, Any]:
         if isinstance(values, Mapping) and name in values:
             kept = {key: value for key, value in values.items() if key != name}
             data[group] = {new.partition(".")[2]: values[name]} | kept
+    solver = data.get("solver")
+    if isinstance(solver, Mapping) and _FORMER_SOLVER & solver.keys():
+        data["solver"] = _with_method(solver)
     return data
+
+
+def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
+    """`solver` with one `method` for the strategy and the backend of earlier files, and OSQP's setting in its group."""
+    kept = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
+    if solver.keys() & {"strategy", "backend"}:
+        kept.setdefault("method", solver.get("backend", "daqp") if solver.get("strategy") == "backend" else "auto")
+    if "check_every" in solver:
+        kept["osqp"] = {"check_termination": solver["check_every"]} | kept.get("osqp", {})
+    return kept
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

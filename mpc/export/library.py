@@ -115,8 +115,8 @@ def export_controller(
 
 
 def _check(solver: Solver) -> None:
-    if solver.strategy == "backend" or solver.active_set_iterations == 0:
+    if solver.method != "auto" or solver.active_set_iterations == 0:
         raise ConfigError(
-            f"solver.strategy = {solver.strategy}, solver.active_set_iterations = {solver.active_set_iterations}: an "
-            "exported controller has no backend; set solver.strategy to auto and leave it iterations"
+            f"solver.method = {solver.method}, solver.active_set_iterations = {solver.active_set_iterations}: an "
+            "exported controller has neither OSQP nor DAQP; set solver.method to auto and leave it iterations"
         )

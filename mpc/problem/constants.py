@@ -284,7 +284,7 @@ class Problem:
         return {
             "slack": SLACK * solver.tolerance,
             "active_set": solver.active_set_iterations,
-            "forced": solver.strategy == "backend",
+            "forced": solver.method != "auto",
         }
 
     def _ladder(self) -> Constants:

@@ -60,6 +60,7 @@ class Program:
         self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
         self.feed_forward, self.ahead = tick.view(c.feed_forward, (steps, 2)), tick.view(c.ahead, (steps,))
         self._soft_value, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
+        self._missed = tick.ffi.new("int[]", kinds)
 
     @property
     def kinds(self) -> Kinds:
@@ -83,11 +84,10 @@ class Program:
 
     def broken(self, plan: FloatArray, margin: float) -> Kinds:
         """Kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
-        tick, rows = self._tick, np.zeros(self._count, dtype=np.intc)
-        plan = np.ascontiguousarray(plan)
-        cast = tick.ffi.cast
-        tick.lib.ddmpc_broken(tick.c, cast("const real *", plan.ctypes.data), margin, cast("int *", rows.ctypes.data))
-        return tuple(np.flatnonzero(rows).tolist())
+        tick = self._tick
+        values = tick.ffi.from_buffer("real[]", np.ascontiguousarray(plan))
+        tick.lib.ddmpc_broken(tick.c, values, margin, self._missed)
+        return tuple(kind for kind, missed in enumerate(self._missed) if missed)
 
 
 class Solved(NamedTuple):

@@ -27,6 +27,7 @@ _TITLES = {
     "limits": "Limits, also while driving",
     "wheels": "Wheels",
     "solver": "Solver",
+    "solver.osqp": "OSQP, where solver.method is osqp",
     "compensation": "Compensation",
     "estimator": "Estimator",
     "monitor": "Sensors that contradict each other",

@@ -152,8 +152,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("export --out {folder}/taken", "--out {folder}/taken"),
         ("export --out {out} --precision half", "--precision 'half': give double or float"),
         ("export --out {out} --set limits.omega=0.3", "omega = 0.5 rad/s is beyond the limit of 0.3 rad/s"),
-        ("export --out {out} --set solver.strategy=backend", "an exported controller has no backend"),
-        ("export --out {out} --set solver.active_set_iterations=0", "an exported controller has no backend"),
+        ("export --out {out} --set solver.method=osqp", "an exported controller has neither OSQP nor DAQP"),
+        (
+            "export --out {out} --set solver.active_set_iterations=0",
+            "set solver.method to auto and leave it iterations",
+        ),
         ("export --out {out} --model smm", "unknown model 'smm'"),
         ("export --out {out} --model ' '", "--model: it is empty"),
         ("export --out {out} --trajectory triangle", "unknown trajectory 'triangle'"),

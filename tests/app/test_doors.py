@@ -185,7 +185,7 @@ def _drive_log(stranger, door):
     texts = [
         f"terms: [{{file: {stranger}/term.py, function: run}}]",
         f"model: {stranger}/model.yaml",
-        f"solver: {{backend: {stranger}/code.so}}",
+        f"solver: {{method: {stranger}/code.so}}",
         f"name: !!python/object/apply:os.mkdir ['{stranger}/marker']",
         "[1, 2]",
     ]
@@ -267,7 +267,7 @@ def _run(stranger, door):
         {"plant": f"model:{stranger}/code.so"},
         {"config.model": f"{stranger}/term.py"},
         {"config.terms": f"[{{file: {stranger}/term.py, function: run}}]"},
-        {"config.solver.backend": f"{stranger}/code.so"},
+        {"config.solver.method": f"{stranger}/code.so"},
     ]
     for values in factors:
         path = door / "run.yaml"

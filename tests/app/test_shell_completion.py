@@ -44,7 +44,7 @@ def completed(words: str, shell: str = "bash") -> list[str]:
         ("simulate --timing st", {"stop"}),
         ("identify drive.csv --mapping simu", {"simulate", "simulated_robot"}),
         ("simulate --set weights.acr", {"weights.across=700.0"}),
-        ("simulate --set solver.backend", {"solver.backend=osqp", "solver.backend=daqp"}),
+        ("simulate --set solver.method", {"solver.method=auto", "solver.method=osqp", "solver.method=daqp"}),
         ("schema tra", {"trajectory"}),
         ("config sh", {"show"}),
         ("tun", {"tune"}),

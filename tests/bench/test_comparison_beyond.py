@@ -31,7 +31,9 @@ from diffdrive_mpc.sim import make_plant
 def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
     settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
     plan = plan_cases(settings)
-    assert [(case.controller, case.model) for case in plan.main] == list(COMPARED)
+    *main, by_osqp = plan.main
+    assert [(case.controller, case.model) for case in main] == list(COMPARED)
+    assert (by_osqp.model, dict(by_osqp.overrides)) == ("ssm", {"solver.method": "osqp"})
     assert {case.top_speed for case in plan.speed} == set(SPEEDS)
     assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
     ours = [case.late for case in plan.dead_time if case.model == "ssm"]

@@ -25,6 +25,7 @@ QUICK = {
     "surfaces": ("ideal",),
     "sensors": ("perfect",),
     "beyond": False,
+    "osqp": False,
 }
 
 

@@ -43,7 +43,7 @@ def draw_overrides(random: Random, most: int = 12) -> Overrides:
         if random.random() < 0.02:
             found["horizon"] = 200
     if random.random() < 0.15:
-        found["solver.backend"], found["solver.strategy"] = random.choice(("osqp", "daqp")), "backend"
+        found["solver.method"] = random.choice(("osqp", "daqp"))
     # As many iterations as can be asked for would only cost time.
     for key in ("solver.max_iterations", "drivable.iterations"):
         if key in found:

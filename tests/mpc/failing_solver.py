@@ -11,8 +11,8 @@ import osqp
 from diffdrive_mpc.mpc import load_config
 
 # A soft limit presses at every tick of a drive at 0.5 m/s, and the backend is asked each time.
-PRESSING = {"limits.predicted_v": 0.4, "solver.strategy": "backend"}
-BACKENDS = {name: {"solver.backend": name} | PRESSING for name in ("osqp", "daqp")}
+PRESSING = {"limits.predicted_v": 0.4, "solver.method": "daqp"}
+BACKENDS = {name: PRESSING | {"solver.method": name} for name in ("osqp", "daqp")}
 
 _TICK = load_config("ssm").sample_time
 _FLAGS = {

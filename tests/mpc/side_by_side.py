@@ -15,7 +15,7 @@ EXACT = 1e-9
 
 # A solver whose answers are exact where it ends: nothing but rounding is left between it and the oracle.
 # The oracle has no monitor of its own; that one that accuses nobody changes nothing is held in test_monitor.py.
-ACTIVE_SET = {"solver.backend": "daqp", "solver.tolerance": 1e-9, "monitor.enabled": False}
+ACTIVE_SET = {"solver.tolerance": 1e-9, "monitor.enabled": False}
 
 
 def assert_same(got, expected, accuracy=EXACT):

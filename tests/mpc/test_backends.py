@@ -70,9 +70,15 @@ def random_program(seed, tightness=0.5, softness=1.0):
     return PlainProgram(H, rng.normal(scale=12.0, size=n), lower, upper, softness * rng.normal(size=(5, STEPS, n)))
 
 
-def solver_settings(backend, **changes):
-    values = {"backend": backend, "tolerance": 1e-8, "max_iterations": 100_000, **changes}
-    return load_config("ssm", {f"solver.{key}": value for key, value in values.items()}).solver
+def solver_settings(backend, tolerance=1e-8, max_iterations=100_000, check_every=10):
+    own = {"tolerance": tolerance, "max_iterations": max_iterations}
+    of_osqp = {
+        "eps_abs": tolerance,
+        "eps_rel": tolerance,
+        "max_iter": max_iterations,
+        "check_termination": check_every,
+    }
+    return load_config("ssm", {"solver": {"method": backend, "osqp": of_osqp, **own}}).solver
 
 
 def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
@@ -179,7 +185,7 @@ def test_the_iteration_limit_is_kept(backend):
 
 def test_without_iterations_the_active_set_leaves_it_to_the_backend():
     tight = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
-    config = load_config("ssm", {"horizon": 15, "solver.backend": "daqp", **tight})
+    config = load_config("ssm", {"horizon": 15, **tight})
     drives = {}
     for iterations in (0, 500):
         changed = config.model_copy(

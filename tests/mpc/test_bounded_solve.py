@@ -137,7 +137,7 @@ def test_the_node_bounds_its_solves_by_the_clock_and_its_replay_is_exact(time_li
 
 @pytest.mark.parametrize("backend", ["osqp", "daqp"])
 def test_the_clock_ends_a_backend_too(backend):
-    by_backend = controller(**{"solver.strategy": "backend", "solver.backend": backend})
+    by_backend = controller(**{"solver.method": backend})
     results = drive(by_backend, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
     late = results[20]
     assert late.solver.status is not SolverStatus.SOLVED or late.solver.iterations <= 50

@@ -43,6 +43,24 @@ def test_an_earlier_file_is_read_with_one_line_that_says_the_present_name(tmp_pa
         assert load_config(path) == old
 
 
+@pytest.mark.parametrize(
+    ("solver", "method"),
+    [
+        ("{strategy: backend, backend: osqp}", "osqp"),
+        ("{strategy: backend}", "daqp"),
+        ("{strategy: auto, backend: osqp}", "auto"),
+    ],
+)
+def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver, method):
+    path = tmp_path / "old.yaml"
+    path.write_text(f"model: sm\nsolver: {solver}\nexpert: {{solver: {{check_every: 25}}}}\n")
+    with pytest.warns(FormerNameWarning, match="is solver.method now"):
+        read = load_config(path)
+    assert read.solver.method == method
+    assert read.solver.osqp.check_termination == 25
+    assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
+
+
 def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
     assert [load_config("ssm", one).estimator.history for one in named] == [0.5, 0.5]

@@ -28,8 +28,9 @@ SOFT = {
     "limits.wheel_speed": 0.55,
     "limits.corridor": 0.01,
 }
+PRECISE = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
 # OSQP ends where its residuals, not the commands, are below its tolerance.
-OSQP = {"solver.backend": "osqp", "solver.tolerance": 1e-9, "solver.max_iterations": 100_000}
+OSQP = {"solver.method": "osqp"} | {f"solver.osqp.{key}": value for key, value in PRECISE.items()}
 BY_OSQP = 1e-6
 # DAQP takes a row that hardly answers to any command for none: that of the corridor at the first steps.
 BY_DAQP = 1e-4

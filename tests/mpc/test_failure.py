@@ -413,9 +413,9 @@ spoils = st.dictionaries(
 
 
 @settings(max_examples=75)
-@given(spoils, st.integers(3, 20), st.sampled_from(["osqp", "daqp"]))
+@given(spoils, st.integers(3, 20), st.sampled_from(["auto", "osqp", "daqp"]))
 def test_whatever_arrives_the_command_is_finite_and_inside_its_limits(faults, horizon, backend):
-    driver, base = controller(horizon=horizon, **{"solver.backend": backend}), robot()
+    driver, base = controller(horizon=horizon, **{"solver.method": backend}), robot()
     driver.start(REFERENCE, 0.0)
     last = np.zeros(2)
     for k in range(60):

@@ -61,10 +61,10 @@ def test_no_time_limit_is_zero_as_a_parameter():
 def test_a_choice_names_what_there_is_to_choose_from():
     shelf = Shelf()
     declare(shelf, CONFIG)
-    assert descriptor(FIELDS["solver.backend"]).additional_constraints == "one of osqp, daqp"
-    assert read(shelf, ControllerConfig, {"solver.backend": "daqp"}).solver.backend == "daqp"
-    with pytest.raises(ConfigError, match="solver.backend"):
-        read(shelf, ControllerConfig, {"solver.backend": "dqp"})
+    assert descriptor(FIELDS["solver.method"]).additional_constraints == "one of auto, osqp, daqp"
+    assert read(shelf, ControllerConfig, {"solver.method": "daqp"}).solver.method == "daqp"
+    with pytest.raises(ConfigError, match="solver.method"):
+        read(shelf, ControllerConfig, {"solver.method": "dqp"})
 
 
 @given(st.sampled_from(sorted(FIELDS)), st.floats(-1e3, 1e3) | st.integers(-1000, 1000).map(float))

@@ -60,7 +60,7 @@ def converged(monkeypatch):
 
 def drive(trajectory, make, on_tick=None, seconds=np.inf, **overrides):
     """Truth and commands of each tick along the trajectory, or its first seconds: model's plant, default sensors."""
-    controller = make(load_config("ssm", {"horizon": 12, "solver.backend": "daqp"} | overrides))
+    controller = make(load_config("ssm", {"horizon": 12} | overrides))
     plant, reference = make_plant("model:ssm", sensors="default", seed=1), load_trajectory(trajectory)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)

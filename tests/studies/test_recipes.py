@@ -47,6 +47,6 @@ def test_the_backend_is_asked(monkeypatch):
     given = {"__name__": "recipe", "np": np, "Solved": Solved, "SolverStatus": SolverStatus}
     exec(code("backend.md", "class ClippingBackend:"), given)
     monkeypatch.setattr(controller, "load_backend", lambda name: given["ClippingBackend"])
-    driven = Controller(load_config("sm", {"solver.strategy": "backend"}))
+    driven = Controller(load_config("sm", {"solver.method": "daqp"}))
     run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.completed and run.solver_methods.count("daqp") > 100

@@ -13,7 +13,7 @@ from studies.speed.study import SpeedStudy
 
 @pytest.fixture(scope="module")
 def small():
-    settings = chosen(load_speed_settings(quick=True), ["ours/auto/daqp", "casadi/sqpmethod"])
+    settings = chosen(load_speed_settings(quick=True), ["ours/daqp", "casadi/sqpmethod"])
     return settings.model_copy(update={"horizons": (10,), "ticks": 30, "gap_every": 5})
 
 
@@ -28,7 +28,7 @@ def report(small, tmp_path_factory):
 @pytest.mark.long
 def test_everyone_solves_the_same_problem(report):
     ours, peer = report["records"]
-    assert (ours["solver"], peer["solver"]) == ("ours/auto/daqp", "casadi/sqpmethod")
+    assert (ours["solver"], peer["solver"]) == ("ours/daqp", "casadi/sqpmethod")
     assert ours["unsolved"] == peer["unsolved"] == 0
     assert peer["gap_v_max"] < 1e-6
     assert peer["gap_omega_max"] < 1e-6
