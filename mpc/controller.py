@@ -126,7 +126,7 @@ class Controller:
         self._tick = Tick(sizes | room, problem.constants(), functions, term_functions)
         if room:
             self._tick.configure(self._tick.prepare(problem.constants()), sizes)
-        self._kinds = HARD_KINDS + sizes["soft"]
+        self._kinds, self._room = HARD_KINDS + sizes["soft"], sizes["pressing"]
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
@@ -155,6 +155,12 @@ class Controller:
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
+
+    @property
+    def operations_bound(self) -> int:
+        """What `step.solver.operations` of no tick exceeds, by horizon and kinds of limit; `docs/tuning.md` has more."""
+        N = self._config.horizon
+        return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._room))
 
     def _problem(self, config: ControllerConfig, predicted: _Predicted) -> Problem:
         return Problem(
@@ -690,6 +696,7 @@ class Controller:
             c_report.primal_residual,
             c_report.dual_residual,
             bool(c_report.soft_limits),
+            c_report.operations,
         )
         if c.reasons or c.notes or message:
             message = self._messages.sentence(hold, status, message)

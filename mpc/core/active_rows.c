@@ -212,6 +212,7 @@ void ddmpc_plan_of_rows(ddmpc_rows *rows, real *plan)
     for (int k = 0; k < n; k++)
         plan[k] = rows->problem->minimiser[k] - rows->z[k];
     rows->problem->values(rows->problem->context, plan, rows->now);
+    rows->work += ddmpc_plan_operations(n, rows->m, rows->used);
 }
 
 /* A slot for `row`: a new one, else that of a row which does not press. */
@@ -223,6 +224,7 @@ static int take_slot(ddmpc_rows *rows, int row)
     } else {
         for (slot = 0; slot < rows->slots - 1 && rows->state[rows->row_in[slot]] != DDMPC_FREE; slot++)
             ;
+        rows->work += rows->slots;
         rows->slot_of[rows->row_in[slot]] = 0;
     }
     if (slot == rows->used) {
@@ -289,6 +291,7 @@ static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
 
 static void bring_columns(ddmpc_rows *rows, const int *chosen, int count)
 {
+    rows->work += count * ddmpc_column_operations(rows->n, rows->used);
     if (count >= SIDE_BY_SIDE)
         bring_batch(rows, chosen, count);
     else
@@ -360,6 +363,7 @@ static int factorise_block(real S[LANES][LANES], const real *before, int count, 
 int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
 {
     const int k = rows->active, from = rows->factored / LANES * LANES, slots = rows->slots;
+    rows->work += k * (k + 16);
     real *U = rows->factor, *before = rows->step;
     /* Blocks that are not whole are filled up with any row. */
     for (int i = k; i < ddmpc_whole_lanes(k); i++)
@@ -380,6 +384,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
         for (int j = i > from ? i : from; j < k; j += LANES) {
             real sum[LANES][LANES];
             int through = height;
+            rows->work += (i + LANES) * (LANES * LANES);
             cross(U + i, slots, U + j, slots, i, sum);
             for (int a = 0; a < height; a++) {
                 const real *restrict gram = rows->gram + rows->order[i + a] * slots;
@@ -415,6 +420,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
 
 void ddmpc_solve_rows(ddmpc_rows *rows)
 {
+    rows->work += rows->active * rows->active;
     memcpy(rows->wanted, rows->partial, (size_t)rows->active * sizeof(real));
     substitute_back(rows->factor, rows->slots, rows->pivot, rows->active, rows->wanted);
 }
@@ -422,6 +428,7 @@ void ddmpc_solve_rows(ddmpc_rows *rows)
 void ddmpc_null_step(ddmpc_rows *rows, int position)
 {
     real *step = rows->step;
+    rows->work += position * position;
     for (int i = 0; i < position; i++)
         step[i] = -rows->factor[i * rows->slots + position];
     substitute_back(rows->factor, rows->slots, rows->pivot, position, step);
@@ -431,6 +438,7 @@ void ddmpc_null_step(ddmpc_rows *rows, int position)
 
 void ddmpc_solve_step(ddmpc_rows *rows)
 {
+    rows->work += 2 * rows->active * rows->active;
     substitute(rows->factor, rows->slots, rows->pivot, rows->active, 0, 0, rows->step);
     substitute_back(rows->factor, rows->slots, rows->pivot, rows->active, rows->step);
 }

@@ -26,6 +26,7 @@ typedef struct {
     int taken, used;    /* slots that were ever taken; the same in whole lanes */
     int active;         /* rows that press */
     int late;           /* whether the deadline has passed */
+    ddmpc_count work, most_work; /* operations so far, and at most, see ddmpc_limited_bound */
     int factored;       /* of these, in their order, the first for which the factor holds */
     real largest_input; /* of U0 */
     real primal;        /* largest excess of a hard row at the plan */
@@ -72,6 +73,17 @@ void ddmpc_plan_of_rows(ddmpc_rows *rows, real *plan);
 
 /* a'b in several sums side by side, which one order of adding would forbid. */
 real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count);
+
+/* Operations of one column v with its products, and of a plan with the values of all rows; `used` slots are taken. */
+static inline ddmpc_count ddmpc_column_operations(int n, int used)
+{
+    return n * (n / 2 + used + 8);
+}
+
+static inline ddmpc_count ddmpc_plan_operations(int n, int m, int used)
+{
+    return n * (n + n / 2 + used) + 8 * m;
+}
 
 static inline int ddmpc_row_at(const ddmpc_rows *rows, int position)
 {

@@ -116,6 +116,7 @@ static int enter_broken(ddmpc_rows *rows, int all, int *entered)
             worst = row;
     }
     const int room = rows->most_active - rows->active;
+    rows->work += rows->m + count * (all ? count : FEW);
     count = worst_of(rows, count, all || room < FEW ? room : FEW);
     for (int i = 0; i < count; i++)
         rows->state[rows->entering[i]] = now[rows->entering[i]] > R(0.0) ? DDMPC_KEPT : -DDMPC_KEPT;
@@ -147,7 +148,7 @@ static int is_over(ddmpc_rows *rows, int iterations)
     const ddmpc_limited_problem *problem = rows->problem;
     if (iterations > 0 && isfinite(problem->deadline))
         rows->late |= ddmpc_now() > problem->deadline;
-    return rows->late || iterations >= problem->most_iterations;
+    return rows->late || iterations >= problem->most_iterations || rows->work >= rows->most_work;
 }
 
 /* Steps of the primal-dual active set method: what pulls leaves, what is broken comes, all at once. For hard rows only:
@@ -231,6 +232,7 @@ static real find_rise(ddmpc_rows *rows)
             slope -= rows->multiplier[i] / rows->problem->slope;
         rise += slope * step[i];
     }
+    rows->work += rows->active * rows->active;
     return rise;
 }
 
@@ -509,13 +511,14 @@ static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
 ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory,
                                          real *multipliers, real *plan)
 {
-    ddmpc_limited_result result = {DDMPC_NOT_PROVEN, 0, 0, 0, R(0.0), R(0.0)};
+    ddmpc_limited_result result = {DDMPC_NOT_PROVEN, 0, 0, 0, 0, R(0.0), R(0.0)};
     ddmpc_rows rows;
     result.status = check_limits(problem);
     if (result.status == DDMPC_PROVEN && !ddmpc_begin_rows(&rows, problem, memory))
         result.status = DDMPC_NOT_PROVEN;
     if (result.status == DDMPC_PROVEN) {
         int soft = 0;
+        rows.most_work = problem->most_operations;
         warm_start(&rows, multipliers);
         for (int i = 0; i < rows.active; i++)
             soft |= ddmpc_is_soft(&rows, i);
@@ -526,6 +529,7 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         result.active = rows.active;
         result.primal = rows.primal;
         result.late = rows.late;
+        result.operations = rows.work;
         if (result.status == DDMPC_PROVEN && !is_stationary(&rows, plan, multipliers, &result))
             result.status = DDMPC_NOT_PROVEN;
         if (result.status == DDMPC_UNFINISHED && !is_left_usable(&rows, plan, multipliers))
@@ -536,6 +540,40 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         memcpy(plan, problem->minimiser, (size_t)problem->inputs * sizeof(real));
     }
     return result;
+}
+
+/* Operations of the greatest parts: a factorisation, a start with all rows pressing, a round of the primal-dual method,
+ * and one of the dual method with what follows where it has settled. */
+typedef struct {
+    ddmpc_count factor, start, many, settled;
+} parts;
+
+static parts parts_of(int n, int m, int slots)
+{
+    enum { LANES = DDMPC_LANES };
+    const ddmpc_count blocks = slots / LANES, square = (ddmpc_count)slots * slots;
+    const ddmpc_count column = ddmpc_column_operations(n, slots) + slots, plan = ddmpc_plan_operations(n, m, slots);
+    parts p;
+    /* A block of rows is done with the ones before it, for each block of columns from it on. */
+    p.factor = LANES * LANES * LANES * blocks * (blocks + 1) * (blocks + 2) / 6 + square + 16 * slots;
+    p.start = slots * column;
+    p.many = p.factor + square + plan + m + square + p.start;
+    p.settled = p.factor + 3 * square + plan + MOST_REFINEMENTS * (2 * square + plan) + m + FEW * (slots + column);
+    return p;
+}
+
+ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active)
+{
+    const parts p = parts_of(inputs, rows, DDMPC_LIMITED_SLOTS(most_active));
+    return 2 * (p.start + p.factor);
+}
+
+ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
+{
+    const int slots = DDMPC_LIMITED_SLOTS(most_active);
+    const parts p = parts_of(inputs, rows, slots);
+    const ddmpc_count round = p.many > p.settled ? p.many : p.settled;
+    return 2 * (p.start + p.factor) + 2 * p.start + round + ddmpc_plan_operations(inputs, rows, slots);
 }
 
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active)

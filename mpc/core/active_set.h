@@ -16,6 +16,9 @@
 #include "tile.h"
 
 /* Numbers are SI or the problem's own; the library looks at sizes only to tell rounding errors. */
+/* A number of operations. */
+typedef long long ddmpc_count;
+
 typedef struct {
     int inputs, rows, hard;            /* n; m two-sided limits, of which the first `hard` are hard, the others soft */
     const real *factor, *minimiser;    /* R (n, n), row by row; what lies left of the diagonal is not read. U0 (n) */
@@ -28,6 +31,7 @@ typedef struct {
     const void *context;
     real slack;                        /* by how much a limit may be exceeded; rounding errors come on top */
     int most_iterations;
+    ddmpc_count most_operations;       /* no round begins after so many */
     ddmpc_time deadline;               /* by the clock of ddmpc_now [s]; infinite: none. One iteration there always is */
 } ddmpc_limited_problem;
 
@@ -43,6 +47,7 @@ typedef struct {
     int iterations; /* systems solved */
     int late;       /* whether the clock ended it */
     int active;     /* rows that press */
+    ddmpc_count operations; /* what it took, counted as in `ddmpc_limited_bound` */
     real primal;    /* largest excess of a hard row */
     real dual;      /* largest entry of the gradient of the Lagrangian, computed from the plan */
 } ddmpc_limited_result;
@@ -64,6 +69,13 @@ typedef struct {
 /* How many reals and ints that is. */
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
 unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
+
+/* Operations that a tick may take: those of two starts with all rows pressing and two factorisations. On the drives of
+ * hard_ticks.py robots that can by no means follow take at most 0.95 of it. */
+ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active);
+/* Operations that no solve exceeds which may take these: two starts, a round that begins just before, and the plan at the end
+ * come on top. Counted are multiplications of loops over rows and inputs, blocks as whole ones. */
+ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active);
 
 /* Solve. `multipliers` (m): before, those of a problem like this one, or zeros; only their signs and whether they are
  * above the price count, and they may be wrong. After, those of the solution: positive at an upper bound, negative at

@@ -250,6 +250,7 @@ typedef struct {
     int status, path;
     int iterations;  /* of all solves of the tick; 0 where no limit is active: that solution is exact */
     int soft_limits; /* whether soft limits took part */
+    long long operations; /* of the active set, counted as in ddmpc_limited_bound */
     real primal_residual, dual_residual;
 } ddmpc_report;
 
@@ -406,6 +407,9 @@ typedef struct {
     const real *ahead;        /* [N] how far ahead of its origin the robot turns on each arc along the guess [m] */
     const real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero: bounds are less this */
 } ddmpc_program;
+/* Operations of the active set that no tick exceeds: multiplications of its loops, blocks as whole ones; for a horizon, kinds
+   of limit, four of them hard, and limits that may press at once. */
+long long ddmpc_operations_bound(int steps, int kinds, int pressing);
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
 /* The rows (N, 2 N) of one kind of soft limit, of kind 4 on. */
 void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);

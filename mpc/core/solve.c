@@ -223,11 +223,12 @@ static int find_active_set(ddmpc_controller *c)
     const ddmpc_limited_problem problem = {
         INPUTS(c), rows, hard, p->factor, p->minimiser, p->lower, p->upper, c->constants->price,
         c->constants->price_slope, ddmpc_limit_values, ddmpc_limit_row, c, c->constants->slack,
-        c->most_iterations, c->deadline};
+        c->most_iterations, ddmpc_limited_most(INPUTS(c), rows, PRESSING(c)), c->deadline};
     /* Kept for a backend: what is not proven leaves none. */
     memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
     const ddmpc_limited_result found = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
     report->iterations = found.iterations;
+    report->operations = found.operations;
     if (found.status != DDMPC_PROVEN && found.status != DDMPC_UNFINISHED)
         return 0;
     memcpy(p->multipliers, p->values, (size_t)rows * sizeof(real));
@@ -244,6 +245,11 @@ static int find_active_set(ddmpc_controller *c)
     for (int i = hard; i < rows; i++)
         report->soft_limits |= p->multipliers[i] != R(0.0);
     return 1;
+}
+
+long long ddmpc_operations_bound(int steps, int kinds, int pressing)
+{
+    return ddmpc_limited_bound(2 * steps, kinds * steps, pressing);
 }
 
 int ddmpc_solve(ddmpc_controller *c)

@@ -63,6 +63,9 @@ class SolverReport:
         computed from the solution. NaN if there is none.
     soft_limits
         Whether soft limits took part.
+    operations
+        Of the active set: multiplications and comparisons of its loops. They stay below the controller's
+        `most_operations`; docs/tuning.md says how they are counted.
     """
 
     status: SolverStatus
@@ -71,6 +74,7 @@ class SolverReport:
     primal_residual: float = float("nan")
     dual_residual: float = float("nan")
     soft_limits: bool = False
+    operations: int = 0
 
     @property
     def path(self) -> str:

@@ -52,13 +52,21 @@ ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, con
     const ddmpc_limited_problem problem = {
         .inputs = n, .rows = m, .hard = hard, .factor = factor, .minimiser = minimiser, .lower = lower, .upper = upper,
         .price = numbers[0], .slope = numbers[1], .values = values, .row = row, .context = &all,
-        .slack = numbers[2], .most_iterations = most_iterations, .deadline = numbers[3] > 0 ? 1e-9 : INFINITY};
+        .slack = numbers[2], .most_iterations = most_iterations,
+        .most_operations = numbers[4] > 0 ? ddmpc_limited_most(n, m, most_active) : 1LL << 60,
+        .deadline = numbers[3] > 0 ? 1e-9 : INFINITY};
     return ddmpc_solve_limited(&problem, &memory, multipliers, plan);
 }
 """
 DECLARED = """
 typedef {real} real;
-typedef struct {{ int status, iterations, late, active; real primal, dual; }} ddmpc_limited_result;
+typedef struct {{
+    int status, iterations, late, active;
+    long long operations;
+    real primal, dual;
+}} ddmpc_limited_result;
+long long ddmpc_limited_most(int inputs, int rows, int most_active);
+long long ddmpc_limited_bound(int inputs, int rows, int most_active);
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
 unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
 ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, const real *minimiser, const real *rows,
@@ -102,9 +110,10 @@ class Solution:
     dual: float
     multipliers: np.ndarray
     plan: np.ndarray
+    operations: int
 
 
-def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_active=None, late=False):
+def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_active=None, late=False, bounded=False):
     ffi, functions, kind = library(number)
     m, n = p.A.shape
     most_active = most_active or n + m
@@ -115,7 +124,7 @@ def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_
         array = np.ascontiguousarray(array, dtype=kind)
         return array, ffi.cast("real *", array.ctypes.data)
 
-    held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late])]
+    held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])]
     # Garbage, which nobody may read.
     _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
     ints = np.full(functions.ddmpc_limited_ints(n, m, most_active), 2**30, dtype=np.intc)
@@ -127,7 +136,7 @@ def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_
     )  # fmt: skip
     return Solution(
         result.status, result.iterations, result.active, result.primal, result.dual,
-        multipliers.astype(float), plan.astype(float),
+        multipliers.astype(float), plan.astype(float), result.operations,
     )  # fmt: skip
 
 
@@ -298,6 +307,26 @@ def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
         assert on.status == PROVEN
         assert on.plan == pytest.approx(found.plan, abs=1e-6)
     assert solve(p, most_iterations=needed).status == PROVEN
+
+
+def test_from_whatever_start_its_operations_stay_below_the_bound():
+    """Begun with garbage, and on problems that leave no room, it is stopped by its operations, and not long after."""
+    rng = np.random.default_rng(0)
+    _, functions, _ = library()
+    shares, stopped = [], 0
+    for _ in range(300):
+        p = robot_problem(rng, int(rng.integers(3, 16)), tight=float(10 ** rng.uniform(-1.5, 0.5)))
+        m, n = p.A.shape
+        room = int(rng.integers(n, n + m))
+        start = 10 ** rng.uniform(-3, 3) * rng.normal(size=m) * (rng.random(m) < rng.random())
+        found = solve(p, start, most_active=room, bounded=True)
+        shares.append(found.operations / functions.ddmpc_limited_bound(n, m, room))
+        stopped += found.status == UNFINISHED and found.operations >= functions.ddmpc_limited_most(n, m, room)
+        if found.status == PROVEN:
+            assert_optimal(p, found)
+    assert max(shares) < 1.0
+    assert max(shares) > 1 / 3
+    assert stopped > 3
 
 
 def test_without_room_for_all_rows_it_is_stopped():
