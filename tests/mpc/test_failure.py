@@ -337,9 +337,15 @@ def test_a_failed_warm_start_is_not_carried_on(monkeypatch, backend):
     assert solver.solves >= len(results) - 5, "the backend must have been asked all the time"
 
 
+TEN_ITERATIONS = {
+    "osqp": {"solver.osqp.max_iter": 10, "solver.osqp.eps_abs": 1e-9, "solver.osqp.eps_rel": 1e-9},
+    "daqp": {"solver.max_iterations": 10, "solver.tolerance": 1e-9},
+}
+
+
 @every_backend
 def test_the_iteration_limit_is_kept_and_what_it_leaves_is_not_driven(backend):
-    limited = controller(**BACKENDS[backend] | {"solver.max_iterations": 10, "solver.tolerance": 1e-9})
+    limited = controller(**BACKENDS[backend] | TEN_ITERATIONS[backend])
     results, _, _ = drive(limited, robot(), REFERENCE, 1.0)
     failed = [r for r in results if r.solver.status is SolverStatus.MAX_ITERATIONS]
     assert failed
