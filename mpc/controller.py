@@ -158,7 +158,7 @@ class Controller:
 
     @property
     def operations_bound(self) -> int:
-        """What `step.solver.operations` of no tick exceeds, by horizon and kinds of limit; `docs/tuning.md` has more."""
+        """What `step.solver.operations` of no tick exceeds; it follows from the horizon and the kinds of limit."""
         N = self._config.horizon
         return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._room))
 

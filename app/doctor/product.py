@@ -40,7 +40,10 @@ def controller(machine: Machine) -> MachineFinding:  # noqa: ARG001 - every look
         reason = " ".join(str(error).split()) or type(error).__name__
         return MachineFinding("controller", "missing", f"does not run: {reason}", "see the rows below", needed=True)
     return MachineFinding(
-        "controller", "ok", f"{step.mode}, a step in {step.step_time * 1e3:.2f} ms", "it runs, with its compiled core"
+        "controller",
+        "ok",
+        f"{step.mode}, a step in {step.step_time * 1e3:.2f} ms",
+        f"it runs, with its compiled core; at most {controller.operations_bound:,} operations a tick",
     )
 
 

@@ -72,9 +72,10 @@ drive(result->command[0], result->command[1]);
 It is the Python controller with `reentry.enabled: false`: further than `failure.max_position_error` from where the
 reference is it brakes, nearer it chases the reference, which does not wait.
 
-- The active set solves at most {iteration_limit} systems at a tick. What it has reached by then is taken, inside ranges
-  and slew, and `result->solver.status` is DDMPC_QP_STOPPED. There is no backend: where rounding leaves no proof, the
-  failure ladder acts. Where no limit is active the plan is exact, with 0 iterations.
+- The active set solves at most {iteration_limit} systems at a tick, and takes at most {operations_bound} operations:
+  multiplications of its loops. Everything else in a tick is loops of fixed length. What it has reached by then is
+  taken, inside ranges and slew, and `result->solver.status` is DDMPC_QP_STOPPED. There is no backend: where rounding
+  leaves no proof, the failure ladder acts. Where no limit is active the plan is exact, with 0 iterations.
 - Weights and limits are constants; there is no `update`. Parameters of functions of yours are variables.
 - `result->reasons` and `result->note` are numbers where the Python controller has sentences.
 
@@ -238,6 +239,7 @@ def export_library(
             "trajectory": label(trajectory),
             "terms": list(exported.terms),
             "iteration_limit": values.solver.active_set_iterations,
+            "operations_bound": exported.operations_bound,
             "sizes": [size.as_json() for size in sizes],
         }
         if emulated:

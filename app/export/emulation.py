@@ -32,7 +32,7 @@ _EMULATOR = "qemu-system-arm"
 _OPTIONS = f"-M {MACHINE} -nographic -monitor none -serial stdio -icount shift=0,sleep=off".split()
 MODES = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED, Mode.FINISHED)
 """In the order of `ddmpc_mode`."""
-REPLY_BYTES = 8 * 8
+REPLY_BYTES = 9 * 8
 
 
 class Reply(NamedTuple):
@@ -44,6 +44,7 @@ class Reply(NamedTuple):
     status: int
     iterations: int
     soft_limits: int
+    operations: int
     cycles: float
 
 
@@ -59,8 +60,9 @@ def request_bytes(t: float, measurement: Measurement, hold: Hold | None = None, 
 
 def read_reply(data: bytes) -> Reply:
     """Undo what the other end did."""
-    v, omega, mode, reasons, status, iterations, soft, cycles = np.frombuffer(data, dtype="<f8").tolist()
-    return Reply(np.array([v, omega]), MODES[int(mode)], int(reasons), int(status), int(iterations), int(soft), cycles)
+    v, omega, mode, *counts, cycles = np.frombuffer(data, dtype="<f8").tolist()
+    reasons, status, iterations, soft, operations = map(int, counts)
+    return Reply(np.array([v, omega]), MODES[int(mode)], reasons, status, iterations, soft, operations, cycles)
 
 
 def _stamped(stamped: Stamped | None, size: int) -> list[float]:
@@ -151,6 +153,8 @@ class Emulation:
         (steps,) of each step.
     iterations
         (steps,) of the active set; 0 where no limit is active.
+    operations
+        The most of one step, counted as `mpc.solver.report.SolverReport.operations`.
     modes
         How often the controller was in each mode.
     position_rmse
@@ -162,6 +166,7 @@ class Emulation:
     steps: int
     instructions: np.ndarray[tuple[int], np.dtype[np.float64]]
     iterations: np.ndarray[tuple[int], np.dtype[np.int64]]
+    operations: int
     modes: dict[str, int]
     position_rmse: float
     difference: float
@@ -179,6 +184,7 @@ class Emulation:
             "instructions_p99": int(p99),
             "instructions_max": int(self.instructions.max()),
             "iterations_max": int(self.iterations.max()),
+            "operations_max": self.operations,
             "modes": self.modes,
             "position_rmse_m": self.position_rmse,
             "command_difference_max": self.difference,
@@ -205,6 +211,7 @@ def emulate(
         steps=len(replies),
         instructions=np.array([reply.cycles for reply in replies]),
         iterations=np.array([reply.iterations for reply in replies]),
+        operations=max(reply.operations for reply in replies),
         modes=dict(Counter(str(reply.mode) for reply in replies)),
         position_rmse=float(run.metrics.position_rmse_m),
         difference=float(np.abs(np.array(commands) - run.command).max()),

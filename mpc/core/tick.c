@@ -356,7 +356,7 @@ static void lose_time(ddmpc_controller *c, tick_kind kind)
 
 static void clear(ddmpc_result *result)
 {
-    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, (real)NAN, (real)NAN};
+    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, 0, (real)NAN, (real)NAN};
     result->solver = not_run;
     result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.core.generate import OUTPUT, STEP, term_name
 from diffdrive_mpc.mpc.core.library import constant_fields, load_core
-from diffdrive_mpc.mpc.problem.constants import Problem
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, Problem
 from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -28,6 +28,13 @@ def sizes_text(problem: Problem, *, single: bool) -> str:
     lines = [f"#define DDMPC_{name.upper()} {value}" for name, value in {**sizes, **memory, **places}.items()]
     head = ["#ifndef DDMPC_SIZES_H", "#define DDMPC_SIZES_H", "", "#define DDMPC_EXPORT"]
     return "\n".join([*head, *(["#define DDMPC_FLOAT"] if single else []), *lines, "", "#endif", ""])
+
+
+def operations_bound(problem: Problem) -> int:
+    """Operations of the active set that no tick of the exported controller exceeds."""
+    _, lib = load_core()
+    sizes = _sizes(problem)
+    return int(lib.ddmpc_operations_bound(sizes["steps"], HARD_KINDS + sizes["soft"], sizes["pressing"]))
 
 
 def _sizes(problem: Problem) -> dict[str, int]:

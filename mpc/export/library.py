@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.core.generate import generated_functions
 from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
-from diffdrive_mpc.mpc.export.generated_c import constants_text, sizes_text, trajectory_texts
+from diffdrive_mpc.mpc.export.generated_c import constants_text, operations_bound, sizes_text, trajectory_texts
 from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms
@@ -47,11 +47,14 @@ class ExportedLibrary:
         Its order.
     terms
         Names of the user's functions.
+    operations_bound
+        Operations of the active set that no tick exceeds; `SolverReport.operations` says what they are.
     """
 
     model: str
     states: int
     terms: tuple[str, ...]
+    operations_bound: int
 
 
 def export_controller(
@@ -111,7 +114,8 @@ def export_controller(
     shutil.copytree(_SOURCES / "controller", ours, dirs_exist_ok=True)
     for name, text in texts.items():
         (ours / name).write_text(text, encoding="utf-8")
-    return ExportedLibrary(chosen.name, problem.model.order, tuple(term.name for term in everything))
+    names = tuple(term.name for term in everything)
+    return ExportedLibrary(chosen.name, problem.model.order, names, operations_bound(problem))
 
 
 def _check(solver: Solver) -> None:

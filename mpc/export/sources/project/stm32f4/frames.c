@@ -35,5 +35,6 @@ void frame_write(const ddmpc_result *result, double out[FRAME_OUT])
     out[4] = (double)result->solver.status;
     out[5] = (double)result->solver.iterations;
     out[6] = (double)result->solver.soft_limits;
-    out[7] = 0.0;
+    out[7] = (double)result->solver.operations;
+    out[8] = 0.0;
 }

@@ -8,8 +8,8 @@ enum {
     /* t; start anew; request; sent: present, v, omega; then pose, wheels and gyro, each of k = 3, 2, 1 values: present,
        stamp, values, covariance present, covariance (k x k) */
     FRAME_IN = 35,
-    /* v_ref, omega_ref, mode, reasons, status, iterations, soft limits, cycles of the step */
-    FRAME_OUT = 8
+    /* v_ref, omega_ref, mode, reasons, status, iterations, soft limits, operations, cycles of the step */
+    FRAME_OUT = 9
 };
 
 /* Put what came in where ddmpc_step looks for it; whether to start anew. */

@@ -81,7 +81,7 @@ int main(void)
         }
         uint32_t since = SYSTICK_VALUE;
         frame_write(ddmpc_tick(controller, in[0], &input), out);
-        out[7] = passed(since);
+        out[8] = passed(since);
         transmit(out, sizeof out);
     }
 }
