@@ -16,7 +16,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import configured_slip
 from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
-from diffdrive_mpc.mpc.rehearsal.rehearsal import same_motion
+from diffdrive_mpc.mpc.rehearsal.rehearsal import LONGEST, same_motion
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.drivable import Drivable, NotDrivableError, nearest_drivable
 
@@ -129,6 +129,9 @@ class FloorRehearsal:
     def _prepared(self, reference: Reference) -> Drivable | None:
         """The motion to track instead of `reference`, if there is one; says what was found."""
         bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
+        if reference.duration > LONGEST:
+            self.said = f"{learned}, {_AS_GIVEN}: it takes more than {LONGEST:g} s"
+            return None
         try:
             drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
         except NotDrivableError as error:
