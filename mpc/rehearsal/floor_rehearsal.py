@@ -16,11 +16,13 @@ from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import configured_slip
 from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
-from diffdrive_mpc.mpc.rehearsal.rehearsal import LONGEST, same_motion
+from diffdrive_mpc.mpc.rehearsal.rehearsal import same_motion
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.drivable import Drivable, NotDrivableError, nearest_drivable
 
 _DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN)
+# A path that can be driven is sought for a reference of so long at most [s]: memory grows by 0.8 MB for each second.
+_LONGEST = 600.0
 _AS_GIVEN = "the reference is tracked as it is given"
 
 
@@ -129,8 +131,8 @@ class FloorRehearsal:
     def _prepared(self, reference: Reference) -> Drivable | None:
         """The motion to track instead of `reference`, if there is one; says what was found."""
         bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
-        if reference.duration > LONGEST:
-            self.said = f"{learned}, {_AS_GIVEN}: it takes more than {LONGEST:g} s"
+        if reference.duration > _LONGEST:
+            self.said = f"{learned}, {_AS_GIVEN}: it takes more than {_LONGEST:g} s"
             return None
         try:
             drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)

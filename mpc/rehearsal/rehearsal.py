@@ -35,7 +35,7 @@ _POWER, _VARIANCE = 6, 20
 # References count as the same: less than this apart, at instants so far from each other [s].
 _SAME, _INSTANT = 1e-6, 0.02
 LONGEST = 3600.0
-"""A reference that takes longer [s] is not learned: memory and the time of a start grow with it."""
+"""Of a reference that takes longer [s] nothing is learned: memory and the time of a start grow with it."""
 _ON_ITS_WAY = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.FINISHED)
 
 
@@ -104,9 +104,9 @@ class LapLearner:
         """
         if self._reference is not None and same_motion(self._reference, reference):
             self._learn(reference)
-        elif reference.duration > LONGEST:
+        elif not self._dt <= reference.duration <= LONGEST:
             self.time = np.empty(0)
-            self._begin_anew(f"nothing is learned of a reference that takes more than {LONGEST:g} s")
+            self._begin_anew(f"nothing is learned of a reference that takes under a tick or over {LONGEST:g} s")
         else:
             count = max(int(np.ceil(reference.duration / self._dt)), 1) + 1
             self.time = np.linspace(0.0, reference.duration, count)

@@ -121,7 +121,7 @@ class ControllerFuzzer:
             overrides = {**overrides, "free_space.enabled": True}
         terms = [name for name in TERMS if random.random() < 0.07]
         references = [draw_reference(random) for _ in range(random.choice((1, 1, 2, 3)))]
-        events = [["start", 0, 0.0], ["drive", random.choice((1, 5, 30, 60))]]
+        events = [["start", 0, 0.0], ["drive", random.choice((1, 5, 30, 60, 60, 60, 60, 600))]]
         for _ in range(random.choice((1, 3, 10, 30))):
             if sees and random.random() < 0.5:
                 events.append(["see", draw_surroundings(random)])
