@@ -504,7 +504,7 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
         return ["update", groups["weights"], groups["limits"]]
     if kind == "overrule":
         count = random.choice((0, 1, 1, 2, 5, 60))
-        scale = random.choice((0.0, 0.3, 1.0, 5.0, 1e3))
+        scale = random.choice((0.0, 0.3, 1.0, 5.0, 1e3, 1e160))
         return ["overrule", [[random.gauss(0.0, scale), random.gauss(0.0, scale)] for _ in range(count)]]
     if kind == "limit_speed":
         return [kind, random.choice((None, 0.2, 0.05, 1e-9, 10.0, odd.number(random)))]
@@ -533,7 +533,7 @@ def draw_spoilt(random: Random) -> dict[str, Any]:
             spoilt[name] = draw_message(random, size)
     if random.random() < 0.2:
         spoilt["sent"] = random.choice(
-            ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], "rubbish", [1.0])
+            ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], [1e160, -1e300], "rubbish", [1.0])
         )
     return spoilt
 
