@@ -119,7 +119,7 @@ test-system: $(READY) ## tests that need Debian packages: a browser, ffmpeg, cro
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
-	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
+	PYTHONPATH=tests:tests/models:tests/extras $(BIN)/python -m fuzz $(FUZZ)
 
 lint: $(READY) ## style and format
 	$(BIN)/ruff check .

@@ -60,7 +60,8 @@ def lock_folder(folder: Path, *, wait: bool = False) -> int | None:
     return handle
 
 
-_UNFINISHED = ".unfinished-"
+UNFINISHED = ".unfinished-"
+"""Beginning of the names of scratch folders; one stays behind where its process was killed."""
 _JUST_MADE = 60.0
 """A folder that is younger [s] may be about to be locked."""
 
@@ -128,7 +129,7 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
     What processes left in `parent` that were killed is removed.
     """
     _clear_left_over(parent)
-    with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=parent, ignore_cleanup_errors=True) as name:
+    with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=parent, ignore_cleanup_errors=True) as name:
         handle = lock_folder(Path(name))
         try:
             yield Path(name)
@@ -139,7 +140,7 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
 
 def _clear_left_over(parent: Path) -> None:
     """Remove the folders that nobody holds any more; one that has just been made may not be held yet."""
-    for folder in parent.glob(f"{_UNFINISHED}*"):
+    for folder in parent.glob(f"{UNFINISHED}*"):
         with suppress(OSError):
             if folder.is_symlink() or time.time() - folder.stat().st_mtime < _JUST_MADE:
                 continue

@@ -551,6 +551,8 @@ class Controller:
         so. The robot then dead-reckons. It brakes when no pose was accepted for `failure.max_pose_age`, or for
         `failure.dead_reckoning` where wheels and gyro are good.
         With `hold` it brakes and stands instead of driving; the estimate continues.
+        A clock that leaps zeroes the command in one tick: where `t` is ahead by more than `estimator.history`, a base
+        without commands has stopped by itself. Every other change of the command keeps slew or the braking limits.
 
         With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock, after one iteration at the
         earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status` says so. The run

@@ -50,7 +50,8 @@ class StepResult:
     Attributes
     ----------
     command
-        (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside range and slew in every mode.
+        (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside the range in every mode, and inside slew or the braking
+        limits in every mode but STOPPED, which is zero: a clock that leaps zeroes the command in one tick.
     mode
         What the controller is doing.
     message

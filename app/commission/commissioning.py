@@ -26,13 +26,14 @@ from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.app.twin.report import PLANT
-from diffdrive_mpc.bench.report_folder import staged
+from diffdrive_mpc.bench.report_folder import alone_in, staged
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.whole_file import new_folder
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, SimulatedRobot, load_simulated_robot
 
@@ -159,7 +160,8 @@ def commission(
     NeedsAPersonError
         Where a person has to drive.
     models.checked_yaml.ConfigError, ValueError, OSError
-        If something that is named cannot be used; what was done before stays.
+        If something that is named cannot be used, or another commissioning writes into `out`; what was done before
+        stays.
     """
     if request.robot is not None:
         load_simulated_robot(request.robot)
@@ -171,6 +173,15 @@ def commission(
         needs_optuna()
         if request.plan is not None:
             load_plan(Path(request.plan))
+    # Two at once would take what the other recorded, and each write down its own steps alone.
+    with new_folder(out), alone_in(out, out):
+        return _carry_out(request, out, one_step, on_step)
+
+
+def _carry_out(
+    request: CommissionRequest, out: Path, one_step: bool, on_step: Callable[[str, Done, bool], None]
+) -> bool:
+    """Do the steps as `commission` says, with `out` for itself."""
     ledger, fresh = Ledger(out), list(request.logs)
     for step in _steps(request, out, ledger, fresh):
         key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)

@@ -20,7 +20,7 @@ from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked, parse_json
 from diffdrive_mpc.models.robot import NotNegative, Positive
-from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.models.whole_file import UNFINISHED, whole_file
 
 FILE = "commission.json"
 SAID = "said.txt"
@@ -125,10 +125,14 @@ def digest(path: Path) -> str:
 
 
 def _files(path: Path) -> list[Path]:
-    """A file, or the files of a folder; the rows of driven runs are a store of their own."""
+    """A file, or the files of a folder; the rows of driven runs are a store of their own.
+
+    What a killed process left unfinished does not count: it goes later, and the step would look as if it were changed.
+    """
     if path.is_file():
         return [path]
-    return sorted(entry for entry in path.rglob("*") if entry.is_file() and "runs" not in entry.relative_to(path).parts)
+    within = {entry: entry.relative_to(path).parts for entry in path.rglob("*") if entry.is_file()}
+    return sorted(entry for entry, parts in within.items() if "runs" not in parts and UNFINISHED not in "/".join(parts))
 
 
 def _quietly(step: Callable[[Path], Gate], folder: Path) -> Gate:

@@ -52,6 +52,9 @@ static void brake_on(const ddmpc_constants *k, real command[2])
     }
 }
 
+/* Samples of braking that are looked at, however fast the command of somebody else was: a tick has to end. */
+#define MOST_RAMP R(1000.0)
+
 /* How far outside the way to rest leads at most, where this tick's command is the last one once more [m]. */
 static real stops_beyond(const ddmpc_controller *c)
 {
@@ -61,11 +64,10 @@ static real stops_beyond(const ddmpc_controller *c)
     real *here = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
     real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
     const real ramps = ddmpc_max(ddmpc_fabs(c->last[0]) / k->braking[0], ddmpc_fabs(c->last[1]) / k->braking[1]);
-    const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
+    const int longest = (int)ddmpc_min(ramps, MOST_RAMP) + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
     memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)Z);
     real command[2] = {c->last[0], c->last[1]};
-    /* `longest` is bounded: ramps by range over braking, the window by its size, rolling on by a constant. */
     for (int i = 0; i < longest; i++) {
         memmove(commands, commands + 2, sizeof(real) * (size_t)(2 * (window - 1)));
         memcpy(newest, command, sizeof command);

@@ -396,9 +396,12 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
-        /* Repeat the command actually sent, which the application may have replaced: any other would be a jump. */
+        /* Repeat the command actually sent, which the application may have replaced: any other would be a jump. Zero
+         * while STOPPED, and the next command counts from it. */
         if (c->result.mode != DDMPC_STOPPED)
             memcpy(c->result.command, c->last, sizeof c->last);
+        else
+            finish_tick(c, DDMPC_DONE, 0);
         return DDMPC_DONE;
     }
     clear(&c->result);

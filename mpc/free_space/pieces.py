@@ -282,9 +282,10 @@ def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int
 def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatArray], str]:
     """Its walls, as pieces of straight lines."""
     arc, left, right = checked_corridor(corridor)
-    times = np.linspace(0.0, reference.duration, min(int(reference.duration / 0.02) + 2, 20_000))
+    # Lengths as large as numbers go overflow here; there is a bound anyway.
+    times = np.linspace(0.0, reference.duration, int(min(reference.duration / 0.02 + 2, 20_000)))
     sample = reference.sample(times)
-    count = min(int((arc[-1] - arc[0]) / _WALL_STEP) + 2, _MOST_WALLS)
+    count = int(min(float(arc[-1] - arc[0]) / _WALL_STEP + 2, _MOST_WALLS))
     at = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MOST_WALLS]]))
     # Where the reference stands or turns it has one arc length at many times: any of them.
     pose = np.stack([np.interp(at, sample.arc_length, column) for column in sample.pose.T], axis=1)

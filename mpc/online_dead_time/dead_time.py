@@ -38,6 +38,8 @@ _LEAST_CORRELATION, _LEAST_GAIN, _MOST_GAIN = 0.95, 0.4, 2.5
 _RECOVERY = 0.5
 # Dead times are compared up to so far beyond the bound [s].
 _BEYOND = 0.08
+# Nothing is faster [m/s, rad/s]: what is said to be so is not learned from, and no square overflows.
+_FASTEST = 1e3
 # Ticks from one estimate to the next.
 _EVERY = 10
 
@@ -86,7 +88,8 @@ class DeadTimeEstimator:
         # Whole samples of dead time that are compared, 0 to here: what is longer than allowed is recognised, too.
         self._longest = int(np.ceil((self.upper.max() + _BEYOND) / dt)) + 1
         self._least_change = self._longest * dt * np.array([settings.min_rate_v, settings.min_rate_omega])
-        self._largest = np.array([config.estimator.max_wheel_speed, config.estimator.max_yaw_rate])
+        largest = [config.estimator.max_wheel_speed, config.estimator.max_yaw_rate]
+        self._largest = np.minimum(largest, _FASTEST)
         self._keep = np.exp(-dt / settings.memory)
         self.forget()
 
@@ -115,7 +118,8 @@ class DeadTimeEstimator:
             self._sent = result.command
             return False
         sent = None if measurement.sent is None else numbers(measurement.sent, 2)
-        if sent is not None and np.isfinite(sent).all():
+        # Not the other way round: NaN must not pass.
+        if sent is not None and (np.abs(sent) <= _FASTEST).all():
             self._sent = sent
         if not 0.0 < gap < len(self._answer):
             # The first tick, or a pause: the robot stands.
@@ -123,8 +127,9 @@ class DeadTimeEstimator:
             self._answer[:] = 0.0
             clock.since_trouble, clock.changed = math.inf if math.isnan(gap) else 0.0, -math.inf
             gap = 1.0
+        driven = self._drive @ np.clip(self._sent, -_FASTEST, _FASTEST)
         for _ in range(round(gap)):
-            self._state = self._model.A @ self._state + self._drive @ self._sent
+            self._state = self._model.A @ self._state + driven
             self._answer[:-1] = self._answer[1:]
             self._answer[-1] = self._model.C @ self._state
         clock.tick, self._sent = t, result.command

@@ -68,7 +68,8 @@ class PathWindow:
 
 def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
     """A displacement [m] in parts along and across the heading `theta` [rad], positive to its left."""
-    c, s = math.cos(theta), math.sin(theta)
+    # Of numbers that are none nothing comes either, without a warning: the caller looks at what it gets.
+    c, s, dx, dy = math.cos(theta), math.sin(theta), float(dx), float(dy)
     return c * dx + s * dy, c * dy - s * dx
 
 

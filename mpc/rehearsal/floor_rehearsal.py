@@ -21,6 +21,8 @@ from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.drivable import Drivable, NotDrivableError, nearest_drivable
 
 _DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN)
+# A path that can be driven is sought for a reference of so long at most [s]: memory grows by 0.8 MB for each second.
+_LONGEST = 600.0
 _AS_GIVEN = "the reference is tracked as it is given"
 
 
@@ -129,6 +131,9 @@ class FloorRehearsal:
     def _prepared(self, reference: Reference) -> Drivable | None:
         """The motion to track instead of `reference`, if there is one; says what was found."""
         bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
+        if reference.duration > _LONGEST:
+            self.said = f"{learned}, {_AS_GIVEN}: it takes more than {_LONGEST:g} s"
+            return None
         try:
             drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
         except NotDrivableError as error:

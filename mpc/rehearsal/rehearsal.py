@@ -18,12 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.core.tick import numbers
 from diffdrive_mpc.mpc.problem.formulas import SLOW
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -34,6 +34,8 @@ _FIRST_TRUST = 0.5
 _POWER, _VARIANCE = 6, 20
 # References count as the same: less than this apart, at instants so far from each other [s].
 _SAME, _INSTANT = 1e-6, 0.02
+LONGEST = 3600.0
+"""Of a reference that takes longer [s] nothing is learned: memory and the time of a start grow with it."""
 _ON_ITS_WAY = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.FINISHED)
 
 
@@ -102,6 +104,9 @@ class LapLearner:
         """
         if self._reference is not None and same_motion(self._reference, reference):
             self._learn(reference)
+        elif not self._dt <= reference.duration <= LONGEST:
+            self.time = np.empty(0)
+            self._begin_anew(f"nothing is learned of a reference that takes under a tick or over {LONGEST:g} s")
         else:
             count = max(int(np.ceil(reference.duration / self._dt)), 1) + 1
             self.time = np.linspace(0.0, reference.duration, count)
@@ -122,13 +127,14 @@ class LapLearner:
             else:
                 lap.motion.append(np.concatenate([[now], estimate.pose, estimate.twist, estimate.slip.gains]))
                 pose = measurement.pose
-                if pose is not None and self._is_near(estimate.pose, pose.value):
-                    lap.poses.append(np.array([pose.time - self._t0, *np.asarray(pose.value, dtype=float)]))
+                stamp, value = (None, None) if pose is None else (numbers(pose.time, 1), numbers(pose.value, 3))
+                if stamp is not None and value is not None and self._is_near(estimate.pose, value):
+                    lap.poses.append(np.array([*(stamp - self._t0), *value]))
         return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
 
-    def _is_near(self, believed: FloatArray, measured: ArrayLike) -> bool:
+    def _is_near(self, believed: FloatArray, measured: FloatArray) -> bool:
         """Whether a pose is no outlier, which the estimator rejects, too; False where it is not finite."""
-        distance = np.asarray(measured, dtype=float) - believed
+        distance = measured - believed
         return bool(np.hypot(*distance[:2]) < self._most_jump) and bool(np.isfinite(distance).all())
 
     def _learn(self, reference: Reference) -> None:
@@ -223,11 +229,11 @@ class LapLearner:
 
 
 def same_motion(first: Reference, second: Reference) -> bool:
-    """Whether both are the same motion, be it in another place."""
+    """Whether both are the same motion, be it in another place; not looked at where they are `LONGEST` or more."""
+    if abs(first.duration - second.duration) >= _SAME or first.duration > LONGEST:
+        return False
     times = np.linspace(0.0, first.duration, max(int(first.duration / _INSTANT), 1) + 1)
-    return abs(first.duration - second.duration) < _SAME and bool(
-        np.allclose(first.sample(times).twist, second.sample(times).twist, rtol=0.0, atol=_SAME)
-    )
+    return bool(np.allclose(first.sample(times).twist, second.sample(times).twist, rtol=0.0, atol=_SAME))
 
 
 def corrected(reference: Reference, time: FloatArray, correction: FloatArray) -> SplineTrajectory:

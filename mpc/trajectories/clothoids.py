@@ -23,6 +23,8 @@ from diffdrive_mpc.models.pose import integrate_pose
 _MIDDLE = 0.4
 _PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
 _MOST_TURN = math.pi / 2
+# A joint of arcs that reaches no further [m] is none.
+_TINY = 1e-9
 _LOOKS = np.linspace(0.0, 1.0, 41)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
@@ -48,7 +50,7 @@ class Joint(NamedTuple):
     reach: float
     """By how much both arcs are shortened [m]."""
     parts: tuple[Clothoid, ...]
-    """In order; none where the curvature does not jump."""
+    """In order; none where the curvature does not jump, or an arc is too short for them."""
 
 
 def along(parts: Sequence[Clothoid], at: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,9 +91,9 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
 
     They reach as far as they can: at most `longest` [m] to either side, and at most `distance` [m] from the arcs.
     """
-    if before == after:
+    most = min(longest, _MOST_TURN / max(abs(before), abs(after), _TINY))
+    if before == after or most < _TINY:
         return Joint(before, after, 0.0, ())
-    most = min(longest, _MOST_TURN / max(abs(before), abs(after)))
 
     def made(reach: float) -> Joint:
         return Joint(before, after, reach, _fit(before, after, reach))

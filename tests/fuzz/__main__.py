@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from pathlib import Path
 
 from fuzz.case import FINDINGS, load_case
 from fuzz.fuzzers import FUZZERS
-from fuzz.runner import Order, inside, judged, run
+from fuzz.runner import Order, Ran, inside, judged, run
 
+_LONGEST = 4 * 3600.0
+"""For a number of steps [s]."""
 _LONG = 20
 """A long run has so many times the cases of a short one ..."""
 _SECONDS = {"short": 20.0, "long": 150.0}
@@ -48,16 +51,24 @@ def main() -> None:
 def _fuzzed(name: str, pace: str, words: argparse.Namespace) -> int:
     count = FUZZERS[name].count * (_LONG if pace == "long" else 1) if words.count is None else words.count
     first, seconds = 0, _SECONDS[pace] if words.seconds is None else words.seconds
+    if words.steps is not None:
+        count, seconds = 10**9, words.seconds or _LONGEST
     if words.only is not None:
         first, count = words.only, 1
     started = time.monotonic()
-    done, lines = run(Order(name, words.seed, first, count, seconds), words.keep)
-    took = time.monotonic() - started
-    print(f"{name:12s} seed {words.seed}: {done} of {count} cases in {took:.0f} s, {len(lines)} findings")
-    for line in lines:
-        print(f"  - {line}")
-    sys.stdout.flush()
-    return len(lines)
+
+    def say(ran: Ran, end: str = " so far") -> None:
+        took, steps = time.monotonic() - started, f", {ran.steps} steps" if ran.steps else ""
+        print(
+            f"{name:12s} seed {words.seed}: {ran.cases} cases in {took:.0f} s{steps}, {len(ran.lines)} findings{end}",
+            flush=True,
+        )
+
+    ran = run(Order(name, words.seed, first, count, seconds, words.steps or math.inf), words.keep, say)
+    say(ran, "")
+    for line in ran.lines:
+        print(f"  - {line}", flush=True)
+    return len(ran.lines)
 
 
 def _replayed(path: Path) -> int:
@@ -73,6 +84,7 @@ def _words() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="this case alone")
     parser.add_argument("--count", type=int, help="so many cases of each fuzzer")
+    parser.add_argument("--steps", type=int, help="of a controller, however many cases that takes")
     parser.add_argument("--seconds", type=float, help="at most so long for each fuzzer")
     parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder for what is found")
     parser.add_argument("--replay", type=Path, help="a file of a finding, once more")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import pickle
+import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from random import Random
 from typing import Any
 
@@ -15,7 +17,9 @@ import numpy as np
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, ModelError, Stamped, Term, load_config, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
@@ -25,7 +29,21 @@ from fuzz.case import Case, FaultError
 from fuzz.configs import draw_overrides, draw_value, fields
 from fuzz.surroundings import draw_surroundings, make_surroundings
 
-CONFIGS = ("ssm", "ssm", "sm", "mbm", "kinematic", "lstm", "p2_experimental", "p2_physical")
+CONFIGS = (
+    *("ssm", "ssm", "sm", "mbm", "kinematic", "lstm", "p2_experimental", "p2_physical"),
+    *("hybrid", "nonlinear", "windowed"),
+)
+"""Shipped configurations, and the models of `own_model`."""
+EXTRAS = (
+    {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"},
+    {"energy.weight": 1.0, "energy.turn_costs": "fsu_bot-slippery", "energy.use_min_radius": True},
+    {"rehearsal.enabled": True, "rehearsal.by": "laps"},
+    {"rehearsal.enabled": True, "rehearsal.by": "floor"},
+    {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.0, "online_dead_time.min_rate_omega": 0.0},
+    {"online_dead_time.enabled": True},
+    {"fence.enabled": True},
+)
+"""What is off as shipped, and seldom drawn by chance."""
 _CHANGEABLE = [(key, one) for key, one in fields(type(load_config("ssm"))) if key.startswith(("weights.", "limits."))]
 _REFUSED = (ConfigError, ModelError, ValueError)
 
@@ -51,6 +69,16 @@ TERMS = {
         defaults=(0.0, 1.0),
     ),
 }
+
+
+@cache
+def own_model(name: str) -> NonlinearModel | None:
+    """A model that is no shipped one; None where `name` is that of a configuration."""
+    from hybrid_parts import random_hybrid
+    from nonlinear_parts import saturating, windowed
+
+    own = {"hybrid": lambda: random_hybrid(size=0.005), "nonlinear": saturating, "windowed": windowed}
+    return own[name]() if name in own else None
 
 
 @dataclass
@@ -79,16 +107,21 @@ class ControllerFuzzer:
     """Sequences of steps, starts, resets, updates, overrules and holds, over configurations, models and references."""
 
     name, longest, count = "controller", 60.0, 150
+    steps = 0
+    """Of all cases that were checked so far."""
 
     def draw(self, random: Random) -> Case:
         """A configuration, some references, and what happens."""
         overrides = draw_overrides(random)
+        for extra in EXTRAS:
+            if random.random() < 0.08:
+                overrides = {**extra, **overrides}
         sees = random.random() < 0.25
         if sees:
             overrides = {**overrides, "free_space.enabled": True}
         terms = [name for name in TERMS if random.random() < 0.07]
         references = [draw_reference(random) for _ in range(random.choice((1, 1, 2, 3)))]
-        events = [["start", 0, 0.0], ["drive", random.choice((1, 5, 30, 60))]]
+        events = [["start", 0, 0.0], ["drive", random.choice((1, 5, 30, 60, 60, 60, 60, 600))]]
         for _ in range(random.choice((1, 3, 10, 30))):
             if sees and random.random() < 0.5:
                 events.append(["see", draw_surroundings(random)])
@@ -104,8 +137,9 @@ class ControllerFuzzer:
     def check(self, case: Case) -> None:
         """Live through it."""
         try:
-            config = load_config(case["config"], case["overrides"])
-            controller = Controller(config, terms=[TERMS[name] for name in case["terms"]])
+            model = own_model(case["config"])
+            config = load_config("sm" if model else case["config"], case["overrides"])
+            controller = Controller(config, model, [TERMS[name] for name in case["terms"]])
         except _REFUSED as error:
             one_line(error)
             return
@@ -117,8 +151,11 @@ class ControllerFuzzer:
                 one_line(error)
                 references.append(load_trajectory("circle"))
         life = Life(controller, references)
-        for event in case["events"]:
-            getattr(life, event[0])(*event[1:])
+        try:
+            for event in case["events"]:
+                getattr(life, event[0])(*event[1:])
+        finally:
+            self.steps += life.steps
 
     def simpler(self, case: Case) -> Iterator[Case]:
         """Fewer events, fewer changes of the configuration, plainer numbers."""
@@ -145,7 +182,9 @@ class Life:
     def __init__(self, controller: Controller, references: list[Any]) -> None:
         self.controller, self.references = controller, references
         self.t, self.pose, self.twist, self.last = 0.0, np.zeros(3), np.zeros(2), np.zeros(2)
-        self.started = False
+        self.started, self.steps = False, 0
+        self.bounds: tuple[int | None, float | None] = None, None
+        self.measurement = Measurement()
         self.hold_now: Hold | None = None
 
     def start(self, index: int, t0: float) -> None:
@@ -203,6 +242,10 @@ class Life:
         """From the next step on somebody asks it to brake; None: nobody does."""
         self.hold_now = None if words is None else Hold(words, failure=failure)
 
+    def bound(self, most_iterations: int | None, seconds: float | None) -> None:
+        """From the next step on it gets so many iterations, and so long."""
+        self.bounds = most_iterations, seconds
+
     def again(self) -> None:
         """Through a pickle, as to another process."""
         self.controller = pickle.loads(pickle.dumps(self.controller))
@@ -243,12 +286,24 @@ class Life:
         with warnings.catch_warnings():
             # Python's own arithmetic has to be as clean as the core's.
             warnings.simplefilter("error", RuntimeWarning)
-            result = self.controller.step(t, self.measured(spoilt or {}), self.hold_now)
+            most, seconds = self.bounds
+            result = self.controller.step(
+                t,
+                self.measured(spoilt or {}),
+                self.hold_now,
+                deadline=None if seconds is None else time.monotonic() + seconds,
+                most_iterations=most,
+            )
+        self.steps += 1
+        if most and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > most:
+            raise FaultError(f"iterations: {result.solver.iterations} of at most {most}")
         check_step(result, self.controller.config, self.last, held=self.hold_now is not None)
         self.last = np.array(result.command)
 
     def measured(self, spoilt: dict[str, Any]) -> Measurement:
-        """What the sensors say."""
+        """What the sensors say; with "repeat" the last message once more."""
+        if "repeat" in spoilt:
+            return self.measurement
         ordinary = {"pose": self.pose.copy(), "wheel_twist": self.twist.copy(), "yaw_rate": float(self.twist[1])}
         found: dict[str, Any] = {name: Stamped(value, self.t) for name, value in ordinary.items()}
         for name, change in spoilt.items():
@@ -259,7 +314,8 @@ class Life:
             else:
                 value = change["value"] if "value" in change else ordinary[name] + np.asarray(change.get("shift", 0.0))
                 found[name] = Stamped(value, stamp_of(change, self.t), change.get("covariance"))
-        return Measurement(**found)
+        self.measurement = Measurement(**found)
+        return self.measurement
 
 
 def stamp_of(change: dict[str, Any], t: float) -> Any:
@@ -275,6 +331,8 @@ def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> Non
         raise FaultError(f"not finite: {said}")
     if not isinstance(result.message, str) or "\n" in result.message:
         raise FaultError(f"message: not one line: {result.message!r}")
+    if not isinstance(result.solver.status, SolverStatus):
+        raise FaultError(f"status: it is {result.solver.status!r}")
     if "its command is repeated" in result.message:
         if (command != (0.0 if result.mode == "STOPPED" else last)).any():
             raise FaultError(f"repeated tick: changes the command: {said}")
@@ -296,6 +354,8 @@ def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> Non
     if brakes and (np.abs(command) > np.abs(last)).any():
         raise FaultError(f"brakes: and speeds up: {said}")
     if result.mode == "TRACKING":
+        if not result.solver.status.usable:
+            raise FaultError(f"status: tracks, and {result.solver.status}: {said}")
         for name, values in (("estimate", result.estimate.pose), ("plan", result.plan)):
             if values is not None and not np.isfinite(values).all():
                 raise FaultError(f"{name}: tracks, and it is not finite: {said}")
@@ -419,6 +479,7 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
             "foresee",
             "again",
             "parameters",
+            "bound",
         )
     )
     if kind == "tick":
@@ -443,12 +504,18 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
         return ["update", groups["weights"], groups["limits"]]
     if kind == "overrule":
         count = random.choice((0, 1, 1, 2, 5, 60))
-        scale = random.choice((0.0, 0.3, 1.0, 5.0, 1e3))
+        scale = random.choice((0.0, 0.3, 1.0, 5.0, 1e3, 1e160))
         return ["overrule", [[random.gauss(0.0, scale), random.gauss(0.0, scale)] for _ in range(count)]]
     if kind == "limit_speed":
         return [kind, random.choice((None, 0.2, 0.05, 1e-9, 10.0, odd.number(random)))]
     if kind == "hold":
         return ["hold", random.choice((None, None, "held", "")), random.random() < 0.3]
+    if kind == "bound":
+        return [
+            "bound",
+            random.choice((None, None, 1, 2, 5, 50)),
+            random.choice((None, None, -1.0, 1e-5, 2e-4, 0.01, odd.number(random))),
+        ]
     if kind == "carry":
         return ["carry", *[random.choice((0.0, 0.05, 0.3, 2.0, -1.0, 1e5)) for _ in range(3)]]
     if kind == "foresee":
@@ -460,13 +527,13 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
 
 def draw_spoilt(random: Random) -> dict[str, Any]:
     """What is odd about a measurement."""
-    spoilt: dict[str, Any] = {}
+    spoilt: dict[str, Any] = {"repeat": True} if random.random() < 0.05 else {}
     for name, size in (("pose", 3), ("wheel_twist", 2), ("yaw_rate", 1)):
         if random.random() < 0.4:
             spoilt[name] = draw_message(random, size)
     if random.random() < 0.2:
         spoilt["sent"] = random.choice(
-            ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], "rubbish", [1.0])
+            ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], [1e160, -1e300], "rubbish", [1.0])
         )
     return spoilt
 

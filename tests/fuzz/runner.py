@@ -10,6 +10,7 @@ import contextlib
 import faulthandler
 import json
 import logging
+import math
 import os
 import resource
 import signal
@@ -18,8 +19,8 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 
@@ -33,42 +34,60 @@ _SMALLER_FOR = 20.0
 """How long a finding is made smaller [s]."""
 _KINDS_OF_FINDINGS = 20
 """So many different ones end a run."""
+_CASES_OF_A_PROCESS = 1000
 
 
 def environment() -> dict[str, str]:
     """Of a process that imports the fuzzers, and what they import of other tests."""
     tests = Path(__file__).parents[1]
-    paths = [str(tests), str(tests / "models"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(tests), str(tests / "models"), str(tests / "extras"), os.environ.get("PYTHONPATH", "")]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
 @dataclass(frozen=True)
 class Order:
-    """What to run: cases `first` to `first + count` of `seed`, for at most `seconds`."""
+    """What to run: cases `first` to `first + count` of `seed`, for at most `seconds`, and `steps` of the controller."""
 
     fuzzer: str
     seed: int
     first: int
     count: int
     seconds: float
+    steps: float = math.inf
 
     def words(self) -> str:
         """What to type to repeat the first of them."""
         return f'make fuzz FUZZ="{self.fuzzer} --seed {self.seed} --only {self.first}"'
 
 
-def run(order: Order, folder: Path = FINDINGS) -> tuple[int, list[str]]:
-    """Run an order; returns how many cases there were, and what was found in a line or two each."""
-    end, done, lines = time.monotonic() + order.seconds, 0, list[str]()
-    while done < order.count and time.monotonic() < end and len(lines) < _KINDS_OF_FINDINGS:
-        rest = Order(order.fuzzer, order.seed, order.first + done, order.count - done, end - time.monotonic())
-        checked, found, died = _in_process(rest, folder)
-        done += checked
-        lines += found
+@dataclass
+class Ran:
+    """What came of an order: cases begun, what was found in a line or two each, steps of the controller."""
+
+    cases: int = 0
+    lines: list[str] = field(default_factory=list)
+    steps: int = 0
+
+
+def run(order: Order, folder: Path = FINDINGS, on_part: Callable[[Ran], None] = lambda _: None) -> Ran:
+    """Run an order; `on_part` is called after each process, of which there are several for many cases."""
+    end, ran = time.monotonic() + order.seconds, Ran()
+    while (
+        ran.cases < order.count
+        and ran.steps < order.steps
+        and time.monotonic() < end
+        and len(ran.lines) < _KINDS_OF_FINDINGS
+    ):
+        count = min(order.count - ran.cases, _CASES_OF_A_PROCESS)
+        seconds, steps = end - time.monotonic(), order.steps - ran.steps
+        rest = Order(order.fuzzer, order.seed, order.first + ran.cases, count, seconds, steps)
+        part, died = _in_process(rest, folder)
+        ran = Ran(ran.cases + part.cases, ran.lines + part.lines, ran.steps + part.steps)
         if died:
-            at = Order(order.fuzzer, order.seed, rest.first + checked - 1, 1, 600.0)
-            lines.append(_kept_death(at, died, folder))
-    return done, lines
+            at = Order(order.fuzzer, order.seed, rest.first + part.cases - 1, 1, 600.0)
+            ran.lines.append(_kept_death(at, died, folder))
+        on_part(ran)
+    return ran
 
 
 def _kept_death(at: Order, died: str, folder: Path) -> str:
@@ -80,8 +99,8 @@ def _kept_death(at: Order, died: str, folder: Path) -> str:
     return f"{died}\n    {at.words()}\n    {finding.save(folder)}"
 
 
-def _in_process(order: Order, folder: Path) -> tuple[int, list[str], str]:
-    """Cases begun, findings, and how the process died; empty where it did not."""
+def _in_process(order: Order, folder: Path) -> tuple[Ran, str]:
+    """What came of it, and how the process died; empty where it did not."""
     with tempfile.TemporaryDirectory() as scratch:
         report, said = Path(scratch, "report"), Path(scratch, "said")
         with said.open("w") as output:
@@ -97,12 +116,16 @@ def _in_process(order: Order, folder: Path) -> tuple[int, list[str], str]:
                 code = process.wait()
         lines = [json.loads(line) for line in report.read_text().splitlines()] if report.exists() else []
         text = said.read_text(errors="replace")
-    begun = max((line["begun"] for line in lines), default=0)
-    found = [line["found"] for line in lines if "found" in line]
+    steps = max((line["steps"] for line in lines if "steps" in line), default=0)
+    ran = Ran(
+        max((line.get("begun", 0) for line in lines), default=0),
+        [line["found"] for line in lines if "found" in line],
+        steps,
+    )
     if code == 0:
-        return begun, found, ""
+        return ran, ""
     how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
-    return max(begun, 1), found, f"process {how}\n{text[-3000:]}"
+    return replace(ran, cases=max(ran.cases, 1)), f"process {how}\n{text[-3000:]}"
 
 
 def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
@@ -126,6 +149,7 @@ def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
             path = Finding(fuzzer.name, what, found[1], case).save(folder)
             at = Order(order.fuzzer, order.seed, order.first + begun, 1, 0.0)
             out.write(json.dumps({"begun": begun + 1, "found": f"{what}\n    {at.words()}\n    {path}"}) + "\n")
+        out.write(json.dumps({"steps": getattr(fuzzer, "steps", 0)}) + "\n")
 
 
 def judged(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:

@@ -13,9 +13,10 @@ from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from fuzz import configs, runner, yaml_files
 from fuzz.case import FaultError, draw, load_case, saved_findings
+from fuzz.controller import CONFIGS, EXTRAS
 from fuzz.fuzzers import FUZZERS
 from fuzz.live.judge import Account, Allowed, Heard, faults
-from fuzz.runner import Order, inside
+from fuzz.runner import Order, Ran, inside
 
 
 @pytest.mark.parametrize("name", FUZZERS)
@@ -31,7 +32,18 @@ def test_a_case_follows_from_seed_and_number_and_survives_a_file(name):
 @pytest.mark.parametrize("name", ["controller", "references", "yaml"])
 def test_a_few_cases_of_the_quick_ones(name, tmp_path):
     found = runner.run(Order(name, seed=20, first=0, count=12, seconds=120.0), tmp_path)
-    assert found == (12, [])
+    assert (found.cases, found.lines) == (12, [])
+
+
+def test_steps_of_all_models_and_features_keep_what_is_promised(tmp_path):
+    """The long form of it is `.ci/long properties`."""
+    ran = runner.run(Order("controller", seed=36, first=0, count=130, seconds=300.0), tmp_path)
+    assert (ran.cases, ran.lines) == (130, [])
+    assert ran.steps > 5000
+    drawn = [draw(FUZZERS["controller"], 36, index) for index in range(130)]
+    assert {case["config"] for case in drawn} == set(CONFIGS)
+    assert all(any(extra.items() <= case["overrides"].items() for case in drawn) for extra in EXTRAS)
+    assert {"bound", "see", "tick", "again"} <= {event[0] for case in drawn for event in case["events"]}
 
 
 class Planted:
@@ -102,12 +114,12 @@ def test_a_process_that_dies_is_a_finding_and_the_next_case_follows(tmp_path, mo
         pid_of_child.append(pid)
         _, status = os.waitpid(pid, 0)
         begun = max(json.loads(line)["begun"] for line in (tmp_path / "report").read_text().splitlines())
-        return begun, [], f"process killed by {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else ""
+        return Ran(begun), f"process killed by {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else ""
 
     monkeypatch.setattr(runner, "_in_process", child)
-    done, lines = runner.run(Order("planted", 1, 0, 3, 60.0), tmp_path)
-    assert done == len(lines) == len(pid_of_child) == 3
-    assert all("killed by 9" in line for line in lines)
+    ran = runner.run(Order("planted", 1, 0, 3, 60.0), tmp_path)
+    assert ran.cases == len(ran.lines) == len(pid_of_child) == 3
+    assert all("killed by 9" in line for line in ran.lines)
 
 
 def test_configurations_are_drawn_from_the_whole_schema():

@@ -203,6 +203,17 @@ def test_nothing_is_learned_from_a_robot_that_is_held_or_sensors_that_are_accuse
     assert np.isnan(learner(**said).value).all()
 
 
+@pytest.mark.parametrize("sent", [(1e300, -1e300), (np.inf, 0.0), (np.nan, 0.0)])
+def test_a_base_that_reports_what_no_robot_gets_teaches_nothing_and_overflows_nothing(sent):
+    """Warnings are errors here."""
+
+    def spoil(k, m):
+        return replace(m, sent=sent) if k % 50 == 40 else m
+
+    plain, spoilt = (driven(controller(), change=change)[0] for change in (None, spoil))
+    assert spoilt[-1].dead_time.value == pytest.approx(plain[-1].dead_time.value, abs=0.005)
+
+
 def test_a_pause_is_no_dead_time():
     by = controller()
     driven(by, (0.04, 0.04), seconds=6.0)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverStatus
+from diffdrive_mpc.mpc.step_result import StepResult
 
 DT = 0.0202
 REFERENCE = load_trajectory("circle")
@@ -228,6 +230,25 @@ def test_a_glitch_of_the_clock_costs_one_tick():
     base.advance(glitch.command)
     after = [driver.step(base.time + k * DT, base.measure()) for k in range(2)]
     assert modes(after) == [Mode.TRACKING]
+
+
+@pytest.mark.parametrize(
+    ("ahead", "mode"), [(0.5, "STOPPED"), (1e6, "STOPPED"), (-1.0, "BRAKING"), (np.nan, "BRAKING")]
+)
+def test_a_clock_that_leaps_zeroes_the_command_in_one_tick_and_no_other_fault_of_time_does(ahead, mode):
+    driver, base = controller(), robot()
+    before = drive(driver, base, REFERENCE, 2.0)[0][-1].command
+    assert (np.abs(before) > SLEW).any()
+    after = driver.step(base.time + ahead, base.measure())
+    assert after.mode == mode
+    assert (after.command == (0.0 if mode == "STOPPED" else before - np.clip(before, -SLEW, SLEW))).all()
+
+
+@pytest.mark.parametrize("place", ["docs/failure.md", "docs/safety.md", "Controller.step", "StepResult"])
+def test_all_that_speak_of_it_say_that_a_clock_that_leaps_zeroes_the_command(place):
+    documents = {"Controller.step": Controller.step.__doc__, "StepResult": StepResult.__doc__}
+    text = documents.get(place) or (Path(__file__).parents[2] / place).read_text()
+    assert "a clock that leaps zeroes the command in one tick" in " ".join(text.split()).replace("A clock", "a clock")
 
 
 @pytest.mark.parametrize("resume", [True, False])

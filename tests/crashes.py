@@ -1,0 +1,61 @@
+"""A process that is killed, or finds the disk full, at the n-th thing that it does to the files of a folder."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+CHANGES = ("os.mkdir", "os.rename", "os.rmdir", "os.remove", "os.truncate")
+KILLED, REFUSED = -signal.SIGKILL, 3
+
+
+def crash(act: Callable[[], object], folder: Path, moment: int, *, full: bool) -> int:
+    """Do `act` in another process, killed before the change `moment` of `folder`, or with a full disk from then on.
+
+    Returns 0 where it came to its end first, else KILLED, or REFUSED where it said that there is no space left. On a
+    full disk files can be removed and renamed.
+    """
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            sys.addaudithook(_hook(str(folder), moment, full))
+            code = _outcome(act)
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(status)
+
+
+def _outcome(act: Callable[[], object]) -> int:
+    try:
+        act()
+    except (OSError, ValueError) as error:
+        return REFUSED if "No space left" in str(error) else 1
+    return 0
+
+
+def _hook(folder: str, moment: int, full: bool) -> Callable[[str, Any], None]:
+    changes = 0
+
+    def look(event: str, arguments: Any) -> None:
+        nonlocal changes
+        writes = (
+            event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+        )
+        if not (writes or event in CHANGES) or folder not in str(arguments[0]):
+            return
+        changes += 1
+        if changes < moment:
+            return
+        if not full:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if writes or event == "os.mkdir":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    return look
