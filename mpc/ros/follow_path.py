@@ -181,7 +181,7 @@ class FollowPathServer:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault)
-        # The handle keeps its request as long as its result: a collection of so many objects stops the loop for a second.
+        # The handle keeps its request as long as its result: to collect so many objects stops the loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))
