@@ -27,6 +27,7 @@ setup(
         (SHARE, ["package.xml"]),
         (f"{SHARE}/launch", files("launch")),
         (f"{SHARE}/config", files("config")),
+        (f"{SHARE}/security", files("security")),
     ],
     entry_points={"console_scripts": ["node = diffdrive_mpc.mpc.ros.main:main"]},
 )

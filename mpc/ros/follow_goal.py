@@ -27,6 +27,8 @@ _STANDING = 0.02
 """A slower robot stands [m/s]."""
 _OUTDATED = 0.3
 """Where a moving robot was so long ago is not where a reference should begin [s]."""
+_MOST_OUTDATED = 3
+"""A path that was outdated so often is prepared for a robot that stands."""
 _LONGEST_LAYING = 15.0
 """A path that is not laid after so long is given up, whatever the process beside the loop does [s of the computer]."""
 _ABANDONED = "nobody waits for it any more: its client has ended"
@@ -100,6 +102,7 @@ class FollowGoal:
     laid: Laid | None = field(default=None, repr=False)
     asked_at: float = 0.0
     handed_on: float = 0.0
+    outdated: int = 0
     began: bool = False
     since: float = math.nan
     ending: End | None = None
@@ -256,6 +259,9 @@ class Following:
         loop, farthest = self._loop, self._config().failure.max_position_error
         moving = abs(speed) > _STANDING
         if moving and loop.inbox.now - goal.asked_at > _OUTDATED:
+            goal.outdated += 1
+            if goal.outdated == _MOST_OUTDATED:
+                self._give_up("a newer goal's path takes too long to prepare for a robot that moves")
             self._ask(goal)
             return
         if laid.begins > farthest:

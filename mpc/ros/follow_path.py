@@ -18,6 +18,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -26,6 +27,12 @@ from diffdrive_mpc.mpc.ros.follow_goal import Code, End, FollowGoal, Following, 
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
+_REQUESTS = QoSProfile(depth=500)
+"""So many requests may wait: of the services' default, 10, the middleware drops what arrives while others are read."""
+_RESULTS_AT_ONCE = 4
+"""Results sent in one look: a client has room for 10 that it has not read."""
+_LONG_WORK = 0.005
+"""After work that took longer [s] the thread rests as long: the interpreter runs one thread, and the loop's is due."""
 _RESULT_KEPT = 10
 """How long a result waits for its client [s]."""
 _LOOK = 0.02
@@ -66,6 +73,9 @@ class FollowPathServer:
             self._execute,
             goal_callback=self._judge,
             cancel_callback=self._cancel,
+            goal_service_qos_profile=_REQUESTS,
+            result_service_qos_profile=_REQUESTS,
+            cancel_service_qos_profile=_REQUESTS,
             result_timeout=_RESULT_KEPT,
         )
         # Every client of an action hears its feedback: where nobody does, the client is gone.
@@ -108,7 +118,11 @@ class FollowPathServer:
         left = round(_FAREWELL / _LOOK)
         try:
             while not self._closing or (self._said and left > 0):
+                began = time.thread_time()
                 self._executor.spin_once(timeout_sec=_LOOK)
+                worked = time.thread_time() - began
+                if worked > _LONG_WORK:
+                    time.sleep(worked)
                 left -= self._closing
         except ExternalShutdownException:
             pass
@@ -167,6 +181,8 @@ class FollowPathServer:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault)
+        # The handle keeps its request as long as its result: to collect so many objects stops the loop for a second.
+        request.path = Path()
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))
         self._incoming.append((following, goal))
@@ -176,7 +192,7 @@ class FollowPathServer:
     def _look(self) -> None:
         """Pass on the ends of goals to whoever waits for them."""
         ended = [entry for entry in self._open if entry[0].end is not None]
-        for entry in ended:
+        for entry in ended[:_RESULTS_AT_ONCE]:
             self._open.remove(entry)
             entry[2].set_result(entry[0].end)
 

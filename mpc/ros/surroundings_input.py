@@ -8,7 +8,9 @@ beside the loop, and are in the frame of control.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +19,12 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.free_space import MovingDisc, OccupancyGrid, Surroundings
 from diffdrive_mpc.mpc.free_space.pieces import PreparedGrid, prepared_grid
+from diffdrive_mpc.mpc.free_space.surroundings import check_disc
 from diffdrive_mpc.mpc.ros.conversions import (
     LONGEST_NAME,
     MessageError,
@@ -39,6 +43,8 @@ _OVERHEAD = 1024 + 2 * LONGEST_NAME
 _OBSTACLES_BYTES = 64 * _MOST_DISCS + _OVERHEAD
 _NUMBERS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
 _NEEDED, _MOTION = ("x", "y", "radius"), ("vx", "vy")
+_WARN_EVERY = 5.0
+"""Between two warnings about one topic [s]: bad messages may come at any rate, and diagnostics have the last reason."""
 
 
 class CostmapMessage(NamedTuple):
@@ -71,7 +77,11 @@ def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
     if cells.size != info.width * info.height or not cells.size:
         raise MessageError(f"it has {cells.size} cells and says {info.width} x {info.height}")
     grid = OccupancyGrid(cells.reshape(info.height, info.width), round(info.resolution, 6), planar_pose(info.origin))
-    return CostmapMessage(prepared_grid(grid, settings), message.header.frame_id, nanoseconds(message.header.stamp))
+    prepared = prepared_grid(grid, settings)
+    if len(prepared.boxes) > settings.max_pieces:
+        count, most = len(prepared.boxes), settings.max_pieces
+        raise MessageError(f"its occupied cells make {count} rectangles, free_space.max_pieces is {most}")
+    return CostmapMessage(prepared, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
 def read_obstacles(raw: bytes) -> SeenDiscs:
@@ -79,7 +89,7 @@ def read_obstacles(raw: bytes) -> SeenDiscs:
 
     Raises
     ------
-    MessageError
+    MessageError, SurroundingsError
         With one line that says what is wrong.
     """
     message: PointCloud2 = deserialize_message(raw, PointCloud2)
@@ -108,6 +118,8 @@ def read_obstacles(raw: bytes) -> SeenDiscs:
     discs = np.stack(columns, axis=1)
     if not np.isfinite(discs).all():
         raise MessageError("it holds a number that is not finite")
+    for index, (x, y, radius, vx, vy) in enumerate(discs.tolist()):
+        check_disc(MovingDisc(x, y, radius, vx, vy), f"disc {index}", timed=True)
     return SeenDiscs(discs, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
@@ -125,7 +137,7 @@ class SurroundingsInput:
     aside
         The process that reads messages.
     log
-        Called with each new reason why something was refused.
+        Called with the reason why something was refused, once in some seconds for each topic.
     """
 
     def __init__(
@@ -141,6 +153,7 @@ class SurroundingsInput:
         self.costmap, self.obstacles = TopicWatch("costmap"), TopicWatch("obstacles")
         used = ((self.costmap, settings.use_costmap), (self.obstacles, settings.use_obstacles))
         self.topics = [topic for topic, uses in used if uses]
+        self._warned: dict[str, float] = {}
         self.restart()
 
     def restart(self) -> None:
@@ -148,6 +161,7 @@ class SurroundingsInput:
         self._grid: PreparedGrid | None = None
         self._discs: FloatArray = np.zeros((0, 5))
         self._stamps: dict[str, float] = {}
+        self._keep()
         for watch in self.topics:
             watch.restart()
         if self.topics:
@@ -206,6 +220,7 @@ class SurroundingsInput:
     def _tell(self, watch: TopicWatch) -> None:
         """Let the controller see everything, as it was when the older of the two was."""
         if len(self._stamps) < len(self.topics):
+            self._keep()
             return
         oldest = min(self._stamps.values())
         since = self._stamps.get(self.obstacles.name, oldest) - oldest
@@ -214,9 +229,17 @@ class SurroundingsInput:
             self._controller.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
             self._refuse(watch, str(error))
+            # What cannot be used together must not spoil the messages to come.
+            self._grid, self._discs, self._stamps = self._kept[0], self._kept[1], dict(self._kept[2])
+        else:
+            self._keep()
+
+    def _keep(self) -> None:
+        self._kept = self._grid, self._discs, dict(self._stamps)
 
     def _refuse(self, watch: TopicWatch, reason: str) -> None:
-        before = watch.reason
-        watch.refuse(reason)
-        if watch.reason != before:
+        watch.refuse(plain_line(reason))
+        now = monotonic()
+        if now - self._warned.get(watch.name, -math.inf) >= _WARN_EVERY:
+            self._warned[watch.name] = now
             self._log(watch.reason)

@@ -1,6 +1,7 @@
 """A client of follow_path as a process of its own: commands come in as lines of JSON, and what it hears goes out so.
 
-In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}.
+In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}. With "times" and "rate"
+[Hz] the same goal is sent so often, as "id 0", "id 1", ...
 Out: {"id": .., "event": .., ..}.
 """
 
@@ -15,6 +16,7 @@ from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import FollowPath
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
 
 
 def say(**what):
@@ -26,9 +28,14 @@ class Client:
     def __init__(self):
         rclpy.init(args=[])
         self.node = rclpy.create_node("planner_of_the_test")
-        self.action = ActionClient(self.node, FollowPath, "follow_path")
+        # A client on a busy computer is late, too, and would lose what exceeds the default of services, 10.
+        room = QoSProfile(depth=1000)
+        self.action = ActionClient(
+            self.node, FollowPath, "follow_path", goal_service_qos_profile=room, result_service_qos_profile=room
+        )
         self.handles = {}
         self.lines = []
+        self.due = []
         self.ended = False
         threading.Thread(target=self.read, daemon=True).start()
 
@@ -46,7 +53,11 @@ class Client:
         while not self.ended:
             while self.lines:
                 self.act(self.lines.pop(0))
-            executor.spin_once(timeout_sec=0.01)
+            if self.due and self.due[0][0] <= time.monotonic():
+                self.submit(*self.due.pop(0)[1:])
+            # Each goal is answered by several messages.
+            for _ in range(5):
+                executor.spin_once(timeout_sec=0.002)
 
     def act(self, line):
         if "cancel" in line:
@@ -61,6 +72,13 @@ class Client:
             pose.pose.position.x, pose.pose.position.y = float(x), float(y)
             pose.pose.orientation.z, pose.pose.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
             goal.path.poses.append(pose)
+        if "times" in line:
+            now, period = time.monotonic(), 1.0 / line["rate"]
+            self.due = [(now + i * period, f"{name} {i}", goal) for i in range(line["times"])]
+        else:
+            self.submit(name, goal)
+
+    def submit(self, name, goal):
         sent = self.action.send_goal_async(goal, feedback_callback=lambda told: self.told(name, told.feedback))
         sent.add_done_callback(lambda future: self.answered(name, future.result()))
 

@@ -131,6 +131,26 @@ def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
     assert slow.end.code is Code.CONTROLLER_TIMED_OUT
 
 
+def test_a_path_that_takes_too_long_for_a_robot_that_moves_is_begun_when_it_stands(made):
+    loop, beside, following = made
+    following.take(old := FollowGoal(STRAIGHT, "odom"))
+    beside.answer()
+    loop.whereabouts = lambda: (np.zeros(3), (0.3, 0.0))
+    following.take(slow := FollowGoal(STRAIGHT, "odom"))
+    for _ in range(follow_goal._MOST_OUTDATED):
+        assert loop.told == ["follow"]
+        loop.inbox.now += 1.0
+        beside.answer()
+    assert loop.told == ["follow", "brake"] and slow.end is None
+    loop.whereabouts = lambda: (np.zeros(3), (0.0, 0.0))
+    following.after(standing())
+    loop.inbox.now += 1.0
+    beside.answer()
+    beside.answer()
+    assert loop.told == ["follow", "brake", "release", "follow"] and slow.laid is not None
+    assert "too long to prepare" in old.end.words
+
+
 def test_a_fault_of_the_loop_ends_the_goal(made):
     _, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")

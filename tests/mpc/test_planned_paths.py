@@ -1,6 +1,7 @@
 """A planner's path as a reference: close to the planned line, within the limits, stopping where it has to."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -214,6 +215,14 @@ def test_what_is_no_path_is_refused_in_one_line(poses, words):
     with pytest.raises(ConfigError, match=words) as refused:
         laid(np.array(poses).reshape(-1, 3))
     assert "\n" not in str(refused.value)
+
+
+def test_a_long_zigzag_is_refused_soon():
+    steps = np.arange(10_000)
+    began = time.process_time()
+    with pytest.raises(ConfigError, match="turns back 9998 times"):
+        laid(np.column_stack([0.05 * steps, 0.2 * (steps % 2), 0.0 * steps]))
+    assert time.process_time() - began < 3.0
 
 
 def test_a_wild_path_is_refused():

@@ -101,6 +101,41 @@ def test_a_cancelled_goal_is_braked_at_the_braking_limits(parts):
         assert np.hypot(*(pose(follow) - stands)[:2]) < 5e-3
 
 
+ZIGZAG = np.column_stack([0.05 * np.arange(3000), 0.05 * np.abs(np.arange(3000) / 5 % 2 - 1) - 0.05, np.zeros(3000)])
+
+
+@pytest.mark.parametrize(
+    ("goals", "path"),
+    [
+        (40, np.repeat(3.0 * STRAIGHT, 25, axis=0)),
+        pytest.param(300, np.repeat(3.0 * STRAIGHT, 5, axis=0), marks=pytest.mark.long),
+        pytest.param(300, ZIGZAG, marks=pytest.mark.long),
+    ],
+    ids=["1000 poses", "200 poses", "zigzag"],
+)
+def test_every_goal_of_a_hundred_a_second_gets_one_answer_and_one_result(parts, goals, path):
+    """Goals of many poses come faster than they can be read, and only the last is driven to its end."""
+    with parts.following() as follow:
+        follow.client.send("a", path, times=goals, rate=100.0)
+        names = [f"a {number}" for number in range(goals)]
+
+        def open_goals():
+            ended = {event["id"] for event in list(follow.client.events) if event["event"] == "result"}
+            return [name for name in names if name not in ended]
+
+        follow.until(lambda: open_goals() in ([], names[-1:]), "all results but the last", most=30 * goals)
+        if open_goals():
+            follow.client.tell(cancel=names[-1])
+        follow.ended(names[-1])
+        for name in names:
+            (answer, *others), (result, *more) = (follow.client.of(name, event) for event in ("accepted", "result"))
+            assert answer and not (others or more) and (result["status"] == parts.ABORTED or name == names[-1])
+        words = {follow.client.result(name)["words"] for name in names}
+        newer = {"a newer goal took its place before it began", "a newer goal took over"}
+        assert words <= {*newer, "cancelled", ""}
+        assert not np.any(follow.base.commands[-1])
+
+
 @pytest.mark.parametrize("how", ["terminate", pytest.param("kill", marks=pytest.mark.long)])
 def test_a_goal_whose_client_has_ended_is_braked(parts, how):
     """One that is killed says nothing: the middleware forgets it after its lease."""

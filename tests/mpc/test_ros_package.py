@@ -1,7 +1,9 @@
 """The files of the colcon package fit the code that they start."""
 
 import inspect
+import os
 import re
+import subprocess
 import sys
 import tomllib
 import types
@@ -14,11 +16,16 @@ import rclpy
 import yaml
 from rclpy.context import Context
 from ros_parts import stack
+from rosgraph_msgs.msg import Clock
 
 from diffdrive_mpc.app.commands.ros import monitor
-from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED, MonitorSettings
+from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED, MonitorNode, MonitorSettings
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.ros.pace import WallClock
+from diffdrive_mpc.sim.ros.run_robot import NODE_NAME
+from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase, load_base_settings
 from imports import imported
 
 ROOT = Path(__file__).parents[2]
@@ -68,7 +75,8 @@ def test_what_setup_installs_is_there(monkeypatch):
     installed = {name for _, names in calls["data_files"] for name in names}
     assert all((ROS / name).is_file() for name in installed)
     launched = {f"launch/{name}.launch.py" for name in ("node", "simulated", "monitored")}
-    expected = launched | {"config/node.yaml", "config/tracking.rviz"}
+    secure = {f"security/{name}" for name in ("common.xml", "make_keys.sh", "node.xml", "policy.xml")}
+    expected = launched | secure | {"config/node.yaml", "config/tracking.rviz"}
     assert expected | {"package.xml", f"resource/{NAME}"} == installed
     entry = calls["entry_points"]["console_scripts"][0]
     name, module, function = re.fullmatch(r"(\w+) = ([\w.]+):(\w+)", entry).groups()
@@ -157,3 +165,114 @@ def test_the_monitor_alone_commands_the_base(monkeypatch):
     texts = ["".join(part for part in parts if isinstance(part, str)) for parts in made]
     assert texts == ["'use_sim_time:=' + ''", "'use_pose_topic:=' + ''"]
     assert "use_pose_topic" in MonitorSettings.model_fields
+
+
+# Access control: what the policy allows is what the nodes have, no less and no more.
+
+
+SECURITY = ROS / "security"
+XI = "{http://www.w3.org/2001/XInclude}include"
+RULES = {"topics": {"publish", "subscribe"}, "services": {"reply"}, "actions": {"execute"}}
+KINDS = {"publish": "publisher", "subscribe": "subscriber", "reply": "service"}
+
+
+def included(element):
+    """The children of an element, with those of other files in the place of their inclusion."""
+    for child in element:
+        if child.tag == XI:
+            root = ElementTree.parse(SECURITY / child.get("href")).getroot()
+            assert child.get("xpointer") == f"xpointer(/{root.tag}/*)"
+            yield from included(root)
+        else:
+            yield child
+
+
+def allowed(enclave):
+    """What an enclave of the policy allows: pairs of a rule and a full name."""
+    root = ElementTree.parse(SECURITY / "policy.xml").getroot()
+    assert (root.tag, root.get("version")) == ("policy", "0.2.0")
+    (profiles,) = root.find(f"enclaves/enclave[@path='/diffdrive_mpc/{enclave}']")
+    pairs = set()
+    for profile in included(profiles):
+        assert (profile.tag, profile.get("ns")) == ("profile", "/")
+        for rules in included(profile):
+            assert set(rules.attrib) <= RULES[rules.tag] and set(rules.attrib.values()) == {"ALLOW"}
+            for entry in rules:
+                assert entry.tag == rules.tag[:-1]
+                name = re.sub("^~", profile.get("node"), entry.text)
+                pairs |= {(rule, f"/{name}") for rule in rules.attrib}
+    return pairs
+
+
+def had(node, name=None):
+    """The same of a running node, whose names of actions are those of the topics and services they are made of."""
+    found = set()
+    for rule, kind in KINDS.items():
+        listed = getattr(node, f"get_{kind}_names_and_types_by_node")(name or node.get_name(), "/")
+        found |= {(rule, each) for each, _ in listed}
+    action = re.compile(r"(.*)/_action/")
+    return {("execute", action.match(each)[1]) if "/_action/" in each else (rule, each) for rule, each in found}
+
+
+def test_the_policy_allows_the_node_what_it_has_and_nothing_else(ros_types):
+    parameters = {"use_costmap": True, "use_obstacles": True, "use_battery": True, "pose_source": "tf"}
+    with stack({"free_space.enabled": True}, **parameters) as s:
+        found = had(s.node) | had(s.node, "diffdrive_mpc_follow_path")
+    # Instead of transforms, with use_pose_topic.
+    found.add(("subscribe", "/pose"))
+    assert allowed("node") == found
+    commands = {(rule, name) for rule, name in found if name.startswith(f"/{CHECKED}")}
+    assert len(commands) == 2
+    unchecked = {(rule, name.replace(CHECKED, UNCHECKED)) for rule, name in commands}
+    assert allowed("monitored_node") == found - commands | unchecked
+
+
+def test_without_the_types_that_have_no_wheel_the_node_has_nothing_that_the_policy_does_not_allow():
+    parameters = {"use_costmap": True, "use_obstacles": True, "use_battery": True, "pose_topic": True}
+    with stack({"free_space.enabled": True}, **parameters) as s:
+        found = had(s.node)
+        assert len(found) > 40 and found <= allowed("node")
+
+
+@pytest.mark.parametrize("enclave", ["monitor", "robot"])
+def test_the_policy_allows_monitor_and_robot_what_they_have(enclave):
+    context = Context()
+    rclpy.init(context=context, args=["--ros-args", "-p", "use_sim_time:=true"])
+    try:
+        if enclave == "monitor":
+            node = MonitorNode(MonitorSettings(use_pose_topic=True), context=context)
+        else:
+            node = rclpy.create_node(NODE_NAME, context=context)
+            settings, plant = load_base_settings(), make_plant("model:ssm", surface="ideal", sensors="perfect")
+            SimulatedBase(node, plant, (0, 0, 0), settings, pose_memory=0, clock=WallClock(), record=print)
+            node.create_publisher(Clock, "/clock", 1)
+        assert allowed(enclave) == had(node)
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+
+
+def test_keys_are_made_outside_of_a_repository_only(tmp_path):
+    calls, tool = tmp_path / "calls", tmp_path / "bin" / "ros2"
+    tool.parent.mkdir()
+    tool.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n')
+    tool.chmod(0o755)
+
+    def make(*words, path=f"{tool.parent}:{os.environ['PATH']}"):
+        command = ["sh", str(SECURITY / "make_keys.sh"), *map(str, words)]
+        return subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": path})
+
+    (tmp_path / "clone" / ".git").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "clone")
+    for store in ("clone", "clone/new/keys", "link/keys", "none/../clone/keys"):
+        refused = make(tmp_path / store)
+        assert refused.returncode == 1 and "inside the git work tree" in refused.stderr, store
+    assert make().returncode == 2 and not calls.exists()
+    assert make(tmp_path / "keys", "mine.xml").returncode == 0
+    made = f"security generate_artifacts -k {tmp_path / 'keys'} -p {SECURITY / 'policy.xml'} mine.xml"
+    assert calls.read_text().splitlines() == ["security --help", made]
+    without = make(tmp_path / "keys", path="/usr/bin:/bin")
+    assert (without.returncode, without.stderr.count("\n")) == (
+        1,
+        1,
+    ) and "'ros2 security' is not there" in without.stderr

@@ -1,5 +1,10 @@
 """A costmap and moving things by topics, over DDS."""
 
+import math
+import re
+import time
+from array import array
+
 import numpy as np
 import pytest
 from ros_parts import stack
@@ -14,6 +19,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
+from diffdrive_mpc.mpc.free_space.surroundings import SurroundingsError
 from diffdrive_mpc.mpc.ros.conversions import MessageError, time_message
 from diffdrive_mpc.mpc.ros.surroundings_input import read_costmap, read_obstacles
 
@@ -31,7 +37,7 @@ def costmap(now, wall=None):
     if wall is not None:
         column = int((wall + 3.0) / 0.05)
         cells[:, column : column + 4] = 100
-    message.data = cells.ravel().tolist()
+    message.data = array("b", cells.tobytes())
     return message
 
 
@@ -59,25 +65,151 @@ def test_points_are_read_as_discs():
     assert read_obstacles(serialize_message(cloud(7, []))).discs.shape == (0, 5)
 
 
-def test_bad_points_are_refused_with_a_reason():
-    for message, reason in (
-        (cloud(0, [[0.0, 0.0]], ("x", "y")), "no field radius"),
-        (cloud(0, [[np.nan, 0.0, 0.2, 0.0, 0.0]]), "not finite"),
-        (cloud(0, np.zeros((501, 5))), "501 points"),
-    ):
-        with pytest.raises(MessageError, match=reason):
-            read_obstacles(serialize_message(message))
-    short = cloud(0, [[0.0, 0.0, 0.2, 0.0, 0.0]])
-    short.data = bytes(short.data)[:-1]
-    with pytest.raises(MessageError, match="length"):
-        read_obstacles(serialize_message(short))
+def change(**values):
+    """Sets fields of a message, those of fields by names with `__`; the rest stays honest."""
+
+    def apply(message):
+        for name, value in values.items():
+            *path, last = name.split("__")
+            part = message
+            for step in path:
+                part = getattr(part, step)
+            setattr(part, last, value)
+        return message
+
+    return apply
 
 
-def test_a_costmap_of_another_size_than_it_says_is_refused():
-    message = costmap(0)
-    message.info.width = 100
-    with pytest.raises(MessageError, match="says 100 x 120"):
-        read_costmap(serialize_message(message), FreeSpace())
+def cells_of(values):
+    return change(data=array("b", np.resize(np.array(values, dtype=np.int8), 120 * 120).tobytes()))
+
+
+def field(index, **values):
+    def apply(message):
+        change(**values)(message.fields[index])
+        return message
+
+    return apply
+
+
+BAD_GRIDS = {
+    "narrower": (change(info__width=100), "says 100 x 120"),
+    "none": (change(info__width=0), "says 0 x 120"),
+    "lying": (change(info__width=2**32 - 1, info__height=2**32 - 1), "says 4294967295 x 4294967295"),
+    "empty": (change(info__width=0, info__height=0, data=[]), "0 cells"),
+    "large": (
+        change(info__width=600, info__height=500, data=array("b", bytes(300_000))),
+        "cells, at most 250,000|300[0-9]+ bytes",
+    ),
+    "origin NaN": (change(info__origin__position__x=math.nan), "not finite"),
+    "origin infinite": (change(info__origin__position__y=-math.inf), "not finite"),
+    "origin far": (change(info__origin__position__x=1e300), "m away"),
+    "no orientation": (change(info__origin__orientation__w=0.0), "no unit quaternion"),
+    "resolution 0": (change(info__resolution=0.0), "resolution 0.0 m"),
+    "resolution negative": (change(info__resolution=-0.05), "resolution -0.05 m"),
+    "resolution NaN": (change(info__resolution=math.nan), "resolution nan m"),
+    "resolution infinite": (change(info__resolution=math.inf), "resolution inf m"),
+    "resolution huge": (change(info__resolution=1e30), "resolution 1"),
+    "resolution tiny": (change(info__resolution=1e-30), "resolution 0.0 m"),
+    "cells": (cells_of([-128]), "cells from -128"),
+    "pieces": (cells_of([*[100, 0] * 60, *[0] * 120]), "rectangles|pieces"),
+    "frame": (change(header__frame_id="moon"), "frame_id is 'moon'"),
+    "no frame": (change(header__frame_id=""), "frame_id is ''"),
+    "words": (change(header__frame_id="od\x1b[31m\nom"), "frame_id is"),
+    "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
+    "past": (change(header__stamp__sec=-(2**31)), "before the last"),
+}
+BAD_CLOUDS = {
+    "no radius": (field(2, name="size"), "no field radius"),
+    "no fields": (change(fields=[]), "no field x"),
+    "many": (change(width=501), "501 points"),
+    "lying": (change(width=2**32 - 1, height=2**32 - 1), "points; give 500"),
+    "none": (change(width=0), "length"),
+    "short": (change(data=bytes(39)), "length"),
+    "step 0": (change(point_step=0), "length"),
+    "step huge": (change(point_step=2**32 - 1), "length"),
+    "big-endian": (change(is_bigendian=True), "big-endian"),
+    "offset": (field(0, offset=2**32 - 1), "inside a point"),
+    "count": (field(0, count=1000), "inside a point"),
+    "kind": (field(0, datatype=0), "inside a point"),
+    "NaN": (change(data=np.full(5, math.nan).tobytes()), "not finite"),
+    "infinite": (change(data=np.array([1.0, 0, math.inf, 0, 0]).tobytes()), "not finite"),
+    "far": (change(data=np.array([1e9, 0, 1, 0, 0.0]).tobytes()), "m away"),
+    "negative radius": (change(data=np.array([5, 5, -1, 0, 0.0]).tobytes()), "radius -1 m"),
+    "huge radius": (change(data=np.array([5, 5, 1e6, 0, 0.0]).tobytes()), r"radius 1e\+06 m"),
+    "fast": (change(data=np.array([5, 5, 0.1, 1e5, 0.0]).tobytes()), "is faster than"),
+    "large": (change(data=bytes(100_000), width=2500), "bytes|2500 points"),
+    "frame": (change(header__frame_id="moon"), "frame_id is 'moon'"),
+    "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
+    "past": (change(header__stamp__sec=-(2**31)), "before the last"),
+}
+OF_THE_NODE = {"frame", "no frame", "words", "future", "past"}
+"""Whether a message is of here and now is not known where it is read."""
+POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize("name", sorted(BAD_GRIDS.keys() - OF_THE_NODE))
+def test_a_bad_costmap_is_refused_in_one_line(name):
+    spoil, words = BAD_GRIDS[name]
+    with pytest.raises((MessageError, SurroundingsError), match=words) as refused:
+        read_costmap(serialize_message(spoil(costmap(0))), FreeSpace())
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", sorted(BAD_CLOUDS.keys() - OF_THE_NODE))
+def test_bad_points_are_refused_in_one_line(name):
+    spoil, words = BAD_CLOUDS[name]
+    with pytest.raises((MessageError, SurroundingsError), match=words) as refused:
+        read_obstacles(serialize_message(spoil(cloud(0, POINT))))
+    assert "\n" not in str(refused.value)
+
+
+def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the_robot(capfd):
+    """At 20 Hz on both topics, while the robot drives: no exception, a command for each tick, few warnings."""
+    with stack(SEEING, trajectory="s", drive=True, use_costmap=True, use_obstacles=True) as s:
+        base, seen = s.base, s.node._surroundings
+        topics = (
+            (seen.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
+            (seen.obstacles, s.publisher(PointCloud2, "obstacles"), lambda now: cloud(now, POINT), BAD_CLOUDS),
+        )
+        heard = {watch.name: set() for watch, *_ in topics}
+        turns = {watch.name: list(bad.values()) for watch, _, _, bad in topics}
+
+        def send(publisher, message, watch, count):
+            before = getattr(watch, count)
+            publisher.publish(message)
+            base.until(lambda: getattr(watch, count) > before, f"{watch.name} {count}")
+
+        def drive(ticks, *, honest):
+            """Bad ones each second or third tick, honest ones each tenth."""
+            for tick in range(ticks):
+                for watch, publisher, message, _ in topics:
+                    if honest and tick % 10 == 0:
+                        send(publisher, message(base.now), watch, "accepted")
+                    if tick % 5 in (1, 3):
+                        spoil, words = turns[watch.name][0]
+                        turns[watch.name] = turns[watch.name][1:] + turns[watch.name][:1]
+                        send(publisher, spoil(message(base.now)), watch, "refused")
+                        assert re.search(words, watch.last_refusal), (words, watch.last_refusal)
+                        heard[watch.name].add(words)
+                base.step()
+            return s.loop.last
+
+        began = time.monotonic()
+        assert drive(80, honest=True).mode == Mode.TRACKING
+        assert base.commands[-1][0] > 0.1
+        assert {name: len(words) for name, words in heard.items()} == {
+            watch.name: len({words for _, words in bad.values()}) for watch, _, _, bad in topics
+        }
+        most = 1 + (time.monotonic() - began) / 5.0
+        said = capfd.readouterr().err
+        for watch, *_ in topics:
+            assert 1 <= said.count(f"{watch.name} refused") <= most
+        assert "Traceback" not in said and "\x1b" not in said.replace("\x1b[0m", "").replace("\x1b[33m", "")
+        # Nothing honest any more.
+        last = drive(45, honest=False)
+        assert last.mode == Mode.STOPPED and "the surroundings are" in last.message
+        assert drive(60, honest=True).mode == Mode.TRACKING
 
 
 def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wall():

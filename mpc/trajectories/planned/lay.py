@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -141,9 +142,13 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
     sharpness = np.hypot(*before.T) * np.hypot(*after.T)
     cuts: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
-        if all(abs(along[inside[i]] - along[cut]) > reach for cut in cuts):
-            cuts.append(int(inside[i]))
-    edges = [0, *sorted(cuts), len(run.points) - 1]
+        cut = int(inside[i])
+        index = bisect(cuts, cut)
+        # Only its neighbours can be too near.
+        near = cuts[max(0, index - 1) : index + 1]
+        if all(abs(along[cut] - along[other]) > reach for other in near):
+            cuts.insert(index, cut)
+    edges = [0, *cuts, len(run.points) - 1]
     last = len(edges) - 2
     return [
         DirectedPart(
