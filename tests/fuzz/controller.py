@@ -297,6 +297,8 @@ class Life:
         self.steps += 1
         if most and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > most:
             raise FaultError(f"iterations: {result.solver.iterations} of at most {most}")
+        if result.solver.operations > self.controller.operations_bound:
+            raise FaultError(f"operations: {result.solver.operations} of {self.controller.operations_bound} at most")
         check_step(result, self.controller.config, self.last, held=self.hold_now is not None)
         self.last = np.array(result.command)
 
