@@ -227,6 +227,13 @@ def test_the_policy_allows_the_node_what_it_has_and_nothing_else(ros_types):
     assert allowed("monitored_node") == found - commands | unchecked
 
 
+def test_without_the_types_that_have_no_wheel_the_node_has_nothing_that_the_policy_does_not_allow():
+    parameters = {"use_costmap": True, "use_obstacles": True, "use_battery": True, "pose_topic": True}
+    with stack({"free_space.enabled": True}, **parameters) as s:
+        found = had(s.node)
+        assert len(found) > 30 and found <= allowed("node")
+
+
 @pytest.mark.parametrize("enclave", ["monitor", "robot"])
 def test_the_policy_allows_monitor_and_robot_what_they_have(enclave):
     context = Context()
