@@ -52,8 +52,15 @@ static void brake_on(const ddmpc_constants *k, real command[2])
     }
 }
 
-/* Samples of braking that are looked at, however fast the command of somebody else was: a tick has to end. */
+/* Samples of braking that are looked at, or those from the end of the range: a tick has to end, however fast the command of
+ * somebody else was. */
 #define MOST_RAMP R(1000.0)
+
+/* Samples in which braking takes a command to zero. */
+static real ramps_of(const ddmpc_constants *k, const real command[2])
+{
+    return ddmpc_max(ddmpc_fabs(command[0]) / k->braking[0], ddmpc_fabs(command[1]) / k->braking[1]);
+}
 
 /* How far outside the way to rest leads at most, where this tick's command is the last one once more [m]. */
 static real stops_beyond(const ddmpc_controller *c)
@@ -63,8 +70,8 @@ static real stops_beyond(const ddmpc_controller *c)
     real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], y[2];
     real *here = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
     real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
-    const real ramps = ddmpc_max(ddmpc_fabs(c->last[0]) / k->braking[0], ddmpc_fabs(c->last[1]) / k->braking[1]);
-    const int longest = (int)ddmpc_min(ramps, MOST_RAMP) + window + (int)(k->fence_rolls_on / k->sample_time);
+    const real ramps = ddmpc_min(ramps_of(k, c->last), ddmpc_max(ramps_of(k, k->largest_command), MOST_RAMP));
+    const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
     memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)Z);
     real command[2] = {c->last[0], c->last[1]};

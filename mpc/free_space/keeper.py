@@ -33,7 +33,8 @@ _NEAR = 0.5
 _PLAY, _LEAST_SHARE = 0.004, 0.5
 # Longer than this after its last command no robot rolls on [s].
 _ROLLS_ON = 0.6
-# Samples of braking that are looked at, however fast the command of somebody else was: a tick has to end.
+# Samples of braking that are looked at, or those from the end of the range: a tick has to end, however fast the command
+# of somebody else was.
 _MOST_RAMP = 1000
 # Slower than this a disc stands: it is gone round, not waited for [m/s].
 _STANDS = 0.05
@@ -340,7 +341,8 @@ class FreeSpaceKeeper:
         """Poses (k + 1, 3) and twists (k + 1, 2) where `command` is sent now, and from the next tick on it brakes."""
         limits, dt = self._config.limits, self._config.sample_time
         step = np.array([limits.v_braking, limits.omega_braking]) * dt
-        ramps = int(min(np.ceil((np.abs(command) / step).max()), _MOST_RAMP))
+        from_range = np.ceil((np.array([limits.v, limits.omega]) / step).max())
+        ramps = int(min(np.ceil((np.abs(command) / step).max()), max(from_range, _MOST_RAMP)))
         count = 1 + ramps + self._tick.window + int(_ROLLS_ON / dt)
         less = np.arange(count)[:, None] * step
         commands = np.sign(command) * np.maximum(np.abs(command) - less, 0.0)
