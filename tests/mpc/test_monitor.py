@@ -258,6 +258,22 @@ def test_poses_noisier_than_stated_count_for_less():
     assert deviations[True] > 1.2 * deviations[False]
 
 
+@pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
+def test_what_was_known_from_noisy_poses_is_known_less_at_once(scale):
+    """Of position or heading alone, whichever scatters."""
+    rng = np.random.default_rng(0)
+
+    def noisy(k, m):
+        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * scale))
+
+    results, _ = run(noisy, seconds=0.5)
+    at = next(k for k, result in enumerate(results) if "poses scatter" in result.message)
+    rises = results[at].estimate.pose_deviation / results[at - 1].estimate.pose_deviation
+    is_noisy = np.array(scale) > 0
+    assert (rises[is_noisy] > 1.8).all()
+    assert (rises[~is_noisy] < 1.1).all()
+
+
 def test_poses_later_than_stamped_are_told_and_not_accused():
     late = []
 
