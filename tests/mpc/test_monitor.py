@@ -1,5 +1,6 @@
 """Sensors that contradict each other: who is found, who is let off, and what the robot does about it."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -216,6 +217,16 @@ def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
     assert apart.max() < 0.05
 
 
+@pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
+def test_zeros_against_the_commands_fool_the_estimate_for_less_than_a_fifth_of_a_second(field, name, channel):
+    """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""
+    results, _ = run(spoilt(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
+    twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
+    assert (np.abs(twists[:5]) < 0.1).all()
+    assert (twists[10:] > 0.3).all()
+    assert first(results, name) > 10 * DT
+
+
 @pytest.mark.parametrize("robot", [IdealRobot, HeldRobot, SpinningRobot, PushedRobot])
 @pytest.mark.parametrize("trajectory", ["circle", "cane", "square"])
 def test_what_happens_to_the_robot_is_no_fault_of_a_sensor(robot, trajectory):
@@ -257,6 +268,19 @@ def test_poses_noisier_than_stated_count_for_less():
         messages = messages or results[-1].message
     assert "poses scatter" in messages
     assert deviations[True] > 1.2 * deviations[False]
+
+
+@pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.0312]], ids=["position", "heading"])
+def test_poses_are_told_to_scatter_as_far_as_they_do(scale):
+    """Noise of six stated deviations beside the stated one: the root of 37 times as far, on average."""
+    rng = np.random.default_rng(0)
+
+    def noisy(k, m):
+        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * scale))
+
+    results, _ = run(noisy)
+    factors = [re.search(r"scatter ([\d.]+) times", result.message)[1] for result in results[100:]]
+    assert np.sqrt(np.mean(np.square(np.array(factors, dtype=float)))) == pytest.approx(np.sqrt(37.0), rel=0.1)
 
 
 @pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
@@ -337,7 +361,8 @@ def test_neither_a_side_nor_a_direction_is_preferred(fault):
                            wheel_twist=replace(m.wheel_twist, value=m.wheel_twist.value * side),
                            yaw_rate=replace(m.yaw_rate, value=-m.yaw_rate.value))  # fmt: skip
         place = motion + [cosine * x - sine * y, sine * x + cosine * y, theta]
-        steps.append((mirror.step(k * DT, mirrored), turned.step(k * DT, replace(m, pose=replace(m.pose, value=place)))))
+        moved = replace(m, pose=replace(m.pose, value=place))
+        steps.append((mirror.step(k * DT, mirrored), turned.step(k * DT, moved)))
         return m
 
     steps = []
