@@ -160,6 +160,7 @@ class Tree:
                 (self._tree / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, self._tree / name, follow_symlinks=False)
         self._times: dict[str, float] = {}
+        self._codes: dict[str, object] = {}
         self._sources.mkdir()
         compiler = self._sources / "cc"
         compiler.write_text(COMPILER.format(cc=shutil.which("cc"), folder=self._sources), encoding="utf-8")
@@ -176,8 +177,9 @@ class Tree:
     def changes_code(self, mutant: Mutant) -> bool:
         """Whether a mutant compiles, and to other code than the original."""
         compiled = _python_code if mutant.path.endswith(".py") else self._machine_code
-        changed = compiled(mutant.text, mutant.path)
-        return changed is not None and changed != compiled(mutant.original, mutant.path)
+        if mutant.path not in self._codes:
+            self._codes[mutant.path] = compiled(mutant.original, mutant.path)
+        return compiled(mutant.text, mutant.path) not in (None, self._codes[mutant.path])
 
     def text(self, path: str) -> str:
         """Text of a file."""
