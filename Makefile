@@ -21,7 +21,7 @@ TUNE ?=
 # What is fuzzed: make fuzz FUZZ="long --seed 7", FUZZ="controller --seed 1 --only 12", FUZZ="live --seconds 600"
 FUZZ ?= short
 GOALS ?=
-# Which mutants are tried: make mutants MUTANTS="--seed 7 --count 40 --only mpc/core/*.c --jobs 2"
+# Which mutants are tried: make mutants MUTANTS="--seed 7 --count 40 --only mpc/core/*.c"
 MUTANTS ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=

@@ -18,22 +18,21 @@ import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from itertools import accumulate, islice
 from pathlib import Path
-from queue import SimpleQueue
 from types import CodeType
 
 import yaml
 
+from diffdrive_mpc.mpc.core.sources import library_texts
+
 ROOT = Path(__file__).parents[1]
 PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-GOAL = 0.9
-"""Share of the mutants drawn, without those explained, that tests have to kill."""
-# Tests of a mutant may take this many times those of the product, and a start [s]; and this much memory [bytes].
-PATIENCE, START, MEMORY = 4.0, 30.0, 8 << 30
+# Share of the mutants drawn, without those explained, that tests have to kill. Tests of one may take this many times those of the product, and a start [s]; and this much memory [bytes].
+GOAL, PATIENCE, START, MEMORY = 0.9, 4.0, 30.0, 8 << 30
 PYTEST = ("-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
 # A field of another type is no mutant, but gcc 12 only warns.
 COMPILE = ("cc", "-std=c99", "-O2", "-w", "-Werror=int-conversion", "-Werror=incompatible-pointer-types", "-I.")
@@ -43,12 +42,6 @@ case " $* " in *" -c "*) ;; *) exec {cc} "$@" ;; esac
 for source; do :; done
 kept={folder}/$( (echo "$*"; {cc} "$@" -E -o -) | sha256sum | cut -c1-64).o
 [ -f "$kept" ] || {{ {cc} "$@" -o "$kept.$$" && mv "$kept.$$" "$kept"; }} && cp "$kept" "${{source%.c}}.o"
-"""
-WRITE_SOURCES = """
-import sys, pathlib
-from diffdrive_mpc.mpc.core.sources import library_texts
-for name, text in library_texts().items():
-    pathlib.Path(sys.argv[1], name).write_text(text)
 """
 
 _STRING = r'[rf]*(?:"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\')|'
@@ -87,16 +80,13 @@ class Mutant:
     @property
     def change(self) -> tuple[str, str, str]:
         """The file, and the line before and after: by these an explained mutant is known."""
-        before, after = (text.splitlines()[self._line].strip() for text in (self.original, self.text))
+        line = self.original.count("\n", 0, self.span[0])
+        before, after = (text.splitlines()[line].strip() for text in (self.original, self.text))
         return self.path, before, after
-
-    @property
-    def _line(self) -> int:
-        return self.original.count("\n", 0, self.span[0])
 
     def __str__(self) -> str:
         _, before, after = self.change
-        return f"{self.path}:{self._line + 1}\n    {before}\n    {after}"
+        return f"{self.path}:{self.original.count(chr(10), 0, self.span[0]) + 1}\n    {before}\n    {after}"
 
 
 def mutants_of(path: str, text: str) -> list[list[Mutant]]:
@@ -162,6 +152,8 @@ class Tree:
         self._times: dict[str, float] = {}
         self._codes: dict[str, object] = {}
         self._sources.mkdir()
+        for name, text in library_texts().items():
+            (self._sources / name).write_text(text, encoding="utf-8")
         compiler = self._sources / "cc"
         compiler.write_text(COMPILER.format(cc=shutil.which("cc"), folder=self._sources), encoding="utf-8")
         compiler.chmod(0o755)
@@ -172,7 +164,6 @@ class Tree:
             # Python compares times of files in whole seconds: two mutants could share compiled code.
             "PYTHONDONTWRITEBYTECODE": "1",
         }
-        self._run_unchanged("-c", WRITE_SOURCES, str(self._sources))
 
     def changes_code(self, mutant: Mutant) -> bool:
         """Whether a mutant compiles, and to other code than the original."""
@@ -180,10 +171,6 @@ class Tree:
         if mutant.path not in self._codes:
             self._codes[mutant.path] = compiled(mutant.original, mutant.path)
         return compiled(mutant.text, mutant.path) not in (None, self._codes[mutant.path])
-
-    def text(self, path: str) -> str:
-        """Text of a file."""
-        return (self._tree / path).read_text(encoding="utf-8")
 
     def _machine_code(self, text: str, path: str) -> bytes | None:
         command = [*COMPILE, f"-I{(self._tree / path).parent}", "-x", "c", "-c", "-", "-o", "out.o"]
@@ -198,7 +185,9 @@ class Tree:
     def _fails(self, stage: str, mutant: Mutant) -> bool:
         if stage not in self._times:
             begin = time.monotonic()
-            self._run_unchanged(*PYTEST, *stage.split())
+            done = self._run(3600.0, *PYTEST, *stage.split())
+            if done.returncode:
+                sys.exit(f"{done.stdout}\nthe unchanged product fails: {stage}")
             self._times[stage] = time.monotonic() - begin
         file = self._tree / mutant.path
         file.write_text(mutant.text, encoding="utf-8")
@@ -206,11 +195,6 @@ class Tree:
             return self._run(PATIENCE * self._times[stage] + START, *PYTEST, *stage.split()).returncode != 0
         finally:
             file.write_text(mutant.original, encoding="utf-8")
-
-    def _run_unchanged(self, *words: str) -> None:
-        done = self._run(3600.0, *words)
-        if done.returncode:
-            sys.exit(f"{done.stdout}\nthe unchanged product fails: python {' '.join(words)}")
 
     def _run(self, seconds: float, *words: str) -> subprocess.CompletedProcess[str]:
         """Python, ended after a while with all that it has started."""
@@ -230,13 +214,13 @@ def _python_code(text: str, path: str) -> object:
         return None
 
 
-def draw(tree: Tree, seed: int, count: int, only: str) -> list[Mutant]:
+def draw(tree: Tree, seed: int, count: int, only: list[str]) -> Iterator[Mutant]:
     """`count` mutants that change the code, each at another token."""
-    files = [name for group in PLAN["groups"] for name in group["files"] if fnmatch(name, only)]
-    sites = [site for name in files for site in mutants_of(name, tree.text(name))]
+    files = [name for group in PLAN["groups"] for name in group["files"] if any(fnmatch(name, p) for p in only)]
+    sites = [site for name in files for site in mutants_of(name, (ROOT / name).read_text("utf-8"))]
     generator = random.Random(seed)
     generator.shuffle(sites)
-    return list(islice(filter(tree.changes_code, map(generator.choice, sites)), count))
+    return islice(filter(tree.changes_code, map(generator.choice, sites)), count)
 
 
 def main() -> None:
@@ -244,35 +228,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--jobs", type=int, default=1, help="mutants at a time, each in a copy of the tree")
-    parser.add_argument("--only", default="*", help="pattern of files, such as 'mpc/core/*.c'")
+    parser.add_argument("--only", nargs="+", default=["*"], help="files or patterns, such as mpc/core/*.c")
     options = parser.parse_args()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     explained = {(entry["file"], entry["before"], entry["after"]) for entry in PLAN["explained"]}
     fates: dict[str, list[Mutant]] = {"killed": [], "explained": [], "SURVIVES": []}
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(options.jobs) as pool:
-        trees: SimpleQueue[Tree] = SimpleQueue()
-        for number in range(options.jobs):
-            trees.put(tree := Tree(Path(folder) / str(number)))
-        mutants = draw(tree, options.seed, options.count, options.only)
-
-        def fate_of(mutant: Mutant) -> str:
-            if mutant.change in explained:
-                return "explained"
-            tree = trees.get()
-            try:
-                return "killed" if tree.kills(mutant) else "SURVIVES"
-            finally:
-                trees.put(tree)
-
-        for mutant, fate in zip(mutants, pool.map(fate_of, mutants), strict=True):
-            print(f"{fate:9} {mutant}", flush=True)
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        tree = Tree(Path(folder))
+        for mutant in draw(tree, options.seed, options.count, options.only):
+            fate = "explained" if mutant.change in explained else "killed" if tree.kills(mutant) else "SURVIVES"
             fates[fate].append(mutant)
-    killed, known = len(fates["killed"]), len(fates["explained"])
-    counted = len(mutants) - known
-    print(f"seed {options.seed}: {len(mutants)} drawn, {known} explained, {killed} of the other {counted} killed")
+            print(f"{fate:9} {mutant}", flush=True)
+    killed, known, survivors = map(len, fates.values())
+    print(f"seed {options.seed}: {killed} killed, {known} explained, {survivors} survive")
     print(*fates["SURVIVES"], sep="\n")
-    sys.exit(killed < GOAL * counted)
+    sys.exit(killed < GOAL * (killed + survivors))
 
 
 if __name__ == "__main__":
