@@ -31,7 +31,7 @@ from diffdrive_mpc.mpc.core.sources import library_texts
 
 ROOT = Path(__file__).parents[1]
 PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-# Share of the mutants drawn, without those explained, that tests have to kill. Tests of one may take this many times those of the product, and a start [s]; and this much memory [bytes].
+# Share of unexplained mutants to kill; time of tests in that of the product's, and beside it [s]; memory [bytes].
 GOAL, PATIENCE, START, MEMORY = 0.9, 4.0, 30.0, 8 << 30
 PYTEST = ("-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
 # A field of another type is no mutant, but gcc 12 only warns.
