@@ -21,6 +21,8 @@ TUNE ?=
 # What is fuzzed: make fuzz FUZZ="long --seed 7", FUZZ="controller --seed 1 --only 12", FUZZ="live --seconds 600"
 FUZZ ?= short
 GOALS ?=
+# Which mutants are tried: make mutants MUTANTS="--seed 7 --count 40 --only mpc/core/*.c"
+MUTANTS ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 MARKED ?= not system and not long
@@ -41,7 +43,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -120,6 +122,9 @@ test-system: $(READY) ## tests that need Debian packages: a browser, ffmpeg, cro
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
 	PYTHONPATH=tests:tests/models:tests/extras $(BIN)/python -m fuzz $(FUZZ)
+
+mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
+	$(BIN)/python tests/mutants.py $(MUTANTS)
 
 lint: $(READY) ## style and format
 	$(BIN)/ruff check .

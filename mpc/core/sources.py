@@ -21,8 +21,8 @@ _FORMULAS = (
     "models/slip_laws.py",
     "models/lstm_cell.py",
     "mpc/problem/formulas.py",
+    "mpc/problem/slip.py",
     "mpc/problem/terms.py",
-    "mpc/problem/formulas.py",
     "mpc/core/generate.py",
 )
 # Python has the sizes at run time, and numbers in double precision: an export says otherwise here.

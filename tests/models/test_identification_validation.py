@@ -61,6 +61,18 @@ def test_a_model_that_misses_its_command_is_correlated_with_it():
     assert bad[1, 1] > bad[1, 0]
 
 
+def test_the_correlation_reported_is_the_largest_over_all_lags():
+    """A residual that follows one command twenty samples later, and no other."""
+    drive = noisy_drive(MODEL, 6, noise=(0.0, 0.0))
+    echo = np.zeros_like(drive.twist)
+    echo[20:, 0] = 0.1 * drive.command[:-20, 0]
+    residuals = validate(system(MODEL), [record(drive.command, drive.twist + echo)]).residuals
+    past = np.abs(residuals.cross_correlation[0, 0, residuals.cross_correlation.shape[2] // 2 :])
+    assert past.argmax() == 20
+    assert past[20] == pytest.approx(1.0, abs=0.05)
+    assert residuals.unexplained[0, 0] * residuals.cross_bound[0, 0] == pytest.approx(past[20])
+
+
 def driven(twist, lever_arm=(0.0, 0.0), lag=0):
     """A record whose poses follow `twist` (K, 2) exactly, seen at a point off the centre and late."""
     poses = [np.zeros(3)]

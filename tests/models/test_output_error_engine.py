@@ -9,7 +9,7 @@ from scipy import signal
 
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.output_error.parameters import Layout
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.state_space import (
     LocalStateSpace,
     StateResponse,
@@ -76,14 +76,18 @@ STRUCTURES = {
 }
 
 
+@pytest.mark.parametrize("has_prior", [False, True])
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_the_gradient_is_that_of_finite_differences(name):
+def test_the_gradient_is_that_of_finite_differences(name, has_prior):
+    """A prior of the past makes the settled state at the start, and how it moves with the parameters, matter."""
     layout, parameters = STRUCTURES[name]
     parameters = np.array(parameters)
     stream = np.random.default_rng(0)
     inputs = set_points(1, 300, np.ones(layout.inputs), hold=30)
     experiment = single(inputs, stream.normal(size=(300, layout.outputs)))
-    problem = OutputErrorProblem(layout, [experiment, experiment], [stream.uniform(size=(300, layout.outputs))] * 2)
+    weights = [stream.uniform(size=(300, layout.outputs))] * 2
+    prior = past_prior(layout.system(parameters), [experiment], 0.01)
+    problem = OutputErrorProblem(layout, [experiment, experiment], weights, [prior] * 2 if has_prior else None)
     gradient = problem.jacobian(parameters).T @ problem.residuals(parameters)
     for i, slope in enumerate(gradient):
         step = 1e-6 * np.eye(len(parameters))[i]

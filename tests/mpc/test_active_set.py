@@ -283,6 +283,18 @@ def test_a_neighbour_s_multipliers_save_iterations(seed):
     assert warm.plan == pytest.approx(anew.plan, abs=1e-7)
 
 
+@pytest.mark.parametrize("factor", [0.1, 1.0, 15.0])
+def test_a_step_ends_at_the_maximum_and_not_beyond(factor):
+    """Each command far beyond its own limit: wherever multipliers begin, they are right after one step.
+
+    A start at 15 times the solution would reach zero, and give up its row, after a step of 15/14.
+    """
+    p = Problem(np.eye(4), -np.array([3.0, 2.0, -2.0, 5.0]), np.eye(4), -np.ones(4), np.ones(4), hard=2, price=1e3)
+    solution = solve(p, factor * np.array([2.0, 1.0, -1.0, 4.0]))
+    assert solution.plan == pytest.approx([1.0, 1.0, -1.0, 1.0])
+    assert (solution.status, solution.iterations, solution.active) == (PROVEN, 1, 4)
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 1e3, np.nan, np.inf]))
 def test_a_wrong_start_costs_iterations_only(seed, size):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from diffdrive_mpc.models import Measurement, Stamped
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.solver.backend import BACKENDS, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverStatus
@@ -222,3 +223,18 @@ def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
             assert asked.plan == pytest.approx(step.planned_commands.reshape(-1), abs=2e-5)
             compared += 1
     assert compared > 20
+
+
+def test_a_limit_broken_at_one_step_is_named_whichever_step_it_is():
+    """Above and below, by more than the margin, and of the other command nothing."""
+    reference = load_trajectory("s")
+    controller = Controller(load_config("ssm", {"limits.v": 0.6, "limits.omega": 1.0}))
+    controller.start(reference, 0.0)
+    controller.step(0.0, Measurement(pose=Stamped(reference.sample([0.0]).pose[0], 0.0)))
+    program = controller._program
+    for row, channel in np.ndindex(controller.config.horizon, 2):
+        for bounds, beyond in ((program.upper, 0.01), (program.lower, -0.01)):
+            plan = np.zeros(2 * controller.config.horizon)
+            plan[2 * row + channel] = bounds[channel, row] + beyond
+            assert [kind for kind in program.broken(plan, 0.005) if kind < 2] == [channel]
+            assert [kind for kind in program.broken(plan, 0.02) if kind < 2] == []

@@ -19,6 +19,7 @@ from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.mpc.core import library, packaged, sources
 from diffdrive_mpc.mpc.core.generate import generate
 from diffdrive_mpc.mpc.problem.user_functions import user_term
+from imports import imported
 from processes import is_running
 
 ROOT = Path(__file__).parents[2]
@@ -145,6 +146,15 @@ def test_other_sources_are_another_library(folder, core, compilations):
 
 
 # Libraries that must never be loaded.
+
+
+def test_every_module_of_the_formulas_counts_for_the_library():
+    """One that is left out could change, and the library of before would be taken from the cache."""
+    origins = set(sources._FORMULAS)
+    modules = {module for module, _ in imported(ROOT / "mpc" / "problem" / "formulas.py")}
+    ours = {module.removeprefix("diffdrive_mpc.") for module in modules if module.startswith("diffdrive_mpc.")}
+    assert {f"{module.replace('.', '/')}.py" for module in ours} <= origins
+    assert len(origins) == len(sources._FORMULAS)
 
 
 def empty(path):

@@ -1,5 +1,6 @@
 """Sensors that contradict each other: who is found, who is let off, and what the robot does about it."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from ideal_robot import IdealRobot, drive
 from diffdrive_mpc.models import Stamped, load_model
 from diffdrive_mpc.mpc import Controller, Mode, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.schema import Wheels
+from diffdrive_mpc.mpc.trajectories.moved import MovedReference
 
 DT = 0.0202
 FAULT = 150
@@ -215,6 +217,16 @@ def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
     assert apart.max() < 0.05
 
 
+@pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
+def test_zeros_against_the_commands_fool_the_estimate_for_less_than_a_fifth_of_a_second(field, name, channel):
+    """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""
+    results, _ = run(spoilt(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
+    twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
+    assert (np.abs(twists[:5]) < 0.1).all()
+    assert (twists[10:] > 0.3).all()
+    assert first(results, name) > 10 * DT
+
+
 @pytest.mark.parametrize("robot", [IdealRobot, HeldRobot, SpinningRobot, PushedRobot])
 @pytest.mark.parametrize("trajectory", ["circle", "cane", "square"])
 def test_what_happens_to_the_robot_is_no_fault_of_a_sensor(robot, trajectory):
@@ -258,6 +270,35 @@ def test_poses_noisier_than_stated_count_for_less():
     assert deviations[True] > 1.2 * deviations[False]
 
 
+@pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.0312]], ids=["position", "heading"])
+def test_poses_are_told_to_scatter_as_far_as_they_do(scale):
+    """Noise of six stated deviations beside the stated one: the root of 37 times as far, on average."""
+    rng = np.random.default_rng(0)
+
+    def noisy(k, m):
+        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * scale))
+
+    results, _ = run(noisy)
+    factors = [re.search(r"scatter ([\d.]+) times", result.message)[1] for result in results[100:]]
+    assert np.sqrt(np.mean(np.square(np.array(factors, dtype=float)))) == pytest.approx(np.sqrt(37.0), rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
+def test_what_was_known_from_noisy_poses_is_known_less_at_once(scale):
+    """Of position or heading alone, whichever scatters."""
+    rng = np.random.default_rng(0)
+
+    def noisy(k, m):
+        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * scale))
+
+    results, _ = run(noisy, seconds=0.5)
+    at = next(k for k, result in enumerate(results) if "poses scatter" in result.message)
+    rises = results[at].estimate.pose_deviation / results[at - 1].estimate.pose_deviation
+    is_noisy = np.array(scale) > 0
+    assert (rises[is_noisy] > 1.8).all()
+    assert (rises[~is_noisy] < 1.1).all()
+
+
 def test_poses_later_than_stamped_are_told_and_not_accused():
     late = []
 
@@ -268,6 +309,69 @@ def test_poses_later_than_stamped_are_told_and_not_accused():
     results, _ = run(change, "square", seconds=12.0)
     assert accused(results) == set()
     assert "poses are about 0.20 s later than their stamps" in results[-1].message
+
+
+class MirroredReference:
+    """A reference of which left is right."""
+
+    def __init__(self, original):
+        self.original, self.name, self.duration = original, original.name, original.duration
+
+    def sample(self, times):
+        sample = self.original.sample(times)
+        return sample._replace(pose=sample.pose * [1, -1, -1], twist=sample.twist * [1, -1])
+
+
+def scattering(k, m):
+    off = np.random.default_rng(k).normal(size=3) * [0.03, 0.02, 0.02]
+    return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + off))
+
+
+SYMMETRIC = {
+    "sound": (None, IdealRobot),
+    "on a slope": (None, SlidingRobot),
+    "pushed": (None, PushedRobot),
+    "held": (None, SpinningRobot),
+    "an encoder dead": (FAULTS["an encoder dead"][0], IdealRobot),
+    "gyro stuck": (FAULTS["gyro stuck"][0], IdealRobot),
+    "poses drift": (POSE_FAULTS["drifting"][0], IdealRobot),
+    "poses scatter": (scattering, IdealRobot),
+}
+
+
+@pytest.mark.parametrize("fault", SYMMETRIC)
+def test_neither_a_side_nor_a_direction_is_preferred(fault):
+    """Mirrored measurements give mirrored commands, those in another frame the same, and both the same verdicts.
+
+    The other frame is turned by a right angle: a surprise widens the belief along the axes of the poses.
+    """
+    change, robot = SYMMETRIC[fault]
+    reference, motion = load_trajectory("s"), np.array([3.0, -2.0, 0.5 * np.pi])
+    base = robot(load_model("sm").discretise(DT), reference.sample([0.0]).pose[0], noise=1.0, seed=1)
+    mirror, turned = Controller(load_config("sm")), Controller(load_config("sm"))
+    mirror.start(MirroredReference(reference), 0.0)
+    turned.start(MovedReference(reference, motion), 0.0)
+    side = np.array([1.0, -1.0])
+    cosine, sine = np.cos(motion[2]), np.sin(motion[2])
+
+    def compare(k, m):
+        m = m if change is None else change(k, m)
+        x, y, theta = m.pose.value
+        mirrored = replace(m, pose=replace(m.pose, value=np.array([x, -y, -theta])),
+                           wheel_twist=replace(m.wheel_twist, value=m.wheel_twist.value * side),
+                           yaw_rate=replace(m.yaw_rate, value=-m.yaw_rate.value))  # fmt: skip
+        place = motion + [cosine * x - sine * y, sine * x + cosine * y, theta]
+        moved = replace(m, pose=replace(m.pose, value=place))
+        steps.append((mirror.step(k * DT, mirrored), turned.step(k * DT, moved)))
+        return m
+
+    steps = []
+    results, _, _ = drive(Controller(load_config("sm")), base, reference, 6.0, change=compare)
+    for result, (left, elsewhere) in zip(results, steps, strict=True):
+        assert left.command * side == pytest.approx(result.command, abs=1e-7)
+        assert elsewhere.command == pytest.approx(result.command, abs=1e-7)
+        assert result.unused_sensors == left.unused_sensors == elsewhere.unused_sensors
+        assert result.message == left.message == elsewhere.message
 
 
 @pytest.mark.parametrize(("track", "told"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])

@@ -80,6 +80,38 @@ def test_what_is_not_finite_never_reaches_the_base(robot, v):
     assert np.all(np.diff(sent[:, 0]) <= 0) and sent[-1, 0] == 0.0
 
 
+@pytest.mark.parametrize("sensor", ["pose", "odometry", "gyro"])
+@pytest.mark.parametrize("spoilt", ["not finite", "in the future", "repeated"])
+def test_a_reading_that_cannot_be_used_is_none(robot, sensor, spoilt):
+    """Sound readings beside it keep the robot going; without them the sensor is too old, however many bad ones come."""
+
+    def send(place):
+        values = [*robot.twist, *robot.state]
+        values = {"pose": values[2:], "odometry": values, "gyro": values[1:2]}[sensor]
+        stamp = {"in the future": robot.now + 5.0, "repeated": sound}.get(spoilt, robot.now)
+        if spoilt == "not finite":
+            values[place % len(values)] = (math.nan, math.inf)[place % 2]
+        words = {"pose": [values], "odometry": [values[:2], values[2:]], "gyro": values}[sensor]
+        getattr(robot.judge, sensor)(robot.now, stamp, *words)
+
+    for place in range(100):
+        sound = robot.now
+        robot.drive(DT)
+        send(place)
+    assert not robot.judge.verdict
+    setattr(robot, "lost" if sensor == "pose" else "blind", True)
+    for _ in range(100):
+        for part in range(5 if spoilt == "not finite" else 1):
+            send(part)
+        # The other of the two sensors that a blind robot lacks.
+        if sensor == "gyro":
+            robot.judge.odometry(robot.now, robot.now, robot.twist.tolist(), robot.state.tolist())
+        if sensor == "odometry":
+            robot.judge.gyro(robot.now, robot.now, robot.twist[1])
+        robot.drive(DT)
+    assert robot.judge.verdict.rule == sensor
+
+
 def test_it_brakes_at_the_braking_limits_and_stays(robot):
     robot.drive(2.0)
     sent = robot.drive(1.0, (1.6, 0.0))[:, 0]

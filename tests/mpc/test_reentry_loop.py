@@ -286,6 +286,16 @@ def test_the_result_says_what_is_tracked():
     assert np.hypot(*(first.reference[0] - reference.sample([0.0]).pose[0])[:2]) == pytest.approx(0.2, abs=1e-6)
 
 
+def test_a_late_reference_is_tracked_from_where_its_clock_stands():
+    """Held for a second, on the circle: every plan begins at the sample of the time that the delay says."""
+    reference = load_trajectory("circle")
+    results, _, times = drive(reference, 4.0, held=(1.5, 2.5))
+    assert results[-1].reference_delay > 0.5
+    for result, time in zip(results, times, strict=True):
+        expected = reference.sample([time - result.reference_delay]).pose[0]
+        assert result.reference[0] == pytest.approx(expected, abs=1e-6)
+
+
 def test_too_far_it_brakes_and_names_the_distance():
     results, _, _ = drive(load_trajectory("circle"), 0.5, start=(-1.4, 0.0))
     assert {r.mode for r in results} == {Mode.STOPPED}

@@ -5,6 +5,7 @@ import pytest
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference
+from diffdrive_mpc.mpc.trajectories.native import NativeReference
 
 SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}
 
@@ -75,3 +76,17 @@ def test_what_cannot_be_gone_on_along_is_refused():
         controller.switch_reference(load_trajectory("s"))
     with pytest.raises(ValueError, match="finite"):
         controller.switch_reference(load_trajectory("s"), np.nan)
+
+
+def test_the_core_takes_no_reference_without_finite_times():
+    """As an exported controller is given one: refused, and what was tracked before goes on."""
+    tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
+    endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
+    endless.duration = np.inf
+    assert not tick.lib.ddmpc_relay(tick.c, reference.struct, 0.0), "there is none to go on from"
+    for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
+        assert not tick.lib.ddmpc_start(tick.c, *refused)
+    assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0)
+    for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
+        assert not tick.lib.ddmpc_relay(tick.c, *refused)
+    assert tick.lib.ddmpc_relay(tick.c, reference.struct, 1.0)

@@ -74,6 +74,8 @@ def test_step_times_can_be_exchanged_for_those_of_a_timing_pass() -> None:
     retimed = run.with_step_time(times)
     assert retimed.metrics.step_time_max_s == 0.01
     assert retimed.metrics.step_time_p50_s == pytest.approx(0.005)
+    assert retimed.metrics.step_time_p95_s == pytest.approx(0.0095)
+    assert retimed.metrics.step_time_p99_s == pytest.approx(0.0099)
     assert retimed.metrics.position_rmse_m == run.metrics.position_rmse_m
     with_gaps = run.with_step_time(np.where(times < 0.006, times, np.nan), 0.5 * times).metrics
     assert with_gaps.step_time_max_s == pytest.approx(0.0058)

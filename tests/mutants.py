@@ -1,0 +1,249 @@
+"""Mutation score of the core: changes the product, and lists the changes that no test notices.
+
+A seed draws mutants from the files that `tests/mutants.yaml` lists: one sign, comparison, constant, index, field,
+negation or extremum differs. Each is made in a copy of the tree, and the tests that belong to its file run there. A
+failed test, a crash and a time-out kill it. What compiles to the same code is drawn again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from itertools import accumulate, islice
+from pathlib import Path
+from types import CodeType
+
+import yaml
+
+from diffdrive_mpc.mpc.core.sources import library_texts
+
+ROOT = Path(__file__).parents[1]
+PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+# Share of unexplained mutants to kill; time of tests in that of the product's, and beside it [s]; memory [bytes].
+GOAL, PATIENCE, START, MEMORY = 0.9, 4.0, 30.0, 8 << 30
+PYTEST = ("-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
+# A field of another type is no mutant, but gcc 12 only warns.
+COMPILE = ("cc", "-std=c99", "-O2", "-w", "-Werror=int-conversion", "-Werror=incompatible-pointer-types", "-I.")
+# All but one of the core's files are as they were: what is the same after the preprocessor is compiled once.
+COMPILER = """#!/bin/sh
+case " $* " in *" -c "*) ;; *) exec {cc} "$@" ;; esac
+for source; do :; done
+kept={folder}/$( (echo "$*"; {cc} "$@" -E -o -) | sha256sum | cut -c1-64).o
+[ -f "$kept" ] || {{ {cc} "$@" -o "$kept.$$" && mv "$kept.$$" "$kept"; }} && cp "$kept" "${{source%.c}}.o"
+"""
+
+_STRING = r'[rf]*(?:"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\')|'
+# A directive of C is skipped unless it defines a number.
+_SKIPPED = {
+    ".c": r"/\*.*?\*/|//[^\n]*|^[ \t]*#(?!define \w+ [-\d.])(?:[^\n]*\\\n)*[^\n]*|" + _STRING,
+    ".py": r'[rf]*""".*?"""|#[^\n]*|' + _STRING,
+}
+_TOKEN = (
+    r"(?P<number>(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?!\w))|(?P<name>\w+)"
+    r"|(?P<sign>->|\+\+|--|\*\*|//|[-+*/<>=!]=|&&|\|\||<<|>>|[-+*/<>=!.,()\[\]{}])"
+)
+_OPERATORS = "+ - += -= * / *= /= == != && || and or True False"
+_FUNCTIONS = "min max fmin fmax minimum maximum argmin argmax any all sin cos"
+_words = f"{_OPERATORS} {_FUNCTIONS}".split()
+SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
+    **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")},
+}
+AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A file with another word at one place: its relative path, its text, where, and the word."""
+
+    path: str
+    original: str
+    span: tuple[int, int]
+    word: str
+
+    @property
+    def text(self) -> str:
+        """The changed file."""
+        return self.original[: self.span[0]] + self.word + self.original[self.span[1] :]
+
+    @property
+    def change(self) -> tuple[str, str, str]:
+        """The file, and the line before and after: by these an explained mutant is known."""
+        line = self.original.count("\n", 0, self.span[0])
+        before, after = (text.splitlines()[line].strip() for text in (self.original, self.text))
+        return self.path, before, after
+
+    def __str__(self) -> str:
+        _, before, after = self.change
+        return f"{self.path}:{self.original.count(chr(10), 0, self.span[0]) + 1}\n    {before}\n    {after}"
+
+
+def mutants_of(path: str, text: str) -> list[list[Mutant]]:
+    """The mutants of a file, by the token that they change."""
+    suffix = Path(path).suffix
+    tokens = [t for t in re.finditer(_SKIPPED[suffix] + _TOKEN, text, re.DOTALL | re.MULTILINE) if t.lastgroup]
+    hidden = _hidden_from(text) if suffix == ".py" else []
+    fields: dict[str, set[str]] = {}
+    for base, dot, name in zip(tokens, tokens[1:], tokens[2:], strict=False):
+        if _is_field(text, base, dot, name):
+            fields.setdefault(base[0], set()).add(name[0])
+    sites = []
+    for base, last, token, after in zip(tokens, tokens[1:], tokens[2:], tokens[3:], strict=False):
+        if any(begin <= token.start() < end for begin, end in hidden) or base[0] == "strict":
+            continue
+        options = _changes(last, token, after)
+        if _is_field(text, base, last, token):
+            options = sorted(fields[base[0]] - {token[0]})
+        sites.append([Mutant(path, text, token.span(), option) for option in options])
+    return [site for site in sites if site]
+
+
+def _is_field(text: str, base: re.Match[str], dot: re.Match[str], name: re.Match[str]) -> bool:
+    """Whether a token names a field, not a function, of an object, not of a module."""
+    is_called = text[name.end() : name.end() + 1] == "("
+    return dot[0] in (".", "->") and base.lastgroup == "name" and base[0] not in ("np", "ca") and not is_called
+
+
+def _changes(last: re.Match[str], token: re.Match[str], after: re.Match[str]) -> list[str]:
+    """What a token that is no field may become."""
+    word, is_index = token[0], last[0] == "[" and after[0] == "]"
+    if token.lastgroup == "number" and not word.isdigit():
+        return [f"{1.1 * float(word) or 0.1:.12g}"]
+    if token.lastgroup == "number":
+        return [str(int(word) + 1), str(int(word) - 1)] if int(word) else ["1"]
+    if is_index and (word in AXES or re.fullmatch("[a-z]", word)):
+        return [AXES[word]] if word in AXES else [f"{word} + 1", f"{word} - 1"]
+    is_pointer = word in "*/" and last.lastgroup == "sign" and last[0] not in ")]"
+    return [] if is_pointer else list(SWAPS.get(word, ()))
+
+
+def _hidden_from(text: str) -> list[tuple[int, int]]:
+    """Spans of a Python file that do nothing: imports, annotations and decorators."""
+    starts = list(accumulate(map(len, text.splitlines(keepends=True)), initial=0))
+    nodes = []
+    for node in ast.walk(ast.parse(text)):
+        parts = [getattr(node, "annotation", None), getattr(node, "returns", None)]
+        parts.append(node if isinstance(node, ast.Import | ast.ImportFrom) else None)
+        nodes += [*filter(None, parts), *getattr(node, "decorator_list", ())]
+    return [(starts[n.lineno - 1] + n.col_offset, starts[n.end_lineno - 1] + n.end_col_offset) for n in nodes]
+
+
+class Tree:
+    """A copy of the tree in a folder of its own, where one mutant at a time lives."""
+
+    def __init__(self, folder: Path) -> None:
+        self._tree, self._sources = folder / "tree", folder / "sources"
+        listed = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+        for name in filter(None, subprocess.check_output(listed, cwd=ROOT, text=True).split("\0")):
+            if (ROOT / name).is_symlink() or (ROOT / name).is_file():
+                (self._tree / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(ROOT / name, self._tree / name, follow_symlinks=False)
+        self._times: dict[str, float] = {}
+        self._codes: dict[str, object] = {}
+        self._sources.mkdir()
+        for name, text in library_texts().items():
+            (self._sources / name).write_text(text, encoding="utf-8")
+        compiler = self._sources / "cc"
+        compiler.write_text(COMPILER.format(cc=shutil.which("cc"), folder=self._sources), encoding="utf-8")
+        compiler.chmod(0o755)
+        self._environment = os.environ | {
+            "PATH": os.pathsep.join((str(self._sources), os.environ["PATH"])),
+            "PYTHONPATH": os.pathsep.join((str(self._tree / "src"), str(self._tree))),
+            "DIFFDRIVE_MPC_CACHE": str(folder / "cache"),
+            # Python compares times of files in whole seconds: two mutants could share compiled code.
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+
+    def changes_code(self, mutant: Mutant) -> bool:
+        """Whether a mutant compiles, and to other code than the original."""
+        compiled = _python_code if mutant.path.endswith(".py") else self._machine_code
+        if mutant.path not in self._codes:
+            self._codes[mutant.path] = compiled(mutant.original, mutant.path)
+        return compiled(mutant.text, mutant.path) not in (None, self._codes[mutant.path])
+
+    def _machine_code(self, text: str, path: str) -> bytes | None:
+        command = [*COMPILE, f"-I{(self._tree / path).parent}", "-x", "c", "-c", "-", "-o", "out.o"]
+        done = subprocess.run(command, input=text, text=True, cwd=self._sources, capture_output=True, check=False)
+        return None if done.returncode else (self._sources / "out.o").read_bytes()
+
+    def kills(self, mutant: Mutant) -> bool:
+        """Whether a test that belongs to the file of a mutant fails, crashes or does not end."""
+        stages = next(group["tests"] for group in PLAN["groups"] if mutant.path in group["files"])
+        return any(self._fails(stage, mutant) for stage in stages)
+
+    def _fails(self, stage: str, mutant: Mutant) -> bool:
+        if stage not in self._times:
+            begin = time.monotonic()
+            done = self._run(3600.0, *PYTEST, *stage.split())
+            if done.returncode:
+                sys.exit(f"{done.stdout}\nthe unchanged product fails: {stage}")
+            self._times[stage] = time.monotonic() - begin
+        file = self._tree / mutant.path
+        file.write_text(mutant.text, encoding="utf-8")
+        try:
+            return self._run(PATIENCE * self._times[stage] + START, *PYTEST, *stage.split()).returncode != 0
+        finally:
+            file.write_text(mutant.original, encoding="utf-8")
+
+    def _run(self, seconds: float, *words: str) -> subprocess.CompletedProcess[str]:
+        """Python, ended after a while with all that it has started."""
+        command = ["timeout", "--signal=KILL", f"{seconds:.0f}", sys.executable, *words]
+        into = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+        return subprocess.run(command, cwd=self._tree, env=self._environment, check=False, **into)
+
+
+def _python_code(text: str, path: str) -> object:
+    def parts(code: CodeType) -> tuple[object, ...]:
+        values = [parts(value) if isinstance(value, CodeType) else repr(value) for value in code.co_consts]
+        return code.co_code, code.co_names, code.co_varnames, values
+
+    try:
+        return parts(compile(text, path, "exec"))
+    except SyntaxError:
+        return None
+
+
+def draw(tree: Tree, seed: int, count: int, only: list[str]) -> Iterator[Mutant]:
+    """`count` mutants that change the code, each at another token."""
+    files = [name for group in PLAN["groups"] for name in group["files"] if any(fnmatch(name, p) for p in only)]
+    sites = [site for name in files for site in mutants_of(name, (ROOT / name).read_text("utf-8"))]
+    generator = random.Random(seed)
+    generator.shuffle(sites)
+    return islice(filter(tree.changes_code, map(generator.choice, sites)), count)
+
+
+def main() -> None:
+    """Draw, try and list."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--only", nargs="+", default=["*"], help="files or patterns, such as mpc/core/*.c")
+    options = parser.parse_args()
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    explained = {(entry["file"], entry["before"], entry["after"]) for entry in PLAN["explained"]}
+    fates: dict[str, list[Mutant]] = {"killed": [], "explained": [], "SURVIVES": []}
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        tree = Tree(Path(folder))
+        for mutant in draw(tree, options.seed, options.count, options.only):
+            fate = "explained" if mutant.change in explained else "killed" if tree.kills(mutant) else "SURVIVES"
+            fates[fate].append(mutant)
+            print(f"{fate:9} {mutant}", flush=True)
+    killed, known, survivors = map(len, fates.values())
+    print(f"seed {options.seed}: {killed} killed, {known} explained, {survivors} survive")
+    print(*fates["SURVIVES"], sep="\n")
+    sys.exit(killed < GOAL * (killed + survivors))
+
+
+if __name__ == "__main__":
+    main()
