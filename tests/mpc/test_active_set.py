@@ -357,6 +357,16 @@ def test_hard_rows_that_contradict_each_other_are_found():
     assert found.plan == pytest.approx(-np.linalg.solve(p.H, p.g))
 
 
+@pytest.mark.parametrize(("row", "gap", "status"), [(4, 0.1, INFEASIBLE), (4, 1e-6, NOT_PROVEN), (5, 0.1, NOT_PROVEN)])
+def test_only_a_hard_row_whose_limits_cross_by_more_than_the_slack_contradicts_itself(row, gap, status):
+    """Row 4 is the last hard one, row 5 the first soft one: for crossed limits of that the caller is to blame."""
+    p = Problem(np.eye(8), np.zeros(8), np.eye(8), -np.ones(8), np.ones(8), hard=5)
+    p.lower[row] = p.upper[row] + gap
+    answer = solve(p)
+    assert (answer.status, answer.iterations, answer.active) == (status, 0, 0)
+    assert (answer.primal, answer.dual) == (0.0, 0.0), "nothing was solved"
+
+
 def test_in_single_precision_what_is_proven_is_the_solution():
     """With most inputs pressed on at once rounding leaves some problems without a proof, and none with a wrong one."""
     problems = [pressing_problem(seed, steps=15) for seed in range(30)]

@@ -86,7 +86,7 @@ def test_the_core_takes_no_reference_without_finite_times():
     assert not tick.lib.ddmpc_relay(tick.c, reference.struct, 0.0), "there is none to go on from"
     for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
         assert not tick.lib.ddmpc_start(tick.c, *refused)
-    assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0)
+    assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0) == 1
     for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
         assert not tick.lib.ddmpc_relay(tick.c, *refused)
-    assert tick.lib.ddmpc_relay(tick.c, reference.struct, 1.0)
+    assert tick.lib.ddmpc_relay(tick.c, reference.struct, 1.0) == 1
