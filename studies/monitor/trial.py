@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
+from diffdrive_mpc.sim.plants.make import DRAWN
+from studies.monitor.drawn import DrawnFault
 from studies.monitor.faults import AT_START, FAULTS, Fault
 from studies.monitor.watched import MonitoredController
 
@@ -158,12 +162,119 @@ def _rests_for_good(run: Run) -> NDArray[np.bool_]:
     return ~np.logical_or.accumulate(moves[::-1])[::-1]
 
 
-def distances(run: Run) -> FloatArray:
-    """(n,) from the true position to the nearest place of the reference around each instant [m]."""
-    times = np.arange(-_NEAR[0], run.time[-1] + _NEAR[1], 0.05)
+def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
+    """(n,) from the true position to the nearest place of the reference from `near[0]` ago to `near[1]` ahead [m]."""
+    times = np.arange(-near[0], run.time[-1] + near[1], 0.05)
     places = run.reference.sample(times).pose[:, :2]
-    first = np.searchsorted(times, run.time - _NEAR[0])
-    last = np.searchsorted(times, run.time + _NEAR[1])
+    first = np.searchsorted(times, run.time - near[0])
+    last = np.searchsorted(times, run.time + near[1], "right")
     poses = run.true_pose[:, :2]
     near = [np.hypot(*(places[a:b] - pose).T).min() for a, b, pose in zip(first, last, poses, strict=True)]
     return np.array(near)
+
+
+# Broken controllers that nobody chose: where they drive, and what becomes of them.
+
+
+LEFT, STOPPED_WITHIN, STOPPED_AFTER = 0.1, 0.3, 3.0
+"""Harm begins where the robot is further than `LEFT` from the stretch that its reference covers around now. It has to
+be stopped before it is further than `STOPPED_WITHIN` from its path [m], and `STOPPED_AFTER` after harm began [s]."""
+ON_TIME = 0.5
+"""That stretch begins and ends so long before and after now [s]."""
+_SOUND_WITHIN = 0.07
+"""Without the fault the robot stays within this [m]; elsewhere harm would not be the fault's."""
+_BENCH_PATHS = ("circle", "square", "s", "cane")
+_PLACES_OF_DRAWN = (
+    *(("mujoco", floor, "default") for floor in ("default", "default", "carpet", "slippery")),
+    *(("mujoco", "default", sensors) for sensors in ("slam", "poses_5hz", "noise_2cm")),
+    *((f"mujoco:{build}", "default", "default") for build in ("heavy", "mass_behind", "dead_time_80", "slow_motors")),
+    *(("", "default", "default") for _ in range(4)),
+)
+"""Plant, floor and sensors; no plant: a drawn robot of the market."""
+_ROBOTS = 60
+
+
+@dataclass(frozen=True)
+class DrawnTrial:
+    """What came of one drive of a broken controller.
+
+    Attributes
+    ----------
+    kind
+        Its number.
+    case
+        What was driven.
+    rule, words
+        Of the verdict; empty without one.
+    left
+        From the fault until the robot left the stretch around its reference [s]; NaN if it did not.
+    stopped
+        From then until the monitor stopped it, or the controller itself stood and said so [s]; NaN if neither did.
+    farthest
+        From its path, of the true pose, until it stood [m].
+    """
+
+    kind: int
+    case: Case
+    rule: str
+    words: str
+    left: float
+    stopped: float
+    farthest: float
+
+    @property
+    def harmless(self) -> bool:
+        """Whether the robot never left."""
+        return math.isnan(self.left)
+
+    @property
+    def in_time(self) -> bool:
+        """Whether it was stopped in time, or was harmless."""
+        return self.harmless or (self.stopped <= STOPPED_AFTER and self.farthest <= STOPPED_WITHIN)
+
+
+def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
+    """A drive of a broken controller of a kind: place, path, controller, instant and the fault's numbers are drawn."""
+    draw = np.random.default_rng([1974, kind, seed])
+    case = _drawn_case(draw, seed)
+    while not _is_sound(case):
+        case = _drawn_case(draw, seed)
+    fault = DrawnFault(kind, seed, float(draw.uniform(_FIRST, _LAST)))
+    controller, plant, reference = build(case)
+    watched = MonitoredController(controller, rules, fault)
+    run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT)
+    verdict = watched.verdict
+    ends = min(verdict.at if verdict else math.inf, watched.stood_since)
+    away = distances(run, (ON_TIME, ON_TIME))
+    left = run.time[(away > LEFT) & (run.time >= fault.begins) & (run.time <= ends)]
+    moving = (run.time >= fault.begins) & ~_rests_for_good(run)
+    return DrawnTrial(
+        kind=kind,
+        case=case,
+        rule=verdict.rule,
+        words=verdict.words,
+        left=float(left[0]) - fault.begins if len(left) else math.nan,
+        stopped=ends - float(left[0]) if len(left) and ends < math.inf else math.nan,
+        farthest=float(distances(run)[moving].max(initial=0.0)),
+    )
+
+
+def _drawn_case(draw: np.random.Generator, seed: int) -> Case:
+    plant, surface, sensors = _PLACES_OF_DRAWN[int(draw.integers(len(_PLACES_OF_DRAWN)))]
+    controllers = ["mpc", "mpc", "pursuit+slip", *(["kanayama-plain"] if plant == "mujoco" else [])]
+    paths = [*_BENCH_PATHS, *(FAULTY_PATHS if plant else ())]
+    controller, path, robot = (
+        str(draw.choice(controllers)),
+        str(draw.choice(paths)),
+        int(draw.choice(driving_seeds(_ROBOTS, spot_turns=True, tuning=True))),
+    )
+    model = Case().model if controller == "mpc" else NO_MODEL
+    case = Case(controller, model, path, surface=surface, sensors=sensors, seed=seed)
+    return replace(case, plant=plant or f"{DRAWN}:{robot}")
+
+
+@cache
+def _is_sound(case: Case) -> bool:
+    """Whether the robot stays near its reference where nothing is wrong."""
+    run = simulate(*build(case), extra_time=AFTER)
+    return float(distances(run, (ON_TIME, ON_TIME)).max()) <= _SOUND_WITHIN
