@@ -51,6 +51,7 @@ class OnPath(StrictModel):
     distance: Positive = Field(description="farthest from the stretch [m]")
     lasting: NotNegative = Field(description="the robot may be further away for so long [s]")
     far: Positive = Field(description="farthest from the stretch, if the robot braked now [m]")
+    reaction: NotNegative = Field(description="braking begins so late [s]")
     heading: Positive = Field(description="farthest from the headings there [rad]")
     far_lasting: NotNegative = Field(description="either may be too large for so long [s]")
     late: NotNegative = Field(description="the stretch begins where the reference was so long ago [s]")

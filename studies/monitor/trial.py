@@ -181,6 +181,9 @@ LEFT, STOPPED_WITHIN, STOPPED_AFTER = 0.1, 0.3, 3.0
 be stopped before it is further than `STOPPED_WITHIN` from its path [m], and `STOPPED_AFTER` after harm began [s]."""
 ON_TIME = 0.5
 """That stretch begins and ends so long before and after now [s]."""
+_PATH, _BRAKES_WITHIN = (10.0, 1.0), 2.0
+"""Its path is what the reference covers from so long ago to so much later, and it stands so long after it was stopped
+[s]; what slides down a slope then is not looked at."""
 _SOUND_WITHIN = 0.07
 """Without the fault the robot stays within this [m]; elsewhere harm would not be the fault's."""
 _BENCH_PATHS = ("circle", "square", "s", "cane")
@@ -211,7 +214,7 @@ class DrawnTrial:
     stopped
         From then until the monitor stopped it, or the controller itself stood and said so [s]; NaN if neither did.
     farthest
-        From its path, of the true pose, until it stood [m].
+        From its path, of the true pose, until it was stopped and at rest [m].
     """
 
     kind: int
@@ -247,7 +250,7 @@ def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
     ends = min(verdict.at if verdict else math.inf, watched.stood_since)
     away = distances(run, (ON_TIME, ON_TIME))
     left = run.time[(away > LEFT) & (run.time >= fault.begins) & (run.time <= ends)]
-    moving = (run.time >= fault.begins) & ~_rests_for_good(run)
+    braking = (run.time >= fault.begins) & (run.time <= ends + _BRAKES_WITHIN)
     return DrawnTrial(
         kind=kind,
         case=case,
@@ -255,7 +258,7 @@ def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
         words=verdict.words,
         left=float(left[0]) - fault.begins if len(left) else math.nan,
         stopped=ends - float(left[0]) if len(left) and ends < math.inf else math.nan,
-        farthest=float(distances(run)[moving].max(initial=0.0)),
+        farthest=float(distances(run, _PATH)[braking].max(initial=0.0)),
     )
 
 

@@ -353,7 +353,7 @@ static void compare_stretch(const ddmon_judge *j, const double at[3], double beg
 static double rest(const ddmon_judge *j, double at[3])
 {
     int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
-    double v = j->wheels[V], time = j->rules->answer_dead_time + 0.5 * absolute(v) / j->rules->commands_v_braking;
+    double v = j->wheels[V], time = j->rules->path_reaction + 0.5 * absolute(v) / j->rules->commands_v_braking;
     memcpy(at, j->place, sizeof j->place);
     carry(at, v * time, time * (gyro ? j->gyro : j->wheels[OMEGA]));
     return j->now + time;

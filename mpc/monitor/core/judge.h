@@ -30,6 +30,7 @@ typedef struct {
     double path_distance;            /* farthest from the stretch of path around the reference [m] */
     double path_lasting;             /* it may be further away for so long [s] */
     double path_far;                 /* farthest from there, if it braked now [m] */
+    double path_reaction;            /* braking begins so late [s] */
     double path_heading;             /* farthest from the headings there [rad] */
     double path_far_lasting;         /* either may be too large for so long [s] */
     double path_late;                /* the stretch begins where the reference was so long ago [s] */
