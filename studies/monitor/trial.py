@@ -247,9 +247,11 @@ def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
     watched = MonitoredController(controller, rules, fault)
     run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT)
     verdict = watched.verdict
-    ends = min(verdict.at if verdict else math.inf, watched.stood_since)
-    away = distances(run, (ON_TIME, ON_TIME))
-    left = run.time[(away > LEFT) & (run.time >= fault.begins) & (run.time <= ends)]
+    ends = verdict.at if verdict else math.inf
+    live = (run.time >= fault.begins) & ~np.array(watched.stood)
+    left = run.time[live & (distances(run, (ON_TIME, ON_TIME)) > LEFT) & (run.time <= ends)]
+    if len(left):
+        ends = min(ends, *run.time[~live & (run.time > left[0])], math.inf)
     braking = (run.time >= fault.begins) & (run.time <= ends + _BRAKES_WITHIN)
     return DrawnTrial(
         kind=kind,

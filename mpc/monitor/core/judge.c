@@ -349,11 +349,12 @@ static void compare_stretch(const ddmon_judge *j, const double at[3], double beg
     away[HEADING] = heading < HUGE_VAL ? heading : 0.0;
 }
 
-/* Where the robot would stand if it braked now, and when. */
+/* Where the robot would stand if it braked now, and when; it may still speed up to what was sent. */
 static double rest(const ddmon_judge *j, double at[3])
 {
     int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
-    double v = j->wheels[V], time = j->rules->path_reaction + 0.5 * absolute(v) / j->rules->commands_v_braking;
+    double sent = j->sent ? j->output[V] : 0.0, v = absolute(sent) > absolute(j->wheels[V]) ? sent : j->wheels[V];
+    double time = j->rules->path_reaction + 0.5 * absolute(v) / j->rules->commands_v_braking;
     memcpy(at, j->place, sizeof j->place);
     carry(at, v * time, time * (gyro ? j->gyro : j->wheels[OMEGA]));
     return j->now + time;
