@@ -366,12 +366,12 @@ static void judge_path(ddmon_judge *j)
 {
     const ddmon_rules *rules = j->rules;
     int moved = j->sent && moves(rules, j->output), bound = j->path && j->placed && (moved || j->may_move == 1);
-    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3];
+    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3], unexplained = hypot(j->unexplained[X], j->unexplained[Y]);
     judge_rule(j, DDMON_NO_REFERENCE, 0.0, 0.0, moved && !j->path, rules->path_grace);
     if (bound) {
         compare_stretch(j, j->place, j->now - rules->path_late, j->now + rules->path_early, rules->path_distance, away);
         int elsewhere = away[DISTANCE] > rules->path_distance;
-        if (elsewhere && (hypot(j->unexplained[X], j->unexplained[Y]) > rules->path_distance ||
+        if (elsewhere && (unexplained > rules->path_distance ||
                           rules->agreement_window * j->slow_short > rules->agreement_distance))
             moved_away(j);
         if (elsewhere)
@@ -383,7 +383,7 @@ static void judge_path(ddmon_judge *j)
         compare_stretch(j, at, j->now - late, then + early, HUGE_VAL, ahead);
     }
     int strict = bound && !j->returning;
-    double far = strict ? rules->path_far : rules->returning_distance;
+    double far = strict ? rules->path_far + unexplained : rules->returning_distance;
     at_most(j, DDMON_STRAYS, strict ? away[DISTANCE] : 0.0, rules->path_distance, rules->path_lasting);
     at_most(j, DDMON_OFF_PATH, ahead[DISTANCE], far, rules->path_far_lasting);
     at_most(j, DDMON_OFF_HEADING, strict ? away[HEADING] : 0.0, rules->path_heading, rules->path_far_lasting);
