@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,12 @@ def _every(draw: Random, shortest: float, longest: float) -> Callable[[float], b
 
 def _delay(draw: Random) -> Change:
     kept: deque[Twist] = deque(maxlen=round(draw.uniform(0.2, 1.5) / SAMPLE))
-    return lambda _t, _e, v, w: (kept.append((v, w)), kept[0])[1]
+
+    def change(_t: float, _e: float, v: float, w: float) -> Twist:
+        kept.append((v, w))
+        return kept[0]
+
+    return change
 
 
 def _low_pass(draw: Random) -> Change:
@@ -121,10 +127,10 @@ COMMANDS: dict[str, Callable[[Random], Change]] = {
     "v scaled": lambda draw: _gain(draw, v_too=True, omega_too=False),
     "omega scaled": lambda draw: _gain(draw, v_too=False, omega_too=True),
     "v and omega scaled": lambda draw: _gain(draw, v_too=True, omega_too=True),
-    "omega inverted": lambda draw: lambda _t, _e, v, w: (v, -w),
-    "v and omega swapped": lambda draw: lambda _t, _e, v, w: (w, v),
-    "offset of v": lambda draw: _added(draw, (0.1, 0.4), _NONE, lambda t: 1.0),
-    "offset of omega": lambda draw: _added(draw, _NONE, (0.2, 1.0), lambda t: 1.0),
+    "omega inverted": lambda _draw: lambda _t, _e, v, w: (v, -w),
+    "v and omega swapped": lambda _draw: lambda _t, _e, v, w: (w, v),
+    "offset of v": lambda draw: _added(draw, (0.1, 0.4), _NONE, lambda _t: 1.0),
+    "offset of omega": lambda draw: _added(draw, _NONE, (0.2, 1.0), lambda _t: 1.0),
     "drift of v": lambda draw: _added(draw, (0.03, 0.3), _NONE, lambda t: t),
     "drift of omega": lambda draw: _added(draw, _NONE, (0.05, 0.5), lambda t: t),
     "wave on v": lambda draw: _added(draw, (0.1, 0.6), _NONE, _wave(draw)),
@@ -173,33 +179,39 @@ def _late_poses(draw: Random) -> Sense:
     return _moved(change)
 
 
-def _scaled_sensor(name: str, draw: Random, gain: float, offset: float) -> Sense:
+def _scaled_sensor(name: str, gain: float, offset: float) -> Sense:
     def sense(_t: float, measurement: Measurement) -> Measurement:
         reading: Stamped | None = getattr(measurement, name)
         if reading is None:
             return measurement
-        return replace(measurement, **{name: replace(reading, value=gain * np.asarray(reading.value) + offset)})
+        scaled: dict[str, Any] = {name: replace(reading, value=gain * np.asarray(reading.value) + offset)}
+        return replace(measurement, **scaled)
 
     return sense
 
 
-def _frozen(draw: Random) -> Sense:
+def _frozen(_draw: Random) -> Sense:
     first: list[np.ndarray] = []
-    return _moved(lambda t, pose: (first.append(pose), first[0])[1])
+
+    def change(_t: float, pose: np.ndarray) -> np.ndarray:
+        first.append(pose)
+        return first[0]
+
+    return _moved(change)
 
 
 SENSES: dict[str, Callable[[Random], Sense]] = {
     "heading estimate drifts": lambda draw: _shifted(draw, _NONE, (0.02, 0.25), lambda t: t),
     "position estimate drifts": lambda draw: _shifted(draw, (0.03, 0.3), _NONE, lambda t: t),
-    "heading estimate off": lambda draw: _shifted(draw, _NONE, (0.1, 0.8), lambda t: 1.0),
-    "position estimate off": lambda draw: _shifted(draw, (0.12, 0.6), _NONE, lambda t: 1.0),
+    "heading estimate off": lambda draw: _shifted(draw, _NONE, (0.1, 0.8), lambda _t: 1.0),
+    "position estimate off": lambda draw: _shifted(draw, (0.12, 0.6), _NONE, lambda _t: 1.0),
     "poses late": _late_poses,
     "poses frozen": _frozen,
-    "poses mirrored": lambda draw: _moved(lambda t, pose: pose * [1.0, -1.0, -1.0]),
-    "poses lost": lambda draw: lambda t, measurement: replace(measurement, pose=None),
-    "wheels scaled": lambda draw: _scaled_sensor("wheel_twist", draw, _beside_one(draw), 0.0),
-    "gyro scaled": lambda draw: _scaled_sensor("yaw_rate", draw, _beside_one(draw), 0.0),
-    "gyro biased": lambda draw: _scaled_sensor("yaw_rate", draw, 1.0, _signed(draw, 0.1, 0.6)),
+    "poses mirrored": lambda _draw: _moved(lambda _t, pose: pose * [1.0, -1.0, -1.0]),
+    "poses lost": lambda _draw: lambda _t, measurement: replace(measurement, pose=None),
+    "wheels scaled": lambda draw: _scaled_sensor("wheel_twist", _beside_one(draw), 0.0),
+    "gyro scaled": lambda draw: _scaled_sensor("yaw_rate", _beside_one(draw), 0.0),
+    "gyro biased": lambda draw: _scaled_sensor("yaw_rate", 1.0, _signed(draw, 0.1, 0.6)),
 }
 """What the controller may make of its measurements."""
 

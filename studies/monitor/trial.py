@@ -34,6 +34,8 @@ THROWN_OFF = frozenset({"push", "start_offset"})
 """Here only the MPC drives: a plain law that is thrown off a fast path is half a metre away before it is back, which is
 no sound drive (two alarms in 276 drives from seed 10000 on were of these, and right)."""
 PATHS = ("circle", "square", "s", "cane", "figure8", "fast_circle", "slalom", "reverse_slalom", "k_turn", "spiral")
+BENCH_PATHS = ("circle", "square", "s", "cane")
+"""Those that robots of the market are drawn for."""
 SPLINES = 40
 """Beside these, so many random paths."""
 _FLOORS = ("default", "default", "carpet", "deep_carpet", "grippy", "slippery")
@@ -107,6 +109,9 @@ class MonitorTrial:
         True speed meanwhile [m/s].
     at_rest
         Whether the robot stands at the end.
+    left
+        Whether it leaves the stretch around its reference (`LEFT`, `ON_TIME`) without fault and monitor, too: an alarm
+        is then no false one. Without an alarm: whether it did.
     """
 
     case: Case
@@ -118,11 +123,24 @@ class MonitorTrial:
     farthest: float
     fastest: float
     at_rest: bool
+    left: bool
 
 
 def nominal_trial(seed: int, rules: Rules) -> MonitorTrial:
     """A drive in which nothing is wrong."""
     return _drive(nominal_case(seed), "", 0.0, rules)
+
+
+def market_case(seed: int) -> Case:
+    """A drive of a drawn robot of the market: the same robot is not drawn twice, path and model are drawn with it."""
+    draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1973,)))
+    path, model = (names[int(draw.integers(len(names)))] for names in (BENCH_PATHS, [m for _, m in PREDICTIVE]))
+    return Case(model=model, trajectory=path, plant=f"{DRAWN}:{seed}", seed=seed)
+
+
+def market_trial(seed: int, rules: Rules) -> MonitorTrial:
+    """A drive of a drawn robot in which nothing is wrong but the robot."""
+    return _drive(market_case(seed), "", 0.0, rules)
 
 
 def faulty_trial(fault: str, seed: int, rules: Rules) -> MonitorTrial:
@@ -153,6 +171,7 @@ def _drive(case: Case, fault: str, begins: float, rules: Rules) -> MonitorTrial:
         farthest=float(distances(run)[after].max(initial=0.0)),
         fastest=float(np.abs(run.true_twist[after, 0]).max(initial=0.0)),
         at_rest=bool(_rests_for_good(run)[-25:].all()),
+        left=_largest_distance(run if not verdict else simulate(*build(case), extra_time=AFTER)) > LEFT,
     )
 
 
@@ -169,8 +188,8 @@ def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
     first = np.searchsorted(times, run.time - near[0])
     last = np.searchsorted(times, run.time + near[1], "right")
     poses = run.true_pose[:, :2]
-    near = [np.hypot(*(places[a:b] - pose).T).min() for a, b, pose in zip(first, last, poses, strict=True)]
-    return np.array(near)
+    away = [np.hypot(*(places[a:b] - pose).T).min() for a, b, pose in zip(first, last, poses, strict=True)]
+    return np.array(away)
 
 
 # Broken controllers that nobody chose: where they drive, and what becomes of them.
@@ -186,7 +205,6 @@ _PATH, _BRAKES_WITHIN = (10.0, 1.0), 2.0
 [s]; what slides down a slope then is not looked at."""
 _SOUND_WITHIN = 0.07
 """Without the fault the robot stays within this [m]; elsewhere harm would not be the fault's."""
-_BENCH_PATHS = ("circle", "square", "s", "cane")
 _PLACES_OF_DRAWN = (
     *(("mujoco", floor, "default") for floor in ("default", "default", "carpet", "slippery")),
     *(("mujoco", "default", sensors) for sensors in ("slam", "poses_5hz", "noise_2cm")),
@@ -267,7 +285,7 @@ def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
 def _drawn_case(draw: np.random.Generator, seed: int) -> Case:
     plant, surface, sensors = _PLACES_OF_DRAWN[int(draw.integers(len(_PLACES_OF_DRAWN)))]
     controllers = ["mpc", "mpc", "pursuit+slip", *(["kanayama-plain"] if plant == "mujoco" else [])]
-    paths = [*_BENCH_PATHS, *(FAULTY_PATHS if plant else ())]
+    paths = [*BENCH_PATHS, *(FAULTY_PATHS if plant else ())]
     controller, path, robot = (
         str(draw.choice(controllers)),
         str(draw.choice(paths)),
@@ -281,5 +299,9 @@ def _drawn_case(draw: np.random.Generator, seed: int) -> Case:
 @cache
 def _is_sound(case: Case) -> bool:
     """Whether the robot stays near its reference where nothing is wrong."""
-    run = simulate(*build(case), extra_time=AFTER)
-    return float(distances(run, (ON_TIME, ON_TIME)).max()) <= _SOUND_WITHIN
+    return _largest_distance(simulate(*build(case), extra_time=AFTER)) <= _SOUND_WITHIN
+
+
+def _largest_distance(run: Run) -> float:
+    """From the stretch that the reference covers around each instant [m]."""
+    return float(distances(run, (ON_TIME, ON_TIME)).max())

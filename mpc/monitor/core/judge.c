@@ -78,7 +78,7 @@ static void go_on(ddmon_judge *j, double now)
     judge_rule(j, DDMON_CLOCK, j->now - now, j->rules->sensors_ahead, 1, 0.0);
     if (!is_finite(now))
         return;
-    j->now = j->began = j->answered = j->output_at = j->command_at = j->may_move_since = now;
+    j->now = j->began = j->answered = j->free_at = j->output_at = j->command_at = j->may_move_since = now;
     j->has_odometry = j->has_pose = j->has_gyro = j->placed = j->stamped = 0;
     j->ways = j->tracks = 0;
     memset(j->unexplained, 0, sizeof j->unexplained);
@@ -91,7 +91,7 @@ void ddmon_init(ddmon_judge *j, const ddmon_rules *rules, double now)
     j->rules = rules;
     j->now = j->began = now;
     j->may_move = -1;
-    j->answered = now;
+    j->answered = j->free_at = now;
     j->pace = 0.5 * (rules->commands_slowest + rules->commands_quickest);
 }
 
@@ -200,9 +200,9 @@ static void answer(ddmon_judge *j, int channel, int by, double found, int rule)
 static void judge_answer(ddmon_judge *j)
 {
     int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
-    double step = smaller(larger(j->now - j->answered, 0.0), LONGEST_STEP), asked = j->sent ? j->output[V] : 0.0;
-    double lacking = asked < 0.0 ? j->wheels[V] - asked : asked - j->wheels[V];
-    j->slow_short += share_of(step, j->rules->agreement_window) * (lacking - j->slow_short);
+    double standing = j->rules->commands_standing_v;
+    if (!j->sent || absolute(j->output[V]) <= standing || absolute(j->wheels[V]) > standing)
+        j->free_at = j->now;
     answer(j, V, BY_WHEELS, j->wheels[V], DDMON_ANSWER_V);
     answer(j, OMEGA, gyro ? BY_GYRO : BY_WHEELS, gyro ? j->gyro : j->wheels[OMEGA], DDMON_ANSWER_OMEGA);
     j->answered = j->now;
@@ -292,7 +292,7 @@ void ddmon_gyro(ddmon_judge *j, double now, double stamp, double omega)
 void ddmon_pose(ddmon_judge *j, double now, double stamp, double x, double y, double theta)
 {
     go_on(j, now);
-    if (!(usable(j, stamp, j->has_pose, j->pose_stamp) && is_finite(x) && is_finite(y) && is_finite(theta)))
+    if (!(j->rules->sensors_pose_age > 0.0 && usable(j, stamp, j->has_pose, j->pose_stamp) && is_finite(x) && is_finite(y) && is_finite(theta)))
         return;
     double step = j->has_pose ? smaller(stamp - j->pose_stamp, LONGEST_STEP) : 0.0;
     j->has_pose = 1;
@@ -360,19 +360,21 @@ static double rest(const ddmon_judge *j, double at[3])
     return j->now + time;
 }
 
-/* The robot is near its path and on time: now, and where it would stand if it braked now. One that something else has moved
-   away, or whose reference begins elsewhere, has time to return; one that does not drive as fast as commanded may be late. */
+/* The robot is near its path and on time: now, and where it would stand if it braked now. What neither wheels nor gyro
+   explain of its motion is no fault of the controller: that is allowed for. A robot that is away by it, that does not move
+   though it is told to, or whose reference begins elsewhere, has time to return. */
 static void judge_path(ddmon_judge *j)
 {
     const ddmon_rules *rules = j->rules;
     int moved = j->sent && moves(rules, j->output), bound = j->path && j->placed && (moved || j->may_move == 1);
-    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3], unexplained = hypot(j->unexplained[X], j->unexplained[Y]);
+    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3];
+    double unexplained = hypot(j->unexplained[X], j->unexplained[Y]);
     judge_rule(j, DDMON_NO_REFERENCE, 0.0, 0.0, moved && !j->path, rules->path_grace);
     if (bound) {
         compare_stretch(j, j->place, j->now - rules->path_late, j->now + rules->path_early, rules->path_distance, away);
         int elsewhere = away[DISTANCE] > rules->path_distance;
-        if (elsewhere && (unexplained > rules->path_distance ||
-                          rules->agreement_window * j->slow_short > rules->agreement_distance))
+        int held = j->now - j->free_at > rules->answer_dead_time + rules->answer_lasting;
+        if (elsewhere && (held || unexplained > rules->path_distance))
             moved_away(j);
         if (elsewhere)
             j->away_at = j->now;
@@ -598,7 +600,7 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
     j->followed[V] = j->followed[OMEGA] = j->output[V] = j->output[OMEGA] = 0.0;
     j->command[V] = j->command[OMEGA] = 0.0;
     j->stamped = j->ways = j->commanded = j->sent = 0;
-    j->slow_wheels = j->slow_gyro = j->slow_short = 0.0;
+    j->slow_wheels = j->slow_gyro = 0.0;
     memset(j->unexplained, 0, sizeof j->unexplained);
     j->pace = 0.5 * (j->rules->commands_slowest + j->rules->commands_quickest);
     if (lost) {

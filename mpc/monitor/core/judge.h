@@ -130,7 +130,7 @@ typedef struct {
     /* sensors: by wheels, gyro and poses */
     int has_odometry, has_pose, has_gyro;
     double odometry_stamp, wheels[2], gyro_stamp, gyro, pose_stamp, pose[3];
-    double high[2][2], low[2][2], answered, slow_wheels, slow_gyro, slow_short;
+    double high[2][2], low[2][2], answered, slow_wheels, slow_gyro, free_at;
     /* what wheels and gyro make of the motion; with poses: where the robot is, and what else moved it lately */
     double track_at[DDMON_TRACK], track[3][DDMON_TRACK], summed[3];
     int track_last, tracks, placed, returning;
