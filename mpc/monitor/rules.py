@@ -84,9 +84,9 @@ class Agreement(StrictModel):
 
     window: Annotated[float, Field(gt=0, le=4)] = Field(description="they are compared over so long [s]")
     blend: Positive = Field(description="poses correct what wheels and gyro sum up over so long [s]")
-    distance: Positive = Field(description="poses against wheels: correction within the window [m]")
+    distance: Positive = Field(description="poses against wheels: difference within the window [m]")
     distance_share: NotNegative = Field(description="and in addition by the distance [m/m]")
-    turn: Positive = Field(description="poses against gyro, else wheels: correction within the window [rad]")
+    turn: Positive = Field(description="poses against gyro, else wheels: difference within the window [rad]")
     gyro_gain: Positive = Field(description="most that the body turns for what the wheels do [-]")
     gyro_least: NotNegative = Field(description="and least [-]")
     gyro_turn: Positive = Field(description="and by so much more or less over the window [rad]")

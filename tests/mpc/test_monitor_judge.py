@@ -121,8 +121,9 @@ def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
         ("no_reference", lambda r: (r.judge.reference(r.now, []), r.drive(0.5))),
         ("bad_reference", lambda r: r.judge.reference(r.now, [[r.now, 0, 0, 0], [r.now + 1, 5, 0, 0]])),
         ("outside", lambda r: r.judge.outside(r.now, wrong=True)),
-        ("off_path", lambda r: (r.state.__setitem__(1, 0.6), r.drive(1.0))),
-        ("off_heading", lambda r: (r.state.__setitem__(2, 2.5), r.drive(0.5))),
+        ("off_heading", lambda r: (stand(r), r.judge.reference(r.now, [[r.now, *r.state]]), r.drive(4.5, (0.0, 0.3)))),
+        ("pose_jumps", lambda r: (r.state.__setitem__(1, 0.6), r.drive(1.0))),
+        ("pose_turns", lambda r: (r.state.__setitem__(2, 0.7), r.drive(0.6))),
         ("clock", lambda r: r.judge.tick(r.now - 5.0)),
     ],
 )
@@ -144,7 +145,7 @@ def test_a_robot_that_is_held_up_may_be_late(robot):
     assert not robot.judge.verdict
 
 
-@pytest.mark.parametrize(("moved", "rule"), [(0.25, ""), (0.6, "off_path")])
+@pytest.mark.parametrize(("moved", "rule"), [(0.25, ""), (0.6, "pose_jumps")])
 def test_a_robot_that_something_else_moved_may_return(robot, moved, rule):
     """By so much and no further: its wheels did not do that."""
     robot.drive(2.0)
@@ -206,7 +207,7 @@ def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(robot):
     robot.drive(2.0)
     robot.state[1] = 0.9
     robot.drive(3.0)
-    assert robot.judge.verdict.rule == "off_path"
+    assert robot.judge.verdict.rule == "pose_jumps"
     robot.drive(3.0, (0.0, 0.0))
     assert not robot.judge.reset(robot.now)
     robot.drive(1.0, (0.04, 0.0))

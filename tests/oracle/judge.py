@@ -145,7 +145,7 @@ class OracleJudge:
 
     def _place_anew(self):
         r = self.rules.agreement
-        place, gone = None, np.zeros(3)
+        place, gone, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
         if not self.rules.sensors.pose_age > 0:
             return (np.array(self.odometry[-1][3:6]) if self.odometry else None), gone
         known = self.summed([event[1][0] for event in self.events])
@@ -154,6 +154,7 @@ class OracleJudge:
             if name == "odometry":
                 dt = min(row[0] - newest[0], 1.0) if newest is not None else 0.0
                 gone = gone * (1.0 - dt / (r.window + dt))
+                self.driven += abs(row[1]) * dt - dt / (r.window + dt) * self.driven
                 if place is not None:
                     middle = place[2] + 0.5 * row[6] * dt
                     place = place + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
@@ -170,16 +171,16 @@ class OracleJudge:
             place = seen.copy() if place is None else place
             apart = seen - place
             apart[2] = wrapped(apart[2])
+            self.pending = gone + apart
             place = place + dt / (r.blend + dt) * apart
             gone = gone + dt / (r.blend + dt) * apart
         return place, gone
 
     def _poses_against_odometry(self):
         r = self.rules.agreement
-        _, gone = self._place()
-        v = abs(self.odometry[-1][1]) if self.odometry else 0.0
-        self.judge("pose_jumps", np.hypot(*gone[:2]) > r.distance + r.distance_share * r.window * v, r.lasting)
-        self.judge("pose_turns", abs(gone[2]) > r.turn, r.lasting)
+        self._place()
+        self.judge("pose_jumps", np.hypot(*self.pending[:2]) > r.distance + r.distance_share * self.driven, r.lasting)
+        self.judge("pose_turns", abs(self.pending[2]) > r.turn, r.lasting)
 
     def command(self, now, stamp, v, omega):
         self.now = now

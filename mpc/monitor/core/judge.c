@@ -81,6 +81,7 @@ static void go_on(ddmon_judge *j, double now)
     j->now = j->began = j->answered = j->free_at = j->output_at = j->command_at = j->may_move_since = now;
     j->has_odometry = j->has_pose = j->has_gyro = j->placed = j->stamped = 0;
     j->ways = j->tracks = 0;
+    j->driven = 0.0;
     memset(j->unexplained, 0, sizeof j->unexplained);
     memset(j->broken, 0, sizeof j->broken);
 }
@@ -148,6 +149,7 @@ static void sum_up(ddmon_judge *j, double stamp, double step, double v, double o
     carry(j->place, v * step, omega * step);
     for (int i = 0; i < 3; i++)
         j->unexplained[i] -= share_of(step, j->rules->agreement_window) * j->unexplained[i];
+    j->driven += absolute(v) * step - share_of(step, j->rules->agreement_window) * j->driven;
     if (j->tracks && stamp - j->track_at[last] < TRACK_SPACING)
         return;
     last = j->tracks ? (last + 1) % DDMON_TRACK : 0;
@@ -249,12 +251,14 @@ static void correct_place(ddmon_judge *j, double step)
     j->placed = 1;
     for (int i = 0; i < 3; i++) {
         double apart = i == THETA ? wrapped(seen[i] - j->place[i]) : seen[i] - j->place[i];
-        j->place[i] += share_of(step, rules->agreement_blend) * apart;
-        gone[i] += share_of(step, rules->agreement_blend) * apart;
+        double correction = share_of(step, rules->agreement_blend) * apart;
+        seen[i] = gone[i] + apart; /* also what is not corrected yet */
+        j->place[i] += correction;
+        gone[i] += correction;
     }
-    at_most(j, DDMON_POSE_JUMPS, hypot(gone[X], gone[Y]), rules->agreement_distance + rules->agreement_distance_share *
-            rules->agreement_window * absolute(j->wheels[V]), rules->agreement_lasting);
-    at_most(j, DDMON_POSE_TURNS, absolute(gone[THETA]), rules->agreement_turn, rules->agreement_lasting);
+    at_most(j, DDMON_POSE_JUMPS, hypot(seen[X], seen[Y]),
+            rules->agreement_distance + rules->agreement_distance_share * j->driven, rules->agreement_lasting);
+    at_most(j, DDMON_POSE_TURNS, absolute(seen[THETA]), rules->agreement_turn, rules->agreement_lasting);
 }
 
 void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double omega, double x, double y, double theta)
@@ -602,6 +606,8 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
     j->stamped = j->ways = j->commanded = j->sent = 0;
     j->slow_wheels = j->slow_gyro = 0.0;
     memset(j->unexplained, 0, sizeof j->unexplained);
+    j->driven = 0.0;
+    moved_away(j);
     j->pace = 0.5 * (j->rules->commands_slowest + j->rules->commands_quickest);
     if (lost) {
         j->path = 0;

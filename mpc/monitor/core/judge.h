@@ -46,9 +46,9 @@ typedef struct {
     double sensors_ahead;            /* stamps may be in the future by so much [s] */
     double agreement_window;         /* sensors are compared over so long [s] */
     double agreement_blend;          /* poses correct what wheels and gyro sum up over so long [s] */
-    double agreement_distance;       /* poses against wheels: correction within the window [m] */
+    double agreement_distance;       /* poses against wheels: difference within the window [m] */
     double agreement_distance_share; /* and in addition by the distance [m/m] */
-    double agreement_turn;           /* poses against gyro, else wheels: correction within the window [rad] */
+    double agreement_turn;           /* poses against gyro, else wheels: difference within the window [rad] */
     double agreement_gyro_gain;      /* gyro against wheels: most that the body turns for what the wheels do [-] */
     double agreement_gyro_least;     /* and least [-] */
     double agreement_gyro_turn;      /* and by so much more or less over the window [rad] */
@@ -134,7 +134,7 @@ typedef struct {
     /* what wheels and gyro make of the motion; with poses: where the robot is, and what else moved it lately */
     double track_at[DDMON_TRACK], track[3][DDMON_TRACK], summed[3];
     int track_last, tracks, placed, returning;
-    double place[3], unexplained[3], moved_at, away_at;
+    double place[3], unexplained[3], driven, moved_at, away_at;
 } ddmon_judge;
 
 /* Begin at `now`; `rules` have to live as long as the judge. */
