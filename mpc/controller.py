@@ -54,6 +54,8 @@ _CHANGEABLE = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
 # Of ddmpc_pending.
 _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
+_FASTEST = 1e6
+"""Beyond any robot [m/s, rad/s]; squares of commands that were applied stay far from overflow."""
 
 
 @dataclass
@@ -268,7 +270,7 @@ class Controller:
         Raises
         ------
         ValueError
-            If the commands are not finite, or not pairs.
+            If the commands are not finite, faster than anything is (1e6), or not pairs.
         """
         pairs = _pairs(commands)
         line = np.vstack([belief.sent, pairs])
@@ -290,7 +292,7 @@ class Controller:
         Raises
         ------
         ValueError
-            If the commands are not finite, or not pairs.
+            If the commands are not finite, faster than anything is (1e6), or not pairs.
         """
         pairs = _pairs(commands)
         if not len(pairs):
@@ -735,6 +737,10 @@ def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
 def _pairs(commands: ArrayLike) -> FloatArray:
     """Commands (K, 2); raises ValueError where they are something else."""
     pairs = np.asarray(commands, dtype=float)
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or not np.isfinite(pairs).all():
-        raise ValueError(f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s]")
+    # Not the other way round: NaN must fail.
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _FASTEST).all():
+        raise ValueError(
+            f"commands of shape {pairs.shape}: give pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], finite and at most "
+            f"{_FASTEST:g}"
+        )
     return pairs

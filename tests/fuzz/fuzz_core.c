@@ -403,7 +403,7 @@ static int go_on(ddmpc_controller *c, const ddmpc_sizes *s, int pending)
     }
     if (pending == DDMPC_NEEDS_BACKEND) {
         const int seldom = once_in(2) ? 20 : 100000;
-        const ddmpc_report report = {below(DDMPC_QP_NOT_RUN + 1), DDMPC_BACKEND, 7, 1, R(0.0), R(0.0)};
+        const ddmpc_report report = {below(DDMPC_QP_NOT_RUN + 1), DDMPC_BACKEND, 7, 1, 0, R(0.0), R(0.0)};
         real *plan = array(2 * s->steps), *multipliers = array(rows);
         int *broken = calloc((size_t)(HARD + s->soft), sizeof(int));
         real *soft = array((long)2 * s->steps * s->steps);

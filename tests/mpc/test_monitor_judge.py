@@ -100,7 +100,7 @@ def test_a_reading_that_cannot_be_used_is_none(robot, sensor, spoilt):
         send(place)
     assert not robot.judge.verdict
     setattr(robot, "lost" if sensor == "pose" else "blind", True)
-    for _ in range(100):
+    for _ in range(250):
         for part in range(5 if spoilt == "not finite" else 1):
             send(part)
         # The other of the two sensors that a blind robot lacks.
