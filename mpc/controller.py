@@ -270,7 +270,7 @@ class Controller:
         Raises
         ------
         ValueError
-            If the commands are not finite, faster than anything is (1e6), or not pairs.
+            If the commands are not finite, larger than 1e6, or not pairs.
         """
         pairs = _pairs(commands)
         line = np.vstack([belief.sent, pairs])
@@ -292,7 +292,7 @@ class Controller:
         Raises
         ------
         ValueError
-            If the commands are not finite, faster than anything is (1e6), or not pairs.
+            If the commands are not finite, larger than 1e6, or not pairs.
         """
         pairs = _pairs(commands)
         if not len(pairs):

@@ -73,7 +73,7 @@ It is the Python controller with `reentry.enabled: false`: further than `failure
 reference is it brakes, nearer it chases the reference, which does not wait.
 
 - The active set solves at most {iteration_limit} systems at a tick, and takes at most {operations_bound} operations:
-  multiplications of its loops. Everything else in a tick is loops of fixed length. What it has reached by then is
+  multiplications of its loops. All other loops of a tick are bounded by sizes. What it has reached by then is
   taken, inside ranges and slew, and `result->solver.status` is DDMPC_QP_STOPPED. There is no backend: where rounding
   leaves no proof, the failure ladder acts. Where no limit is active the plan is exact, with 0 iterations.
 - Weights and limits are constants; there is no `update`. Parameters of functions of yours are variables.

@@ -140,6 +140,8 @@ def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str
             if prefix and is_for_users(plain):
                 raise ConfigError(f"{where}: {prefix}{key}: write it outside '{EXPERT}', as {plain}")
             stated[plain] = f"{prefix}{key}"
+    if "solver.method" in stated and stated.keys() & {"solver.strategy", "solver.backend"}:
+        raise ConfigError(f"{where}: solver.method has taken the place of strategy and backend; leave these out")
 
 
 def in_rooms(config: StrictModel) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -172,9 +174,10 @@ def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
     """`solver` with one `method` for the strategy and the backend of earlier files, and OSQP's setting in its group."""
     kept = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
     if solver.keys() & {"strategy", "backend"}:
-        kept.setdefault("method", solver.get("backend", "daqp") if solver.get("strategy") == "backend" else "auto")
-    if "check_every" in solver:
-        kept["osqp"] = {"check_termination": solver["check_every"]} | kept.get("osqp", {})
+        strategy = solver.get("strategy", "auto")
+        kept["method"] = solver.get("backend", "daqp") if strategy == "backend" else strategy
+    if "check_every" in solver and isinstance(kept.get("osqp", {}), Mapping):
+        kept["osqp"] = {**kept.get("osqp", {}), "check_termination": solver["check_every"]}
     return kept
 
 

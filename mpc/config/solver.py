@@ -44,7 +44,9 @@ class Solver(Group):
         2000, description="limit of the iterations of one solve of DAQP [-]"
     )
     tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
-        1e-5, description="of DAQP on the limits, in units of rows normalised by the cost [-]"
+        1e-5,
+        description="of DAQP on the limits, in units of rows normalised by the cost; a tenth of it counts as kept for "
+        "every solver [-]",
     )
     time_limit: Annotated[float, Field(gt=0)] | None = Field(
         None,
@@ -54,5 +56,5 @@ class Solver(Group):
 
     @property
     def backend(self) -> str:
-        """The solver that is asked where the core's own ways are not taken, or do not prove a solution."""
+        """The solver that is asked where the core's own methods are not used, or do not prove a solution."""
         return "daqp" if self.method == "auto" else self.method

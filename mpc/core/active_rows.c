@@ -291,7 +291,8 @@ static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
 
 static void bring_columns(ddmpc_rows *rows, const int *chosen, int count)
 {
-    rows->work += count * ddmpc_column_operations(rows->n, rows->used);
+    /* A batch works on whole lanes. */
+    rows->work += (count >= SIDE_BY_SIDE ? LANES : count) * ddmpc_column_operations(rows->n, rows->used);
     if (count >= SIDE_BY_SIDE)
         bring_batch(rows, chosen, count);
     else

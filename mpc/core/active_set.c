@@ -15,6 +15,7 @@ enum {
     PATIENCE = 2,         /* rounds in which fewer rows have to be wrong */
     MOST_STALLS = 20,     /* times that the dual objective need not rise: rounding, no more */
     MOST_REFINEMENTS = 3, /* of one solution */
+    MOST_WORK = 6,          /* starts with all rows pressing, and factorisations, whose operations a tick may take */
     FEW = DDMPC_LANES     /* rows that are let in at once by the dual method: one block of columns */
 };
 
@@ -439,6 +440,7 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     const int n = rows->n;
     real *restrict gradient = rows->batch, *restrict moved = rows->batch + n;
     real largest = R(0.0), allowed = R(0.0), dual = R(0.0);
+    rows->work += n * (2 * n + rows->active) + rows->m;
     for (int k = 0; k < n; k++) {
         moved[k] = plan[k] - problem->minimiser[k];
         gradient[k] = R(0.0);
@@ -529,11 +531,11 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         result.active = rows.active;
         result.primal = rows.primal;
         result.late = rows.late;
-        result.operations = rows.work;
         if (result.status == DDMPC_PROVEN && !is_stationary(&rows, plan, multipliers, &result))
             result.status = DDMPC_NOT_PROVEN;
         if (result.status == DDMPC_UNFINISHED && !is_left_usable(&rows, plan, multipliers))
             result.status = DDMPC_NOT_PROVEN;
+        result.operations = rows.work;
     }
     if (result.status != DDMPC_PROVEN && result.status != DDMPC_UNFINISHED) {
         memset(multipliers, 0, (size_t)problem->rows * sizeof(real));
@@ -565,7 +567,7 @@ static parts parts_of(int n, int m, int slots)
 ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active)
 {
     const parts p = parts_of(inputs, rows, DDMPC_LIMITED_SLOTS(most_active));
-    return 2 * (p.start + p.factor);
+    return MOST_WORK * (p.start + p.factor);
 }
 
 ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
@@ -573,7 +575,9 @@ ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
     const int slots = DDMPC_LIMITED_SLOTS(most_active);
     const parts p = parts_of(inputs, rows, slots);
     const ddmpc_count round = p.many > p.settled ? p.many : p.settled;
-    return 2 * (p.start + p.factor) + 2 * p.start + round + ddmpc_plan_operations(inputs, rows, slots);
+    /* After the last round the plan is found once more, or the cost is looked at. */
+    const ddmpc_count end = 2 * ddmpc_plan_operations(inputs, rows, slots);
+    return MOST_WORK * (p.start + p.factor) + 2 * p.start + round + end;
 }
 
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active)

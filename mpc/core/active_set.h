@@ -15,10 +15,10 @@
 
 #include "tile.h"
 
-/* Numbers are SI or the problem's own; the library looks at sizes only to tell rounding errors. */
 /* A number of operations. */
 typedef long long ddmpc_count;
 
+/* Numbers are SI or the problem's own; the library looks at sizes only to tell rounding errors. */
 typedef struct {
     int inputs, rows, hard;            /* n; m two-sided limits, of which the first `hard` are hard, the others soft */
     const real *factor, *minimiser;    /* R (n, n), row by row; what lies left of the diagonal is not read. U0 (n) */
@@ -70,8 +70,8 @@ typedef struct {
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
 unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
 
-/* Operations that a tick may take: those of two starts with all rows pressing and two factorisations. On the drives of
- * hard_ticks.py robots that can by no means follow take at most 0.95 of it. */
+/* Operations that a tick may take: those of six starts with all rows pressing and six factorisations. On the drives of
+ * tests/mpc/hard_ticks.py robots that can by no means follow take at most a third of it. */
 ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active);
 /* Operations that no solve exceeds which may take these: two starts, a round that begins just before, and the plan at the end
  * come on top. Counted are multiplications of loops over rows and inputs, blocks as whole ones. */

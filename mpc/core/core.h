@@ -239,7 +239,7 @@ typedef enum {
     DDMPC_QP_NOT_CONVEX,
     DDMPC_QP_NOT_FINITE, /* the problem's data are not finite, or too large to be real */
     DDMPC_QP_NOT_RUN,
-    DDMPC_QP_STOPPED,        /* the active set at its last iteration, or for want of room: ranges and slew are kept */
+    DDMPC_QP_STOPPED,        /* the active set, by iterations, operations or room: ranges and slew are kept */
     DDMPC_QP_STOPPED_IN_TIME /* the same, by the deadline */
 } ddmpc_solver_status;
 

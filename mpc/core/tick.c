@@ -443,7 +443,9 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
         return c->pending;
     memcpy(c->problem.plan, plan, (size_t)INPUTS(c) * sizeof(real));
     memcpy(c->problem.multipliers, multipliers, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
+    const long long operations = c->result.solver.operations;
     c->result.solver = *report;
+    c->result.solver.operations = operations; /* of the active set, which went before */
     return finish_tick(c, ddmpc_use_plan(c), 1);
 }
 

@@ -192,7 +192,7 @@ class FollowPathServer:
     def _look(self) -> None:
         """Pass on the ends of goals to whoever waits for them."""
         ended = [entry for entry in self._open if entry[0].end is not None]
-        for entry in ended[:_RESULTS_AT_ONCE]:
+        for entry in ended if self._closing else ended[:_RESULTS_AT_ONCE]:
             self._open.remove(entry)
             entry[2].set_result(entry[0].end)
 

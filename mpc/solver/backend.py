@@ -160,7 +160,7 @@ def ask(
     )
 
 
-# The solvers that may be asked, by their names in the configuration (`solver.backend`).
+# The solvers that may be asked, by their names in the configuration (`solver.method`).
 
 
 BACKENDS: Mapping[str, str] = {"daqp": "DaqpBackend", "osqp": "OsqpBackend"}

@@ -145,7 +145,7 @@ class _Workspace:
         self._upper[: self._rows] = program.upper[self._kinds].reshape(-1)
         self._lower[: self._rows] = program.lower[self._kinds].reshape(-1)
         if not self._soft:
-            return self._size
+            return np.empty(0)
         rows = np.stack([program.rows(kind) for kind in self._soft])
         greatest = np.abs(rows).max(axis=(1, 2))
         size = self._size = np.repeat(np.where(greatest > 0.0, greatest, 1.0), self._steps)

@@ -20,7 +20,9 @@ class SolverStatus(StrEnum):
     NOT_FINITE = "the problem's data are not finite, or too large to be real"
     REFUSED = "the solver refused the problem's data"
     NOT_RUN = "the solver did not run"
-    STOPPED = "stopped at its last iteration: ranges and slew are kept, the rest as far as it got"
+    STOPPED = (
+        "stopped by its bounds on iterations, operations or room: ranges and slew are kept, the rest as far as it got"
+    )
     STOPPED_IN_TIME = "stopped by the clock: ranges and slew are kept, the rest as far as it got"
 
     @property
@@ -64,8 +66,8 @@ class SolverReport:
     soft_limits
         Whether soft limits took part.
     operations
-        Of the active set: multiplications and comparisons of its loops. They stay below the controller's
-        `most_operations`; docs/tuning.md says how they are counted.
+        Of the active set: multiplications of its loops, also where a backend was asked after it. At most
+        `Controller.operations_bound`; docs/tuning.md says how they are counted.
     """
 
     status: SolverStatus

@@ -32,11 +32,12 @@ class Timed(Controller):
         began = time.process_time()
         result = super().step(*args, **bounds)
         vars(self).setdefault("times", []).append(1e3 * (time.process_time() - began))
+        vars(self).setdefault("operations", []).append(result.solver.operations)
         return result
 
 
 def main() -> None:
-    print(f"{'drive':16} {'ticks':>5} {'p50 [ms]':>9} {'p99':>7} {'worst':>7} {'most iterations':>16}  solved by")
+    print(f"{'drive':16} {'ticks':>5} {'p50 [ms]':>9} {'p99':>7} {'worst':>7} {'systems':>8} {'of bound':>8}  by")
     for name in sys.argv[1:] or DRIVES:
         model, trajectory, changes = DRIVES[name]
         controller = Timed(load_config(model, changes))
@@ -44,7 +45,9 @@ def main() -> None:
         p50, p99, worst = np.percentile(vars(controller)["times"], (50, 99, 100))
         methods = ", ".join(f"{method} {count}" for method, count in Counter(run.solver_methods).most_common())
         most = np.nanmax(run.solver_iterations)
-        print(f"{name:16} {len(run.solver_methods):5} {p50:9.2f} {p99:7.2f} {worst:7.2f} {most:16.0f}  {methods}")
+        share = max(vars(controller)["operations"]) / controller.operations_bound
+        times = f"{p50:9.2f} {p99:7.2f} {worst:7.2f}"
+        print(f"{name:16} {len(run.solver_methods):5} {times} {most:8.0f} {share:8.2f}  {methods}")
 
 
 if __name__ == "__main__":

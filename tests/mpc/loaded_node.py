@@ -33,14 +33,8 @@ class DrivenRobot(Robot):
     """Does what it is told; its odometry falls silent from time to time."""
 
     def __init__(self):
-        self.pose, self.twist, self.silent_since, self.intervals, self.stops, self.missed = (
-            np.zeros(3),
-            [0.0, 0.0],
-            None,
-            [],
-            [],
-            0,
-        )
+        self.pose, self.twist, self.silent_since = np.zeros(3), [0.0, 0.0], None
+        self.intervals, self.stops = [], []
         self.began = time.monotonic()
         super().__init__()
         self.start = self.node.create_client(Trigger, "diffdrive_mpc/start")

@@ -10,6 +10,7 @@ import yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
 from diffdrive_mpc.mpc.config.rooms import FORMER, USER, is_for_users, plain_key, shown_key, side_by_side
 
@@ -59,6 +60,24 @@ def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver
     assert read.solver.method == method
     assert read.solver.osqp.check_termination == 25
     assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
+    changed = replace_values(read, {"solver.backend": "osqp", "solver.strategy": "backend"})
+    assert changed.solver.method == "osqp"
+
+
+@pytest.mark.parametrize(
+    ("solver", "message"),
+    [
+        ("{strategy: backnd}", "solver.method"),
+        ("{strategy: backend, method: auto}", "solver.method has taken the place"),
+        ("{check_every: 25, osqp: 3}", "solver.osqp"),
+    ],
+)
+def test_what_cannot_be_one_method_is_one_line(tmp_path, solver, message):
+    path = tmp_path / "old.yaml"
+    path.write_text(f"model: sm\nsolver: {solver}\n")
+    with warnings.catch_warnings(), pytest.raises(ConfigError, match=message):
+        warnings.simplefilter("ignore")
+        load_config(path)
 
 
 def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
