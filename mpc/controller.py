@@ -740,7 +740,7 @@ def _pairs(commands: ArrayLike) -> FloatArray:
     # Not the other way round: NaN must fail.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _FASTEST).all():
         raise ValueError(
-            f"commands of shape {pairs.shape}: give pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], finite and at most "
-            f"{_FASTEST:g}"
+            f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], each at "
+            f"most {_FASTEST:g}"
         )
     return pairs

@@ -34,7 +34,6 @@ class Solver(Group):
         description="auto: the minimiser without limits where it keeps them, then the active set, and DAQP where that "
         "is not proven; osqp: OSQP at every tick; daqp: DAQP at every tick [-]",
     )
-    osqp: Osqp = Osqp()
     active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
         500,
         description="systems that the active set may solve at a tick; then its plan is taken as it is, with ranges and "
@@ -53,6 +52,7 @@ class Solver(Group):
         description="the node's: after so long of a tick the solve is stopped, and its plan taken as it is, with "
         "ranges and slew kept; unset: half of sample_time. A simulation is bounded by iterations alone [s]",
     )
+    osqp: Osqp = Osqp()
 
     @property
     def backend(self) -> str:
