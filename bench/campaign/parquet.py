@@ -32,7 +32,9 @@ def write_table(rows: Sequence[Mapping[str, object]], path: Path, facts: Mapping
 def read_table(path: Path, *, times: bool = True) -> Any:  # noqa: ANN401 - a pyarrow.Table
     """Read such a file, with or without the columns of time; raises MissingPackageError without pyarrow."""
     _, parquet = needs_arrow()
-    table = parquet.read_table(path)
+    # From one handle: a path is opened twice, and another campaign may replace the file meanwhile.
+    with path.open("rb") as file:
+        table = parquet.read_table(file)
     return table if times else table.select([name for name in table.column_names if not name.startswith(TIME)])
 
 
