@@ -132,7 +132,7 @@ class FloorRehearsal:
         """The motion to track instead of `reference`, if there is one; says what was found."""
         bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
         if reference.duration > _LONGEST:
-            self.said = f"{learned}, {_AS_GIVEN}: it takes more than {_LONGEST:g} s"
+            self.said = f"{learned}, {_AS_GIVEN}: it is longer than {_LONGEST:g} s"
             return None
         try:
             drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)

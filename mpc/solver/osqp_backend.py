@@ -89,7 +89,8 @@ class _Workspace:
         column = np.repeat(np.arange(n), np.arange(1, n + 1))
         self._triangle = n * np.concatenate([np.arange(k + 1) for k in range(n)]) + column
         self._gradient = np.zeros(n + 2 * rows)
-        self._size = np.ones(rows)
+        # Which of all rows are soft limits, and what each of these is divided by.
+        self._limits, self._size = slice(self._rows - rows, self._rows), np.ones(rows)
         self._lower = np.zeros(self._rows + 2 * rows)
         self._upper = np.full(self._rows + 2 * rows, np.inf)
         self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
@@ -138,8 +139,7 @@ class _Workspace:
 
     def _load(self, program: Program, guess: FloatArray) -> FloatArray:
         """Take the program's numbers; returns the values of the soft limits along `guess`, scaled as their rows are."""
-        n, hard = self._n, self._rows - len(self._size)
-        entries = len(self._triangle)
+        n, entries = self._n, len(self._triangle)
         program.H.take(self._triangle, out=self._P.data[:entries])
         self._gradient[:n] = program.g
         self._upper[: self._rows] = program.upper[self._kinds].reshape(-1)
@@ -151,8 +151,8 @@ class _Workspace:
         size = self._size = np.repeat(np.where(greatest > 0.0, greatest, 1.0), self._steps)
         scaled = rows.reshape(-1, n) / size[:, None]
         self._A.data[self._soft_place] = scaled
-        self._upper[hard : self._rows] /= size
-        self._lower[hard : self._rows] /= size
+        self._upper[self._limits] /= size
+        self._lower[self._limits] /= size
         self._P.data[entries:] = np.tile(self._weights.soft_quadratic * size**2, 2)
         self._gradient[n:] = np.tile(self._weights.soft * size, 2)
         values: FloatArray = scaled @ guess
@@ -161,8 +161,8 @@ class _Workspace:
     def _primal(self, guess: FloatArray, values: FloatArray) -> FloatArray:
         if not self._soft:
             return guess
-        limits = slice(self._rows - len(values), self._rows)
-        over, under = np.maximum(values - self._upper[limits], 0), np.maximum(self._lower[limits] - values, 0)
+        over = np.maximum(values - self._upper[self._limits], 0)
+        under = np.maximum(self._lower[self._limits] - values, 0)
         return np.concatenate([guess, over, under])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
@@ -170,7 +170,7 @@ class _Workspace:
         pressing = multipliers[self._kinds].reshape(-1)
         if not self._soft:
             return pressing
-        soft = pressing[len(pressing) - len(self._size) :]
+        soft = pressing[self._limits]
         soft *= self._size
         price = self._gradient[self._n :].reshape(2, -1)[0]
         return np.concatenate([pressing, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
@@ -179,7 +179,7 @@ class _Workspace:
         multipliers = np.zeros((self._count, self._steps))
         pressing = dual[: self._rows]
         if self._soft:
-            pressing[self._rows - len(self._size) :] /= self._size
+            pressing[self._limits] /= self._size
         pressing[np.abs(pressing) < _NO_PRESSURE] = 0.0
         multipliers[self._kinds] = pressing.reshape(-1, self._steps)
         return multipliers

@@ -37,10 +37,10 @@ def quick_steps(monkeypatch: pytest.MonkeyPatch) -> None:
         def step(folder: Path, name: str = name, files: tuple[str, ...] = files, **options: object) -> Gate:
             logs, drive = options.get("logs"), options.get("drive")
             given = logs.files[0] if isinstance(logs, chain.Logs) else drive
-            said = f"seed {options['seed']}" if "seed" in options else ""
-            said = given.read_text(encoding="utf-8") if isinstance(given, Path) else said
+            text = f"seed {options['seed']}" if "seed" in options else ""
+            text = given.read_text(encoding="utf-8") if isinstance(given, Path) else text
             for file in files:
-                (folder / file).write_text(f"{name} {said}\nmodel: model.yaml\n", encoding="utf-8")
+                (folder / file).write_text(f"{name} {text}\nmodel: model.yaml\n", encoding="utf-8")
             return Gate(True, f"{name} is done")
 
         monkeypatch.setattr(chain, name, step)
