@@ -186,6 +186,18 @@ def test_a_page_shows_the_committed_report(shown):
     assert with_report(shown, page, report) == page
 
 
+def test_the_readme_is_read_in_one_go():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 100
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/reproduce.md"])
+def test_the_stated_number_of_findings_that_hold_is_that_of_the_report(page):
+    report = (ROOT / "docs" / "reproduce" / "reproduce.md").read_text(encoding="utf-8")
+    findings = report.partition("## Findings")[2].partition("\n## ")[0]
+    held = [line.split("|")[-2].strip() for line in findings.splitlines() if line.startswith("| ")][2:]
+    assert f"{held.count('yes')} of {len(held)} hold" in (ROOT / page).read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from diffdrive_mpc.bench.figure_style import (
     colour,
     draw_world,
     free_name,
+    line_style,
     new_figure,
 )
 from diffdrive_mpc.bench.study import Charts, Draw
@@ -32,6 +34,9 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 _VISIBLE = 0.12
 """Largest error of a driven path in a figure, in units of the path's extent: so far it is magnified."""
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+_DRAWN_TOGETHER = 3
+"""Controllers whose driven paths are drawn over each other; of more only the best one is drawn."""
+_PATHS_IN_A_ROW = 5
 
 
 def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
@@ -50,31 +55,42 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
 
 
 def draw_overview(main: DataFrame, path: Path) -> None:
-    """Draw the path of the predictive controller with the least position RMSE, and compare all controllers."""
+    """Draw the driven paths, of the best predictive controller or of the few there are, and compare all controllers."""
     compared = by(main, COMPARED)
     best = best_of(predictive(compared))
-    driven = by(compared[best], "trajectory")
-    with new_figure(path, 10.0, 6.0) as figure:
-        halves = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.05))
+    drawn = list(compared) if len(compared) <= _DRAWN_TOGETHER else [best]
+    trajectories = list(by(compared[best], "trajectory"))
+    rows = math.ceil(len(trajectories) / _PATHS_IN_A_ROW)
+    with new_figure(path, 10.0, 3.2 + 2.8 * rows) as figure:
+        halves = figure.add_gridspec(2, 1, height_ratios=(2.8 * rows, 3.2))
         upper, lower = figure.add_subfigure(halves[0]), figure.add_subfigure(halves[1])
-        upper.suptitle(f"Driven with {best}, first seed")
-        paths = upper.subplots(1, len(driven), squeeze=False)[0]
-        for axes, (trajectory, rows) in zip(paths, driven.items(), strict=True):
-            factor = _path(axes, rows["run"].iloc[0])
-            drawn = f"\nerror drawn × {factor:g}" if factor > 1 else ""
-            axes.set_title(f"{trajectory}, RMSE {1e3 * mean(rows, 'position_rmse_m'):.1f} mm{drawn}")
-        paths[0].legend(loc="center")
+        upper.suptitle(f"Driven by {', '.join(drawn)}, first seed")
+        grid = upper.subplots(rows, min(len(trajectories), _PATHS_IN_A_ROW), squeeze=False).ravel()
+        for axes, trajectory in zip(grid, trajectories, strict=False):
+            runs = {name: by(compared[name], "trajectory")[trajectory] for name in drawn}
+            factor = _paths(axes, {name: cells["run"].iloc[0] for name, cells in runs.items()})
+            error = f"{best}: RMSE {1e3 * mean(runs[best], 'position_rmse_m'):.1f} mm"
+            axes.set_title(f"{trajectory}\n{error}" + (f"\nerrors drawn × {factor:g}" if factor > 1 else ""))
+        for axes in grid[len(trajectories) :]:
+            axes.set_visible(False)
+        grid[0].legend(loc="best")
         for axes, chart in zip(lower.subplots(1, 2), (error_chart(main), step_time_chart(main)), strict=True):
             draw_chart(axes, chart)
             axes.set_title(chart.title)
             axes.legend()
 
 
-def _path(axes: Axes, run: Run) -> float:
-    """Reference and driven path, with its error magnified where they could not be told apart; gives the factor."""
-    driven, factor = magnified(run)
-    axes.plot(*run.reference_pose[:, :2].T, color=REFERENCE_COLOUR, linewidth=3.0, label="reference")
-    axes.plot(*driven.T, color=colour(1), linewidth=1.1, label="driven")
+def _paths(axes: Axes, runs: dict[str, Run]) -> float:
+    """Draw the reference and the driven paths by name of the controller.
+
+    All errors are magnified by the factor that makes the largest of them visible. Gives the factor.
+    """
+    factor = min(magnified(run)[1] for run in runs.values())
+    reference = next(iter(runs.values())).reference_pose[:, :2]
+    axes.plot(*reference.T, color=REFERENCE_COLOUR, linewidth=3.0, label="reference")
+    for place, (name, run) in enumerate(runs.items()):
+        driven = run.reference_pose[:, :2] + factor * (run.true_pose[:, :2] - run.reference_pose[:, :2])
+        axes.plot(*driven.T, color=colour(place), linestyle=line_style(place), linewidth=1.3, label=name)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     return factor
 

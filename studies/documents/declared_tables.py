@@ -57,21 +57,11 @@ def parameter_tables() -> str:
     for name in advice:
         if name not in known:
             raise ConfigError(f"{_ADVICE.name}: '{name}' is no parameter and no group; remove it")
-    return f"{node_table()}\n\n{configuration_tables()}"
-
-
-def node_table() -> str:
-    """The parameters that only the node has."""
-    return _table("The node", schema_rows(NodeSettings), read_yaml(_ADVICE))
-
-
-def configuration_tables() -> str:
-    """The keys of the controller's configuration in a table for each group."""
-    advice: dict[str, str] = read_yaml(_ADVICE)
     groups: dict[str, list[FieldRow]] = {}
     for row in _controller_rows():
         groups.setdefault(row.key.rpartition(".")[0], []).append(row)
-    return "\n\n".join(_table(_title(group), rows, advice) for group, rows in groups.items())
+    tables = [_table("The node", schema_rows(NodeSettings), advice)]
+    return "\n\n".join([*tables, *(_table(_title(group), rows, advice) for group, rows in groups.items())])
 
 
 def _title(group: str) -> str:
@@ -92,7 +82,7 @@ def with_tables(name: str, page: str) -> str:
 
 
 def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
-    return "\n".join([f"### {title}\n", _HEAD, *(_line(row, advice) for row in rows)])
+    return "\n".join([f"## {title}\n", _HEAD, *(_line(row, advice) for row in rows)])
 
 
 def _line(row: FieldRow, advice: dict[str, str]) -> str:
@@ -107,7 +97,7 @@ def _line(row: FieldRow, advice: dict[str, str]) -> str:
 
 
 PAGES: Mapping[str, tuple[str, Callable[[], str]]] = {
-    "robot.md": ("parameters", parameter_tables),
+    "parameters.md": ("parameters", parameter_tables),
     "logs.md": ("scalars", scalars_table),
 }
 """By name of the document: its marker, and its table."""

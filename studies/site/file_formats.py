@@ -14,7 +14,7 @@ _HEAD = """# What may stand in a file for a model, a path, a log, a floor, a cam
 
 The keys of this page, which is made from the JSON Schemas that ship. `diffdrive-mpc schema KIND --out FILE` writes one,
 so that an editor completes and checks such a file while you write ([how](../install.md#editors)). A key with a point
-lies in a group. The controller's configuration has [a page of its own](configuration.md).
+lies in a group. The controller's configuration has [a page of its own](../parameters.md).
 """
 _COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}

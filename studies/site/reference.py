@@ -8,7 +8,6 @@ from pathlib import Path
 
 import diffdrive_mpc as package
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
-from studies.documents.declared_tables import configuration_tables, node_table
 from studies.site.command_line import command_line_page
 from studies.site.file_formats import file_formats_page
 
@@ -21,19 +20,10 @@ Those of this page: they keep their names and meanings from one release to the n
 says so. Units are SI: metres, radians, seconds; angles count counter-clockwise; arrays are NumPy's, with their shapes
 in brackets. Each group begins with the lines that import it.
 """
-_CONFIGURATION = """# What may stand in a configuration file?
+_ROS = """# Which topics, services and states does the ROS 2 node have?
 
-These keys, in one YAML file; what is left out has its default. A key with a point lies in a group:
-`weights.across: 300.0` is written as `weights: {across: 300.0}`, and `--set weights.across=300` replaces it for one
-command. `diffdrive-mpc config check FILE` checks a file, `diffdrive-mpc config show ssm` prints a shipped one with all
-its values, and `diffdrive-mpc schema controller` has the JSON Schema with which an editor completes and checks while
-you type ([how](../install.md#editors)).
-Under ROS the same keys are the node's parameters. What a symptom asks for is in [tuning](../tuning.md).
-"""
-_ROS = """# Which topics, services and parameters does the ROS 2 node have?
-
-The ones of this page. How to bring the node onto a robot is in [the guide](../robot.md); the parameters of the
-controller, which are also the node's, are in [the configuration](configuration.md).
+The ones of this page. How to bring the node onto a robot is in [the guide](../robot.md); its parameters are in
+[tables of their own](../parameters.md).
 """
 
 
@@ -42,7 +32,6 @@ def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
     pages: dict[str, Callable[[], str]] = {
         "api": api_page,
         "command-line": command_line_page,
-        "configuration": lambda: f"{_CONFIGURATION}\n{_one_up(configuration_tables())}\n",
         "files": file_formats_page,
         "ros": lambda: ros_page(documents["docs/robot.md"]),
     }
@@ -73,10 +62,10 @@ def public_names() -> dict[str, list[str]]:
 
 
 def ros_page(guide: str) -> str:
-    """Topics, services, frames and states, as the guide of the node has them, and its own parameters."""
+    """Topics, services, frames and states, as the guide of the node has them."""
     shown = [section(guide, title) for title in ("Topics, services, frames", "States", "The safety ladder")]
     # They have links of the guide, which lies one folder further up.
-    return "\n".join([_ROS, *(part.replace("](", "](../") for part in [*shown, _one_up(node_table())]), ""])
+    return "\n".join([_ROS, *(part.replace("](", "](../") for part in shown), ""])
 
 
 def section(page: str, title: str) -> str:
@@ -85,7 +74,3 @@ def section(page: str, title: str) -> str:
     if not match:
         raise ConfigError(f"no section '{title}' in the page that the site takes it from; name it so again")
     return match[0]
-
-
-def _one_up(tables: str) -> str:
-    return re.sub(r"^###", "##", tables, flags=re.MULTILINE)
