@@ -1,7 +1,7 @@
 """What a run consists of: one value of each dimension.
 
 The fields of `Case` are the only place where a dimension is declared. Options, plan, names in tables, figures and JSON,
-and the introduction of a report follow from them; docs/recipes/dimension.md shows how to add one.
+and the introduction of a report follow from them; docs/recipes.md shows how to add one.
 """
 
 from __future__ import annotations

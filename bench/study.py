@@ -1,6 +1,6 @@
 """The one skeleton of all studies: what to run, and how it becomes tables, figures, NAME.md, NAME.json and a page.
 
-docs/recipes/study.md shows how to add one.
+docs/recipes.md shows how to add one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Controllers of other kinds, to compare the predictive controller with; docs/recipes/peer.md shows how to add one."""
+"""Controllers of other kinds, to compare the predictive controller with; docs/recipes.md shows how to add one."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@
 #endif
 
 /* The filter's state: n velocity states, slip, the gyro's bias and the pose; slips are counted from n, in the order of the
-   fields of Slip (mpc/problem/slip.py). What to touch for another one: docs/recipes/filter-state.md. */
+   fields of Slip (mpc/problem/slip.py). What to touch for another one: docs/recipes.md. */
 enum {
     V_OFFSET,
     OMEGA_GAIN,

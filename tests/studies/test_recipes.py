@@ -7,18 +7,17 @@ from pathlib import Path
 from diffdrive_mpc.bench.spec import SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import carry_out
 
-RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
+RECIPES = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8")
 
 
-def code(page, begin):
-    """The indented block of a recipe that begins so."""
-    text = (RECIPES / page).read_text(encoding="utf-8")
-    block = re.search(rf"^    {re.escape(begin)}.*\n(?:(?:    .*)?\n)*", text, re.MULTILINE)
+def code(begin):
+    """The indented block of the recipes that begins so."""
+    block = re.search(rf"^    {re.escape(begin)}.*\n(?:(?:    .*)?\n)*", RECIPES, re.MULTILINE)
     return textwrap.dedent(block[0])
 
 
 def test_the_study_is_carried_out(tmp_path, one_process):
-    (tmp_path / "noise.yaml").write_text(code("study.md", "title: Noise").replace("[0, 1, 2, 3, 4]", "[0]"))
+    (tmp_path / "noise.yaml").write_text(code("title: Noise").replace("[0, 1, 2, 3, 4]", "[0]"))
     rows = carry_out(SpecStudy(load_experiment(tmp_path / "noise.yaml")), tmp_path / "noise")
     assert list(rows["part"]) == ["shipped"] * 2 + ["short"] * 4
     report = (tmp_path / "noise" / "experiment.md").read_text(encoding="utf-8")
@@ -31,7 +30,7 @@ def test_the_peer_drives():
     from diffdrive_mpc.bench.peers import PeerStep
 
     given = {"__name__": "recipe", "PeerStep": PeerStep}
-    exec(code("peer.md", "# bench/peers/feed_forward.py").partition("# bench/peers/__init__.py")[0], given)
+    exec(code("# bench/peers/feed_forward.py").partition("# bench/peers/__init__.py")[0], given)
     run = simulate(given["FeedForwardController"](), make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.steps > 100
 
@@ -45,7 +44,7 @@ def test_the_backend_is_asked(monkeypatch):
     from diffdrive_mpc.mpc.solver.report import SolverStatus
 
     given = {"__name__": "recipe", "np": np, "Solved": Solved, "SolverStatus": SolverStatus}
-    exec(code("backend.md", "class ClippingBackend:"), given)
+    exec(code("class ClippingBackend:"), given)
     monkeypatch.setattr(controller, "load_backend", lambda name: given["ClippingBackend"])
     driven = Controller(load_config("sm", {"solver.method": "daqp"}))
     run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
