@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.commands.drives import Runs, Scheduler
-from diffdrive_mpc.app.commands.options import Mapping
+from diffdrive_mpc.app.commands.options import Mapping, RobotName
 from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
@@ -54,6 +54,7 @@ def identify(
         bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
     ] = False,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
+    robot: RobotName = None,
     draft_mapping: Annotated[
         bool, typer.Option("--draft-mapping", help="Only write a first mapping of LOG, to be corrected (mapping.yaml).")
     ] = False,
@@ -79,6 +80,7 @@ def identify(
         order=order,
         effects=effects,
         name=name,
+        robot=robot,
         force=force,
     )
 
