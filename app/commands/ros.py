@@ -85,6 +85,9 @@ def robot(
         Literal["dead_reckoning", "pose_sensor"] | None,
         typer.Option(help="Where the pose in odom comes from.", show_default="as --base"),
     ] = None,
+    frame_prefix: Annotated[
+        str | None, typer.Option(help="Before all frames but map, such as r1/.", show_default="as --base")
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for a bag of the drive.", show_default=False)] = None,
     storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Kind of that bag.")] = "mcap",
     **values: Any,  # noqa: ANN401 - text or number
@@ -109,6 +112,7 @@ def robot(
         "stamped": stamped,
         "command_timeout": command_timeout,
         "odometry_pose": odometry_pose,
+        "frame_prefix": frame_prefix,
         "lock_step.answer_timeout": answer_timeout,
     }
     settings = load_base_settings(base, changes)

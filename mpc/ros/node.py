@@ -460,7 +460,10 @@ class TrackingNode(LifecycleNode):
     def _recorded(self, config: ControllerConfig) -> ActivationRecording | None:
         """The recording of this activation; None, with a warning, where none can begin."""
         try:
-            return ActivationRecording(self._settings, config, self._inbox.frame, self.get_logger())
+            # Two robots that are activated in the same second must not write one file.
+            folder = self._settings.record_folder + self.get_namespace().rstrip("/")
+            settings = self._settings.model_copy(update={"record_folder": folder})
+            return ActivationRecording(settings, config, self._inbox.frame, self.get_logger())
         except Exception as error:  # a recording is not worth the robot
             self.get_logger().warning(f"nothing is recorded: {error}")
             return None
@@ -533,7 +536,14 @@ class TrackingNode(LifecycleNode):
         time = self.get_clock().now().nanoseconds
         topics = () if self._surroundings is None else self._surroundings.topics
         message = diagnostics(
-            self.get_name(), time, self._label, self._loop, self._recording, self._bond, topics, self._energy
+            self.get_fully_qualified_name().lstrip("/"),
+            time,
+            self._label,
+            self._loop,
+            self._recording,
+            self._bond,
+            topics,
+            self._energy,
         )
         self._diagnostics.publish(message)
         if self._recording is not None:

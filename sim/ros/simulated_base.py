@@ -67,6 +67,7 @@ class BaseSettings(StrictModel):
     """All settings of the simulated base."""
 
     stamped: bool = Field(description="commands are TwistStamped; false: Twist")
+    frame_prefix: str = Field(description="before all frames but map, such as r1/")
     command_timeout: Seconds = Field(description="robot time without a command until the base stops [s]")
     odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="where the pose in odom comes from")
     every: Every
@@ -268,8 +269,10 @@ class SimulatedBase:
 
     def _recorded(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
         """Record what a controller says on `topic`, and nothing else: the robot does not look at it."""
+        # Of the controller in the robot's own namespace.
+        name = node.resolve_topic_name(topic.lstrip("/"))
         return node.create_subscription(
-            String, topic, lambda message: record(topic, message, self._clock()), QoSProfile(depth=100)
+            String, name, lambda message: record(name, message, self._clock()), QoSProfile(depth=100)
         )
 
     def publish_sensors(self, now: int, origin: int) -> None:
@@ -331,6 +334,8 @@ class SimulatedBase:
 
     def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
         publisher = self._publishers[topic]
+        if self._settings.frame_prefix:
+            messages.set_prefix(message, self._settings.frame_prefix)
         publisher.publish(message)
         if self._record is not None:
             self._record(publisher.topic_name, message, self._clock())
