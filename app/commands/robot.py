@@ -380,6 +380,7 @@ def commission(
         str | None,
         typer.Option(metavar="NAME|FILE", help="What is known of the robot (YAML), for the twin.", show_default=False),
     ] = None,
+    stated: RobotName = None,
     log: Annotated[
         list[Path] | None, typer.Option(help="Log of the drive that was asked for; repeatable.", show_default=False)
     ] = None,
@@ -425,6 +426,7 @@ def commission(
         mapping,
         tuned=tune,
         plan=None if plan is None else str(plan),
+        stated=stated,
         scaled=scale_to_robot,
         seed=seed,
         jobs=jobs,

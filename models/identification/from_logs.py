@@ -34,6 +34,7 @@ from diffdrive_mpc.models.identification.log_data import LogData, OptionError, r
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.bags import is_bag
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.record import UnsoundLogError
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.stated_robot import MakersRobot, load_stated_robot
@@ -218,7 +219,9 @@ def identify(
         on_progress("reading")
     share = identification_settings().fit_share if fit_share is None else fit_share
     stated = None if robot is None else load_stated_robot(robot)
-    known = stated.mapping() if stated is not None and mapping is None and is_bag(paths[0]) else mapping
+    # What a node recorded has names of its own.
+    of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
+    known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
     selection = LogSelection(tuple(paths), tuple(Path(path) for path in validate), known, share)
     try:
         data = read_data(
