@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
 # Of tutorials the notebooks are run, by test_tutorials.py.
 PAGES = sorted(page for kind in ("*.md", "tutorials/*.md") for page in (ROOT / "docs").glob(kind))
-LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*/*.md")])
+LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.commands.options import RobotName
 from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.echo import echo
 
@@ -23,12 +24,26 @@ def show(
             autocompletion=choices("config"),
         ),
     ],
+    *,
+    robot: RobotName = None,
 ) -> None:
     """Print every value of a configuration as a commented YAML file."""
     from diffdrive_mpc.mpc.config.config_file import load_config  # noqa: PLC0415
     from diffdrive_mpc.mpc.config.described import commented_yaml  # noqa: PLC0415 - --help does without it
 
-    echo(commented_yaml(load_config(source)), nl=False)
+    if robot is None:
+        echo(commented_yaml(load_config(source)), nl=False)
+        return
+    from diffdrive_mpc.models.identification.settings import identification_settings  # noqa: PLC0415
+    from diffdrive_mpc.models.stated_robot import load_stated_robot  # noqa: PLC0415
+
+    stated = load_stated_robot(robot)
+    keys, bounds = stated.configuration(), stated.bounds(identification_settings().limit_margin)
+    config = load_config(source, bounds | {key: value.value for key, value in keys.items()})
+    header = [f"{stated.name}, as its maker states it; none of this is identified:", *stated.lines()]
+    places = f"stated values stand in {', '.join(keys)}; what follows from them in {', '.join(bounds)}"
+    echo("\n".join(f"# {line}" for line in [*header, places]))
+    echo(commented_yaml(config), nl=False)
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")

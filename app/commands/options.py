@@ -71,6 +71,16 @@ Mapping = Annotated[
     ),
 ]
 """Of the columns or topics of a log."""
+RobotName = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        metavar="NAME|FILE",
+        help="Begin with what its maker states: husky, jackal, warthog, dingo_d, turtlebot4, or a file.",
+        show_default=False,
+        autocompletion=choices("stated-robot"),
+    ),
+]
 
 
 def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], Command]:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.commands.drives import Runs, Scheduler
-from diffdrive_mpc.app.commands.options import Mapping
+from diffdrive_mpc.app.commands.options import Mapping, RobotName
 from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
@@ -54,6 +54,7 @@ def identify(
         bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
     ] = False,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
+    robot: RobotName = None,
     draft_mapping: Annotated[
         bool, typer.Option("--draft-mapping", help="Only write a first mapping of LOG, to be corrected (mapping.yaml).")
     ] = False,
@@ -79,6 +80,7 @@ def identify(
         order=order,
         effects=effects,
         name=name,
+        robot=robot,
         force=force,
     )
 
@@ -378,6 +380,7 @@ def commission(
         str | None,
         typer.Option(metavar="NAME|FILE", help="What is known of the robot (YAML), for the twin.", show_default=False),
     ] = None,
+    stated: RobotName = None,
     log: Annotated[
         list[Path] | None, typer.Option(help="Log of the drive that was asked for; repeatable.", show_default=False)
     ] = None,
@@ -423,6 +426,7 @@ def commission(
         mapping,
         tuned=tune,
         plan=None if plan is None else str(plan),
+        stated=stated,
         scaled=scale_to_robot,
         seed=seed,
         jobs=jobs,

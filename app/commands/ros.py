@@ -53,7 +53,7 @@ def node(
     run(arguments, own, dict(overrides))
 
 
-@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "seed")
+@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "world", "seed")
 def robot(
     context: typer.Context,
     *,
@@ -85,6 +85,13 @@ def robot(
         Literal["dead_reckoning", "pose_sensor"] | None,
         typer.Option(help="Where the pose in odom comes from.", show_default="as --base"),
     ] = None,
+    transforms: Annotated[
+        Literal["none", "odom", "map"] | None,
+        typer.Option(help="Send odom -> base_link on /tf, or map -> odom too.", show_default="as --base"),
+    ] = None,
+    frame_prefix: Annotated[
+        str | None, typer.Option(help="Before all frames but map, such as r1/.", show_default="as --base")
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for a bag of the drive.", show_default=False)] = None,
     storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Kind of that bag.")] = "mcap",
     **values: Any,  # noqa: ANN401 - text or number
@@ -109,12 +116,14 @@ def robot(
         "stamped": stamped,
         "command_timeout": command_timeout,
         "odometry_pose": odometry_pose,
+        "frame_prefix": frame_prefix,
+        "transforms": transforms,
         "lock_step.answer_timeout": answer_timeout,
     }
     settings = load_base_settings(base, changes)
     case = Case(model=chosen_model(None, config), config=None if config is None else str(config), **values)
     plant = (
-        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
+        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world)
         if config is None
         else build_plant(case)
     )

@@ -41,6 +41,8 @@ class Logs:
 
     files: tuple[Path, ...]
     mapping: str | None = None
+    stated: str | None = None
+    """Robot whose maker's statements bound the configuration."""
 
 
 def excite(folder: Path, config: str, room: Room, settings: DriveSettings, seed: int) -> Gate:
@@ -89,7 +91,7 @@ def take(folder: Path, logs: Logs) -> Gate:
 
 def learn(folder: Path, logs: Logs, config: str) -> Gate:
     """From the slow log to a configuration for the full drive: its model, otherwise what the first drive had."""
-    identification = identify(logs.files, logs.mapping, structure="sm")
+    identification = identify(logs.files, logs.mapping, structure="sm", robot=logs.stated)
     identification.write(folder)
     gate = _explained(identification)
     if not gate.passed:
@@ -102,7 +104,7 @@ def learn(folder: Path, logs: Logs, config: str) -> Gate:
 
 def identify_all(folder: Path, logs: Logs) -> Gate:
     """Identify from all logs, with where the filter may begin; the configuration must drive."""
-    identification = _with_slip(identify(logs.files, logs.mapping, structure="sm"), logs)
+    identification = _with_slip(identify(logs.files, logs.mapping, structure="sm", robot=logs.stated), logs)
     gate = _explained(identification)
     verdict = judge_by_drives(identification) if gate.passed else None
     identification = verdict.identification if verdict else identification

@@ -31,8 +31,12 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.models.logs.bags import is_bag
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.logs.mapping_changes import mapping_text
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.whole_file import new_folder
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, SimulatedRobot, load_simulated_robot
@@ -58,6 +62,8 @@ class CommissionRequest:
         What drives it at first: a file, or the shipped one of a model.
     known
         Robot file with what is known of the robot, for the twin.
+    stated
+        Name of a robot whose maker's statements bound the configuration, and name the topics of bags; or a file.
     logs, mapping
         What a person recorded at the step that asks for it.
     slow, full
@@ -84,6 +90,7 @@ class CommissionRequest:
     known: str | None = None
     logs: tuple[Path, ...] = ()
     mapping: str | None = None
+    stated: str | None = None
     slow: DriveSettings = field(default_factory=lambda: commission_settings().slow)
     full: DriveSettings = field(default_factory=lambda: commission_settings().full)
     runs: int = field(default_factory=lambda: commission_settings().proof.runs)
@@ -105,6 +112,10 @@ class CommissionRequest:
             runs=short.runs,
             tuned=False,
         )
+
+
+MAPPING = "mapping.yaml"
+"""The maker's topics, in the folder of a commissioning of bags."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +180,8 @@ def commission(
         _check_known(named_file("robot", ROBOTS, request.known))
     if request.mapping is not None:
         load_mapping(request.mapping)
+    if request.stated is not None:
+        load_stated_robot(request.stated)
     if request.tuned:
         needs_optuna()
         if request.plan is not None:
@@ -182,6 +195,7 @@ def _carry_out(
     request: CommissionRequest, out: Path, one_step: bool, on_step: Callable[[str, Done, bool], None]
 ) -> bool:
     """Do the steps as `commission` says, with `out` for itself."""
+    request = with_stated_topics(request, out)
     ledger, fresh = Ledger(out), list(request.logs)
     for step in _steps(request, out, ledger, fresh):
         key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)
@@ -198,6 +212,16 @@ def _carry_out(
             return True
     _finish(request, out, ledger)
     return True
+
+
+def with_stated_topics(request: CommissionRequest, out: Path) -> CommissionRequest:
+    """The same with the maker's topics as the mapping of bags, kept in `out` for the steps to come."""
+    if request.stated is None or request.mapping is not None:
+        return request
+    file = out / MAPPING
+    if any(is_bag(log) and not is_drive_log(log) for log in request.logs):
+        file.write_text(mapping_text(load_stated_robot(request.stated).mapping()), encoding="utf-8")
+    return replace(request, mapping=str(file)) if file.is_file() else request
 
 
 def _steps(request: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
@@ -225,8 +249,9 @@ def _steps(request: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Pa
     )
     yield _recorded("record", request, out / "excite" / DRIVE, str(config), (out / "learn",), ledger, fresh)
     whole = _logs(full, request)
-    both = Logs((*whole.files, *logs.files), whole.mapping)
-    yield Step("identify", {}, (slow, full), partial(chain.identify_all, logs=both))
+    both = replace(whole, files=(*whole.files, *logs.files))
+    stated = {} if request.stated is None else {"stated": request.stated}
+    yield Step("identify", stated, (slow, full), partial(chain.identify_all, logs=both))
     yield Step(
         "twin",
         {"seconds": request.twin_seconds},
@@ -285,9 +310,9 @@ def _recorded(
 def _logs(folder: Path, request: CommissionRequest) -> Logs:
     """What a step recorded."""
     if request.robot is not None:
-        return Logs((folder / LOG,))
+        return Logs((folder / LOG,), stated=request.stated)
     files = tuple(sorted(entry for entry in folder.iterdir() if entry.name != SAID and not entry.name.startswith(".")))
-    return Logs(files, request.mapping)
+    return Logs(files, request.mapping, request.stated)
 
 
 def _finish(request: CommissionRequest, out: Path, ledger: Ledger) -> None:

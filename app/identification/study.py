@@ -35,6 +35,7 @@ from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import plain_line
 
 
@@ -74,6 +75,11 @@ def _identify_into(logs: Sequence[Path], out: Path, force: bool, options: Mappin
 
 def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
     """The identification, its options named as those of the command line where one cannot be used."""
+    robot = options.get("robot")
+    if robot is not None:
+        stated = load_stated_robot(robot)
+        for line in (f"{stated.name}, as its maker states it; none of this is identified:", *stated.lines()):
+            _print_line(line, indent="" if line.endswith(":") else "  ")
     try:
         return identify(
             logs,

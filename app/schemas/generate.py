@@ -28,6 +28,7 @@ from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.stated_robot import MakersRobot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, Vehicle
@@ -239,6 +240,7 @@ _MADE: dict[str, Callable[[], Schema]] = {
     "monitor": _as_it_is(Rules),
     "trajectory": _trajectories,
     "model": _models,
+    "stated-robot": _as_it_is(MakersRobot),
     "mapping": _as_it_is(LogMapping),
     "vehicle": _as_it_is(Vehicle),
     "drive": _as_it_is(DriveConstants),

@@ -121,6 +121,7 @@ _OFFERS: dict[str, Callable[[], Offered]] = {
     "scenario": _shipped("scenario"),
     "sensors": _shipped("sensors"),
     "setting": _settings,
+    "stated-robot": _shipped("stated-robot"),
     "surface": _shipped("surface"),
     "timing": _timings,
     "trajectory": _shipped("trajectory"),

@@ -32,6 +32,9 @@ KINDS: dict[str, FileKind] = {
             ),
         ),
         FileKind("mapping", "models", "columns or topics of a log", "--mapping", ("logs/mappings/*.yaml",)),
+        FileKind(
+            "stated-robot", "models", "what the maker states of a robot", "identify --robot", ("stated_robots/*.yaml",)
+        ),
         FileKind("vehicle", "models", "robot as the floor feels it", "load_vehicle", ("turn_costs/vehicles/*.yaml",)),
         FileKind("drive", "models", "motors and drivers", "load_drive_constants", ("turn_costs/drives/*.yaml",)),
         FileKind(

@@ -44,7 +44,7 @@ class LogSelection:
 
     logs: tuple[Path, ...]
     validate: tuple[Path, ...]
-    mapping: str | Path | None
+    mapping: str | Path | LogMapping | None
     fit_share: float
 
 
@@ -103,7 +103,8 @@ class Advice:
     @property
     def file(self) -> str:
         """Name of its file; another one where the mapping that was given has that name."""
-        return FIXED_AGAIN if Path(self.selection.mapping or "").name == FIXED_FILE else FIXED_FILE
+        given = self.selection.mapping
+        return FIXED_AGAIN if isinstance(given, str | Path) and Path(given).name == FIXED_FILE else FIXED_FILE
 
     def text(self) -> str:
         """The mapping as the text of a file."""

@@ -23,6 +23,7 @@ from diffdrive_mpc.models.identification.deliver.configuration import (
     node_text,
     round_period,
 )
+from diffdrive_mpc.models.identification.deliver.maker import within_stated
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.deliver.trust import refusals
 from diffdrive_mpc.models.identification.fit.fitting import fit
@@ -32,8 +33,11 @@ from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surfa
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log
+from diffdrive_mpc.models.logs.bags import is_bag
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.record import UnsoundLogError
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.stated_robot import MakersRobot, load_stated_robot
 from diffdrive_mpc.models.structures.identified import model_file, percent, provenance, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -152,6 +156,7 @@ def identify(
     structure: str = "sm",
     effects: bool = False,
     *,
+    robot: str | Path | None = None,
     validate: Sequence[str | Path] = (),
     fit_share: float | None = None,
     order: int | str = AUTOMATIC,
@@ -175,6 +180,9 @@ def identify(
         "hybrid", an sm with a small network on what it leaves: both need the extra `learn` and minutes.
     effects
         Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
+    robot
+        Name of a robot whose maker's statements count where the logs do not tell, or the path of a file of such: its
+        topics in bags without a `mapping`, its limits, its track, its footprint. None of it is identified.
     validate
         Logs to try the model on; without any, the last part of each of `logs`.
     fit_share
@@ -210,12 +218,16 @@ def identify(
     if on_progress:
         on_progress("reading")
     share = identification_settings().fit_share if fit_share is None else fit_share
-    selection = LogSelection(tuple(paths), tuple(Path(path) for path in validate), mapping, share)
+    stated = None if robot is None else load_stated_robot(robot)
+    # What a node recorded has names of its own.
+    of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
+    known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
+    selection = LogSelection(tuple(paths), tuple(Path(path) for path in validate), known, share)
     try:
         data = read_data(
             selection.logs,
             selection.validate,
-            mapping=mapping,
+            mapping=known,
             fit_share=share,
             wheels=chosen.needs_wheels,
             on_findings=(lambda findings: on_findings(told(findings, None))) if on_findings else (lambda _: None),
@@ -230,7 +242,7 @@ def identify(
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{structure.upper()} from {paths[0].stem}{more}"
     return identify_data(
-        data, chosen, title, order=wanted, effects=effects, predictor=predictor, on_progress=on_progress
+        data, chosen, title, order=wanted, effects=effects, predictor=predictor, robot=stated, on_progress=on_progress
     )
 
 
@@ -242,6 +254,7 @@ def identify_data(
     order: int | None = None,
     effects: bool = False,
     predictor: str | None = None,
+    robot: MakersRobot | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """Identify a model from records that are divided already; otherwise as `identify`.
@@ -258,6 +271,8 @@ def identify_data(
         As for `identify`; an order of None is chosen.
     predictor
         Of `finders`, to be found, too, and to predict; limits and tracks come from the structure.
+    robot
+        What the maker states of the robot; it bounds the configuration, and fills in what the logs do not tell.
 
     Raises
     ------
@@ -281,6 +296,8 @@ def identify_data(
         stated=data.stated_track,
         every_sample=predictor is not None,
     )
+    if robot is not None:
+        configuration = within_stated(configuration, robot)
     model: VelocityModel | NonlinearModel
     content: Any
     if fitted.predictor is None:

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
-from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Topics, refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
@@ -85,7 +85,7 @@ def read_data(
     logs: Sequence[Path],
     validate: Sequence[Path],
     *,
-    mapping: str | Path | None,
+    mapping: str | Path | LogMapping | None,
     fit_share: float,
     wheels: bool,
     on_findings: Callable[[Sequence[Finding]], None],
@@ -123,7 +123,8 @@ def read_data(
         from all of them.
     """
     _check_selection(logs, validate, fit_share)
-    geometry = None if mapping is None else load_mapping(mapping).wheels
+    loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
+    geometry = None if loaded is None else loaded.wheels
 
     def admit(findings: Sequence[Finding]) -> None:
         on_findings([finding for finding in findings if force or finding.severity != "error"])
@@ -172,7 +173,7 @@ def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: 
 
 def _read_alike(
     paths: Sequence[Path],
-    mapping: str | Path | None,
+    mapping: str | Path | LogMapping | None,
     on_log: Callable[[Log], None],
     admit: Callable[[Sequence[Finding]], None],
 ) -> list[Log]:

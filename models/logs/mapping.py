@@ -11,7 +11,7 @@ from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.named_file import named_file
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
@@ -340,11 +340,30 @@ class Topics(StrictModel):
     )
 
     def named(self, there: Collection[str]) -> Self:
-        """The same with the usual sensors among the topics `there`, where none is named."""
+        """The same with the usual sensors among the topics `there`, where none is named, and in their namespace."""
         if self.odometry or self.imu or self.pose:
-            return self
+            return self._in_namespace(there)
         usual = {"odometry": "/odom", "imu": "/imu"}
         return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in there})
+
+    def _in_namespace(self, there: Collection[str]) -> Self:
+        """Relative names of a robot in the one namespace of `there` that has its odometry; others as they are."""
+        if self.odometry is None or self.odometry.topic.startswith("/"):
+            return self
+        ending = f"/{self.odometry.topic}"
+        spaces = sorted(name.removesuffix(ending) for name in there if name.endswith(ending))
+        if len(spaces) != 1:
+            several = f"several namespaces have it: {', '.join(spaces)}" if spaces else "no namespace has it"
+            raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {several}; give a mapping file")
+        named: dict[str, Topic | None] = {}
+        for role in ("command", "odometry", "imu"):
+            topic: Topic | None = getattr(self, role)
+            if topic is not None and not topic.topic.startswith("/"):
+                name = f"{spaces[0]}/{topic.topic}"
+                # A bag need not have the gyro.
+                absent = role == "imu" and name not in there
+                named[role] = None if absent else topic.model_copy(update={"topic": name})
+        return self.model_copy(update=named)
 
 
 class MappedWheels(StrictModel):

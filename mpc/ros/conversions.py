@@ -190,9 +190,9 @@ def subscribe_bounded(
 
 
 def message_type(package: str, name: str) -> type[Any] | None:
-    """The type `package`.msg.`name`; None where it is not installed."""
+    """The type `package`.msg.`name`; None where the package is not installed, or an older one without it."""
     try:
-        message_class: type[Any] = getattr(import_module(f"{package}.msg"), name)
+        message_class: type[Any] | None = getattr(import_module(f"{package}.msg"), name, None)
     except ImportError:
         return None
     return message_class

@@ -34,7 +34,7 @@ def diagnostics(
     Parameters
     ----------
     name
-        Name of the node.
+        Full name of the node without its first slash: two robots differ by their namespaces.
     time
         Now [ns].
     lifecycle

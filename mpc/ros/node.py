@@ -23,6 +23,7 @@ from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.bond import Bond
+from diffdrive_mpc.mpc.ros.command_output import command_topic
 from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, LoopTick, RefusedError
 from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, check_frame, message_type, subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
@@ -38,16 +39,19 @@ from diffdrive_mpc.mpc.ros.parameters import (
     read,
     refuse_what_is_not_allowed,
 )
-from diffdrive_mpc.mpc.ros.publishers import COMMANDS, Publishers, deaf_to_commands, publishers_of
+from diffdrive_mpc.mpc.ros.publishers import Publishers, deaf_to_commands, publishers_of
 from diffdrive_mpc.mpc.ros.recording import ActivationRecording, TickRecords
 from diffdrive_mpc.mpc.ros.reference_input import (
     MOST_BYTES,
+    MOST_TRAJECTORY_BYTES,
     SpeedLimit,
     StatedReference,
     nothing,
     read_path,
     read_speed_limit,
+    read_timed_trajectory,
     read_trajectory,
+    timed_trajectory_type,
 )
 from diffdrive_mpc.mpc.ros.rivals import Others, Rivals, drive_too, publish_too, speak_together
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -65,7 +69,7 @@ if TYPE_CHECKING:
 
 # How often to look for others that publish commands [s].
 _LOOK_AROUND = 0.2
-_REFERENCES = "set_path", "set_trajectory"
+_REFERENCES = "set_path", "set_trajectory", "set_timed_trajectory"
 # To read a reference may take so long [s]: what takes longer than this is none.
 _LONGEST_READING = 10.0
 
@@ -268,8 +272,8 @@ class TrackingNode(LifecycleNode):
             self._frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
             hears = listen(self, self._frames)
         self._inbox = Inbox(settings, self._now, self._now(), self._frames)
-        self._outgoing = Publishers(self, settings, self._inbox.frame)
-        self._rivals = Rivals(self, COMMANDS)
+        self._outgoing = Publishers(self, settings, config, self._inbox.frame)
+        self._rivals = Rivals(self, command_topic(settings))
         sensors, inbox = qos_profile_sensor_data, self._inbox
         self._inputs = [
             subscribe_bounded(self, Odometry, "odom", inbox.take_odometry, sensors, refuse=inbox.odometry.refuse),
@@ -425,14 +429,18 @@ class TrackingNode(LifecycleNode):
 
     def _optional_inputs(self) -> list[Subscription]:
         """Those whose types not every installation has."""
+        timed: list[Subscription] = []
+        if (kind := timed_trajectory_type()) is not None:
+            take = self._reads(read_timed_trajectory, MOST_TRAJECTORY_BYTES)
+            timed = [self.create_subscription(kind, _REFERENCES[2], take, 1, raw=True)]
         if not self._settings.use_speed_limit:
-            return []
+            return timed
         kind = message_type("nav2_msgs", "SpeedLimit")
         if kind is None:
             self.get_logger().info("speed_limit is not heard: nav2_msgs is not installed")
-            return []
+            return timed
         refuse = self._refuse_speed_limit
-        return [subscribe_bounded(self, kind, "speed_limit", self._take_speed_limit, 10, refuse=refuse)]
+        return [*timed, subscribe_bounded(self, kind, "speed_limit", self._take_speed_limit, 10, refuse=refuse)]
 
     def _take_speed_limit(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         try:
@@ -460,7 +468,10 @@ class TrackingNode(LifecycleNode):
     def _recorded(self, config: ControllerConfig) -> ActivationRecording | None:
         """The recording of this activation; None, with a warning, where none can begin."""
         try:
-            return ActivationRecording(self._settings, config, self._inbox.frame, self.get_logger())
+            # Two robots that are activated in the same second must not write one file.
+            folder = self._settings.record_folder + self.get_namespace().rstrip("/")
+            settings = self._settings.model_copy(update={"record_folder": folder})
+            return ActivationRecording(settings, config, self._inbox.frame, self.get_logger())
         except Exception as error:  # a recording is not worth the robot
             self.get_logger().warning(f"nothing is recorded: {error}")
             return None
@@ -533,7 +544,14 @@ class TrackingNode(LifecycleNode):
         time = self.get_clock().now().nanoseconds
         topics = () if self._surroundings is None else self._surroundings.topics
         message = diagnostics(
-            self.get_name(), time, self._label, self._loop, self._recording, self._bond, topics, self._energy
+            self.get_fully_qualified_name().lstrip("/"),
+            time,
+            self._label,
+            self._loop,
+            self._recording,
+            self._bond,
+            topics,
+            self._energy,
         )
         self._diagnostics.publish(message)
         if self._recording is not None:
@@ -565,14 +583,16 @@ class TrackingNode(LifecycleNode):
         self.get_logger().info(f"hold: {answer}")
         return response
 
-    def _reads(self, read_reference: Callable[[bytes, Limits], StatedReference]) -> Callable[[bytes], None]:
+    def _reads(
+        self, read_reference: Callable[[bytes, Limits], StatedReference], most: int = MOST_BYTES
+    ) -> Callable[[bytes], None]:
         """A subscription's callback that has references read beside the loop, where they are not too long for it."""
 
         def take(raw: bytes) -> None:
             if self._loop is None or self._controller is None:
                 self._refuse(f"the node is {self._label}; activate it first")
-            elif len(raw) > MOST_BYTES:
-                self._refuse(too_long(len(raw), MOST_BYTES))
+            elif len(raw) > most:
+                self._refuse(too_long(len(raw), most))
             else:
                 loop, limits = self._loop, self._controller.config.limits
                 self._aside.submit(

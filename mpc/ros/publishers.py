@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Twist, TwistStamped, Vector3Stamped
+from geometry_msgs.msg import Point, Vector3Stamped
 from nav_msgs.msg import Path
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -19,13 +18,15 @@ from visualization_msgs.msg import Marker
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE
 from diffdrive_mpc.models.path_times import path_times
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.ros.command_output import command_output
 from diffdrive_mpc.mpc.ros.control_loop import LoopTick
-from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
+from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
+from diffdrive_mpc.mpc.ros.estimate_output import EstimateOutput
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
-COMMANDS = "cmd_vel"
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # How long the last command may take to reach the base when the node stops [s].
 _LAST_WORDS = 0.3
@@ -42,14 +43,17 @@ class Publishers:
         The node.
     settings
         Its settings.
+    config
+        Configuration of the controller.
     frame
         Frame that control is in.
     """
 
-    def __init__(self, node: LifecycleNode, settings: NodeSettings, frame: str) -> None:
+    def __init__(self, node: LifecycleNode, settings: NodeSettings, config: ControllerConfig, frame: str) -> None:
         self._node, self._settings, self._frame = node, settings, frame
         create = node.create_lifecycle_publisher
-        self._command = create(TwistStamped if settings.stamped else Twist, COMMANDS, QoSProfile(depth=1))
+        self._command = command_output(node, settings, config)
+        self._estimate = EstimateOutput(node, settings, frame)
         self._predicted = create(Path, "~/predicted_path", 1)
         self._reference = create(Path, "~/reference_path", _LATCHED)
         self._marker = create(Marker, "~/error_marker", 1)
@@ -60,24 +64,20 @@ class Publishers:
 
     def destroy(self) -> None:
         """Destroy them all."""
-        heard = (self._command, self._predicted, self._reference, self._marker, self._error, self._mode)
+        self._command.destroy()
+        self._estimate.destroy()
+        heard = (self._predicted, self._reference, self._marker, self._error, self._mode)
         for publisher in (*heard, self._tick, self._drive):
             self._node.destroy_lifecycle_publisher(publisher)
 
     def command(self, command: FloatArray, time: int) -> None:
         """Send `command` (2,) v [m/s], omega [rad/s], decided at `time` [ns]."""
-        twist = twist_message(command)
-        if not self._settings.stamped:
-            self._command.publish(twist)
-            return
-        message = TwistStamped(twist=twist)
-        message.header.stamp, message.header.frame_id = time_message(time), self._settings.base_frame
-        self._command.publish(message)
+        self._command.send(command, time)
 
     def stop(self, time: int) -> None:
         """Send zero and wait until it has arrived, though not for long."""
         self.command(np.zeros(2), time)
-        self._command.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+        self._command.wait(_LAST_WORDS)
 
     def mode(self, tick: LoopTick) -> None:
         """Say mode and message when the mode changes, in the log too."""
@@ -98,7 +98,8 @@ class Publishers:
             (self._drive if topic == DRIVE else self._tick).publish(String(data=line))
 
     def error(self, result: StepResult, time: int) -> None:
-        """Send the tracking error: x along, y across [m], z heading [rad]."""
+        """Send the estimate, and the tracking error: x along, y across [m], z heading [rad]."""
+        self._estimate.send(result.estimate, time)
         error = tracking_error(result)
         if error is None or not self._error.get_subscription_count():
             return

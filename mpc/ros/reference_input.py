@@ -18,7 +18,14 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.reentry.path_window import in_path
-from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, nanoseconds, path_bytes, planar_pose
+from diffdrive_mpc.mpc.ros.conversions import (
+    NANOSECONDS,
+    MessageError,
+    message_type,
+    nanoseconds,
+    path_bytes,
+    planar_pose,
+)
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -28,6 +35,8 @@ from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 _MOST_POSES = 1000
 MOST_BYTES = path_bytes(_MOST_POSES)
 """Bytes of a message at most that can be accepted."""
+MOST_TRAJECTORY_BYTES = MOST_BYTES + _MOST_POSES * 3 * 6 * 8
+"""The same of a trajectory of a base, whose points have velocity, acceleration and effort, too."""
 
 
 class StatedReference(NamedTuple):
@@ -54,6 +63,40 @@ def read_trajectory(raw: bytes, limits: Limits) -> StatedReference:
     return StatedReference(
         trajectory_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp)
     )
+
+
+def timed_trajectory_type() -> type[Any] | None:
+    """nav_msgs/Trajectory (Lyrical), or nav2_msgs/Trajectory, which came before it (Kilted); None where neither is."""
+    return message_type("nav_msgs", "Trajectory") or message_type("nav2_msgs", "Trajectory")
+
+
+def read_timed_trajectory(raw: bytes, limits: Limits) -> StatedReference:
+    """A serialised message of `timed_trajectory_type`; see `timed_trajectory_reference`."""
+    message: Any = deserialize_message(raw, timed_trajectory_type())
+    reference = timed_trajectory_reference(message, limits)
+    return StatedReference(reference, message.header.frame_id, nanoseconds(message.header.stamp))
+
+
+def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory:  # noqa: ANN401 - either type
+    """A trajectory of a base: the pose of each point at the time in its header, or after the start.
+
+    Velocities, accelerations and efforts are not used: they follow from poses and times. Parameters and errors are
+    those of `path_reference`.
+    """
+    frame = message.header.frame_id
+    _check_header(frame, len(message.points))
+    stamps = []
+    for index, point in enumerate(message.points):
+        if hasattr(point, "time_from_start"):
+            stamps.append(nanoseconds(point.time_from_start))
+            continue
+        if (point.header.frame_id or frame) != frame:
+            raise MessageError(
+                f"point {index} is in '{point.header.frame_id}', the trajectory in '{frame}': give it one frame"
+            )
+        stamps.append(nanoseconds(point.header.stamp))
+    times = [(stamp - stamps[0]) / NANOSECONDS for stamp in stamps]
+    return _lay(times, [planar_pose(point.pose) for point in message.points], limits, "trajectory")
 
 
 def path_reference(message: Path, limits: Limits) -> SplineTrajectory:

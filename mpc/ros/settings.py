@@ -36,6 +36,18 @@ class NodeSettings(StrictModel, strict=True):
         True, description="lay the trajectory so that it starts where the robot stands; false: as its file has it [-]"
     )
     stamped: bool = Field(True, description="publish TwistStamped; false: Twist [-]")
+    command_output: Literal["twist", "wheels"] = Field(
+        "twist",
+        description="twist: commands go out on `cmd_vel`; wheels: wheel speeds on `wheel_commands` "
+        "(std_msgs/Float64MultiArray [rad/s]), for a velocity controller of ros2_control on a base without (v, omega) "
+        "[-]",
+    )
+    wheel_radius: Positive = Field(0.0675, description="with command_output wheels: radius of the wheels [m]")
+    wheel_sides: Annotated[str, Field(pattern="^(left|right)(,(left|right)){1,11}$")] = Field(
+        "left,right",
+        description="with command_output wheels: side of each joint, in the order of the velocity controller's joints "
+        "[-]",
+    )
     exclusive_cmd_vel: bool = Field(
         False,
         description="refuse activation, and brake, while anybody else publishes on `cmd_vel`; false: only warn, unless "

@@ -12,6 +12,8 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import LifecycleNode
 
+# The map is the same for all robots.
+FRAMES = ("odom", "odom"), ("base", "base_link")
 SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
@@ -20,34 +22,43 @@ def generate_launch_description() -> LaunchDescription:
     trajectory, in_sim_time = LaunchConfiguration("trajectory"), LaunchConfiguration("simulated")
     sim_time = PythonExpression(["'use_sim_time:=' + '", in_sim_time, "'"])
     poses = PythonExpression(["'use_pose_topic:=' + '", LaunchConfiguration("use_pose_topic"), "'"])
+    name_space = ["__ns:=/", LaunchConfiguration("namespace")]
+    prefix = LaunchConfiguration("frame_prefix")
+    frames = [word for frame, name in FRAMES for word in ("-p", [f"{frame}_frame:=", prefix, name])]
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),
+            DeclareLaunchArgument("namespace", default_value="", description="The robot's, such as r1."),
+            DeclareLaunchArgument(
+                "frame_prefix", default_value="", description="Before odom and base_link, such as r1/."
+            ),
             DeclareLaunchArgument("trajectory", default_value="circle", description="Trajectory: a name or a path."),
             DeclareLaunchArgument("rules", default_value="default", description="Rules: a name or a path."),
             DeclareLaunchArgument("simulated", default_value="false", description="Whether the robot is simulated."),
             DeclareLaunchArgument("use_pose_topic", default_value="false", description="Whether poses come on `pose`."),
             ExecuteProcess(
-                cmd=["diffdrive-mpc", "sim-robot", "--lock-step", "--trajectory", trajectory],
+                cmd=["diffdrive-mpc", "sim-robot", "--lock-step", "--trajectory", trajectory, "--frame-prefix"]
+                + [LaunchConfiguration("frame_prefix"), "--ros-args", "-r", name_space],
                 output="screen",
                 condition=IfCondition(in_sim_time),
             ),
             ExecuteProcess(
                 cmd=["diffdrive-mpc", "monitor", "--rules", LaunchConfiguration("rules")]
-                + ["--ros-args", "-p", sim_time, "-p", poses],
+                + ["--ros-args", "-r", name_space, "-p", sim_time, "-p", poses, *frames],
                 output="screen",
             ),
             LifecycleNode(
                 package="diffdrive_mpc_ros",
                 executable="node",
                 name="diffdrive_mpc",
-                namespace="",
+                namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 remappings=[("cmd_vel", "cmd_vel_unchecked")],
                 parameters=[
                     str(SHARE / "config" / "node.yaml"),
                     {
                         "config": LaunchConfiguration("config"),
+                        **{f"{frame}_frame": [LaunchConfiguration("frame_prefix"), name] for frame, name in FRAMES},
                         "trajectory": trajectory,
                         "use_sim_time": in_sim_time,
                         "use_pose_topic": LaunchConfiguration("use_pose_topic"),

@@ -8,6 +8,8 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 
+# The map is the same for all robots.
+FRAMES = ("odom", "odom"), ("base", "base_link")
 SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
@@ -16,18 +18,23 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),
+            DeclareLaunchArgument("namespace", default_value="", description="The robot's, such as r1."),
+            DeclareLaunchArgument(
+                "frame_prefix", default_value="", description="Before odom and base_link, such as r1/."
+            ),
             DeclareLaunchArgument("trajectory", default_value="circle", description="Trajectory: a name or a path."),
             DeclareLaunchArgument("use_sim_time", default_value="false", description="Whether to follow /clock."),
             LifecycleNode(
                 package="diffdrive_mpc_ros",
                 executable="node",
                 name="diffdrive_mpc",
-                namespace="",
+                namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 parameters=[
                     str(SHARE / "config" / "node.yaml"),
                     {
                         "config": LaunchConfiguration("config"),
+                        **{f"{frame}_frame": [LaunchConfiguration("frame_prefix"), name] for frame, name in FRAMES},
                         "trajectory": LaunchConfiguration("trajectory"),
                         "use_sim_time": LaunchConfiguration("use_sim_time"),
                     },

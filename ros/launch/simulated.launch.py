@@ -15,20 +15,29 @@ SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 def generate_launch_description() -> LaunchDescription:
     """The simulated robot in lock step with /clock, and the node that waits for the service `start`."""
-    trajectory = LaunchConfiguration("trajectory")
+    trajectory, prefix = LaunchConfiguration("trajectory"), LaunchConfiguration("frame_prefix")
+    name_space = LaunchConfiguration("namespace")
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),
             DeclareLaunchArgument("trajectory", default_value="circle", description="Trajectory: a name or a path."),
+            DeclareLaunchArgument("namespace", default_value="", description="The robot's, such as r1."),
+            DeclareLaunchArgument(
+                "frame_prefix", default_value="", description="Before odom and base_link, such as r1/."
+            ),
             DeclareLaunchArgument("rviz", default_value="true", description="Whether to show RViz."),
             ExecuteProcess(
-                cmd=["diffdrive-mpc", "sim-robot", "--lock-step", "--trajectory", trajectory], output="screen"
+                cmd=["diffdrive-mpc", "sim-robot", "--lock-step", "--trajectory", trajectory, "--frame-prefix", prefix]
+                + ["--ros-args", "-r", ["__ns:=/", name_space]],
+                output="screen",
             ),
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(str(SHARE / "launch" / "node.launch.py")),
                 launch_arguments={
                     "config": LaunchConfiguration("config"),
                     "trajectory": trajectory,
+                    "namespace": name_space,
+                    "frame_prefix": prefix,
                     "use_sim_time": "true",
                 }.items(),
             ),

@@ -110,6 +110,14 @@ def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
     return message
 
 
+def set_prefix(message: Any, prefix: str) -> None:  # noqa: ANN401
+    """Put `prefix` before the frames of a message, except for the map, which all robots share."""
+    if message.header.frame_id not in ("", MAP):
+        message.header.frame_id = prefix + message.header.frame_id
+    if getattr(message, "child_frame_id", ""):
+        message.child_frame_id = prefix + message.child_frame_id
+
+
 def _header(stamp: int, frame: str) -> Any:  # noqa: ANN401
     return Header(stamp=time_message(stamp), frame_id=frame)
 

@@ -17,7 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import Imu, JointState, LaserScan
 from std_msgs.msg import String
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
@@ -25,7 +25,9 @@ from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.messages import MessageRecorder
+from diffdrive_mpc.sim.ros.navigation_topics import SCAN, TRANSFORMS, Scanner, TransformSender
 from diffdrive_mpc.sim.sensing.odometry import Odometry
+from diffdrive_mpc.sim.worlds.world import World
 
 # Settings of the simulated base: topics' rates, command timeout, lock step.
 
@@ -67,6 +69,10 @@ class BaseSettings(StrictModel):
     """All settings of the simulated base."""
 
     stamped: bool = Field(description="commands are TwistStamped; false: Twist")
+    frame_prefix: str = Field("", description="before all frames but map, such as r1/")
+    transforms: Literal["none", "odom", "map"] = Field(
+        "none", description="odom: send odom -> base_link on /tf; map: map -> odom too, as a localisation without error"
+    )
     command_timeout: Seconds = Field(description="robot time without a command until the base stops [s]")
     odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="where the pose in odom comes from")
     every: Every
@@ -219,6 +225,14 @@ class SimulatedBase:
             "ground_truth/pose": PoseStamped,
             "ground_truth/twist": TwistStamped,
         }
+        world: World | None = getattr(plant, "world", None)
+        self._scanner = None if world is None else Scanner(world)
+        if world is not None:
+            kinds[SCAN] = LaserScan
+        sent = settings.transforms
+        self._transforms = (
+            None if sent == "none" else TransformSender(node, settings.frame_prefix, localised=sent == "map")
+        )
         self._publishers = {
             topic: node.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()
         }
@@ -268,8 +282,10 @@ class SimulatedBase:
 
     def _recorded(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
         """Record what a controller says on `topic`, and nothing else: the robot does not look at it."""
+        # Of the controller in the robot's own namespace.
+        name = node.resolve_topic_name(topic.lstrip("/"))
         return node.create_subscription(
-            String, topic, lambda message: record(topic, message, self._clock()), QoSProfile(depth=100)
+            String, name, lambda message: record(name, message, self._clock()), QoSProfile(depth=100)
         )
 
     def publish_sensors(self, now: int, origin: int) -> None:
@@ -299,8 +315,14 @@ class SimulatedBase:
             self._publish("pose", messages.sensed_pose(stamp, measurement.pose))
         if measurement.yaw_rate is not None and due["imu"]:
             self._publish("imu", messages.imu(now, measurement.yaw_rate))
+        if self._scanner is not None:
+            scan = self._scanner.look(self.plant.time, self.plant.true_pose, lambda time: origin + round(1e9 * time))
+            if scan is not None:
+                self._publish(SCAN, scan)
         if measurement.wheel_twist is not None and due["odometry"]:
             self._publish("odom", messages.odometry(now, pose, measurement.wheel_twist))
+            if self._transforms is not None:
+                self._recorded_transforms(self._transforms.send(now, pose, self.plant.true_pose))
 
     def advance(self, now: int) -> None:
         """Let one sample pass under the command that holds at `now` [ns].
@@ -329,8 +351,14 @@ class SimulatedBase:
         if refusal:
             self.node.get_logger().warning(refusal, throttle_duration_sec=_WARN_EVERY)
 
+    def _recorded_transforms(self, message: Any) -> None:  # noqa: ANN401
+        if self._record is not None:
+            self._record(TRANSFORMS, message, self._clock())
+
     def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
         publisher = self._publishers[topic]
+        if self._settings.frame_prefix:
+            messages.set_prefix(message, self._settings.frame_prefix)
         publisher.publish(message)
         if self._record is not None:
             self._record(publisher.topic_name, message, self._clock())

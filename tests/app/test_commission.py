@@ -11,10 +11,19 @@ from hypothesis import strategies as st
 from opened_report import content_of
 
 from commands import call
-from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError, commission
+from diffdrive_mpc.app.commission import chain
+from diffdrive_mpc.app.commission.chain import Logs
+from diffdrive_mpc.app.commission.commissioning import (
+    CommissionRequest,
+    NeedsAPersonError,
+    commission,
+    with_stated_topics,
+)
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key_of
 from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
@@ -193,3 +202,20 @@ def test_a_ledger_of_something_else_is_refused(tmp_path):
     (tmp_path / "commission.json").write_text("[1]")
     with pytest.raises(ConfigError, match="not written by this command"):
         Ledger(tmp_path)
+
+
+def test_a_makers_robot_names_the_topics_of_bags_and_bounds_what_is_identified(tmp_path, monkeypatch):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("")
+    request = with_stated_topics(CommissionRequest(Room(4, 3), logs=(bag,), stated="husky"), tmp_path)
+    assert load_mapping(request.mapping) == load_stated_robot("husky").mapping()
+    later = with_stated_topics(CommissionRequest(Room(4, 3), stated="husky"), tmp_path)
+    assert later.mapping == request.mapping
+    plain = CommissionRequest(Room(4, 3), logs=(tmp_path / "drive.csv",), stated="husky")
+    assert with_stated_topics(plain, tmp_path / "other").mapping is None
+    asked = []
+    monkeypatch.setattr(chain, "identify", lambda *_, **options: asked.append(options) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        chain.identify_all(tmp_path, Logs((bag,), request.mapping, request.stated))
+    assert asked == [{"structure": "sm", "robot": "husky"}]

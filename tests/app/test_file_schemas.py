@@ -29,6 +29,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import EDITOR_LINE, kept_editor_line
+from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.mpc import load_config, load_trajectory
@@ -46,6 +47,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "trajectory": load_trajectory,
     "model": load_model,
     "mapping": load_mapping,
+    "stated-robot": load_stated_robot,
     "vehicle": load_vehicle,
     "terrain": load_terrain,
     "drive": load_drive_constants,

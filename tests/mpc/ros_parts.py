@@ -70,12 +70,18 @@ class KeptProcess(SideProcess):
 node_module.SideProcess = KeptProcess
 
 
+def in_name_space(name):
+    """Arguments for ROS of a robot in the name space `name`, with a clock of its own; none without a name."""
+    return ["--ros-args", "-r", f"__ns:=/{name}", "-r", f"/clock:=/{name}/clock"] if name else []
+
+
 class FakeBase:
     """A velocity model with perfect sensors; `odometry` and `sensors` may tamper with what is published."""
 
-    def __init__(self, spin, plant="model:ssm+0.005", *, stamped=True, pose_topic=False):
+    def __init__(self, spin, plant="model:ssm+0.005", *, stamped=True, pose_topic=False, name_space=""):
         self.context = Context()
-        rclpy.init(context=self.context, args=[])
+        rclpy.init(context=self.context, args=in_name_space(name_space))
+        self.frames = f"{name_space}/" if name_space else ""
         self.node = rclpy.create_node("fake_base", context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -118,8 +124,8 @@ class FakeBase:
 
     def publish_sensors(self):
         measured = self.plant.measure()
-        odometry = Odometry(child_frame_id="base_link")
-        odometry.header.stamp, odometry.header.frame_id = time_message(self.now + self.ahead), "odom"
+        odometry = Odometry(child_frame_id=f"{self.frames}base_link")
+        odometry.header.stamp, odometry.header.frame_id = time_message(self.now + self.ahead), f"{self.frames}odom"
         odometry.pose.pose = pose_message(measured.pose.value)
         odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = map(float, measured.wheel_twist.value)
         odometry = self.tamper(odometry)
@@ -196,21 +202,35 @@ class Stack:
     """The node in a context of its own, and the base that it drives; with `drive` it has just been told to start."""
 
     def __init__(
-        self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, drive=False, sim_time=True, **parameters
+        self,
+        overrides=None,
+        *,
+        plant="model:ssm+0.005",
+        pose_topic=False,
+        drive=False,
+        sim_time=True,
+        name_space="",
+        files=(),
+        **parameters,
     ):
         parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
         # Nobody else has this test's domain: there is nobody to wait for.
         parameters = {"discovery_wait": 0.0, **parameters}
-        words = ["--ros-args", "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
+        # Files first: of two rules that fit a node, the one whose kind came last counts.
+        given = [word for file in files for word in ("--params-file", str(file))]
+        words = ["--ros-args", *given, "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
         for name, value in parameters.items():
             words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
         self.context = Context()
-        rclpy.init(context=self.context, args=words)
+        rclpy.init(context=self.context, args=words + in_name_space(name_space)[1:])
+        self.name_space = f"/{name_space}".rstrip("/")
         self.node = TrackingNode(overrides=overrides, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         kind = FakeBase if sim_time else WallClockBase
-        self.base = kind(self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic)
+        self.base = kind(
+            self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic, name_space=name_space
+        )
         try:
             if sim_time:
                 self.base.until(self.knows_the_time, "the first clock")
@@ -289,7 +309,7 @@ class Stack:
 
     def trigger(self, name):
         """The answer of one of the node's own services that take nothing."""
-        return self.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request())
+        return self.call(Trigger, f"{self.name_space}/diffdrive_mpc/{name}", Trigger.Request())
 
     def change(self, number):
         """Ask for a transition of the lifecycle; whether it was made."""

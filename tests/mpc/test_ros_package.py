@@ -91,7 +91,7 @@ def test_the_parameter_file_fits_the_node():
     context = Context()
     rclpy.init(context=context, args=["--ros-args", "--params-file", str(ROS / "config" / "node.yaml")])
     node = TrackingNode(context=context)
-    given = yaml.safe_load((ROS / "config" / "node.yaml").read_text())["diffdrive_mpc"]["ros__parameters"]
+    given = yaml.safe_load((ROS / "config" / "node.yaml").read_text())["/**/diffdrive_mpc"]["ros__parameters"]
     try:
         assert set(given) <= set(NodeSettings.model_fields)
         assert {name: node.get_parameter(name).value for name in given} == given

@@ -158,6 +158,7 @@ _NOISE_UNITS = {
     "heading_noise": "rad",
 }
 _UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
+_GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _SAME_TRACK = 0.01
 """Tracks that differ by less are the same [-]."""
 _UNKNOWN_WHEELS = (
@@ -198,7 +199,7 @@ class IdentifiedConfiguration:
     ----------
     name
         Of the model.
-    general, limits, wheels, estimator, reentry, failure
+    general, limits, wheels, estimator, reentry, failure, free_space
         Settings without a group, and those of groups; the others may be empty.
     """
 
@@ -209,11 +210,12 @@ class IdentifiedConfiguration:
     estimator: tuple[Setting, ...] = ()
     reentry: tuple[Setting, ...] = ()
     failure: tuple[Setting, ...] = ()
+    free_space: tuple[Setting, ...] = ()
 
     @property
     def groups(self) -> dict[str, tuple[Setting, ...]]:
         """The settings with a group, by its name."""
-        return {name: getattr(self, name) for name in ("limits", "wheels", "estimator", "reentry", "failure")}
+        return {name: getattr(self, name) for name in _GROUPS}
 
     @property
     def bounds(self) -> tuple[Setting, ...]:
@@ -262,6 +264,7 @@ class IdentifiedConfiguration:
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
         lines += _group("failure", self._of("failure", expert=False))
+        lines += _group("free_space", self._of("free_space", expert=False))
         inner = [line for group in self.groups for line in _group(group, self._of(group, expert=True))]
         lines += ["expert:", *(f"  {line}" for line in inner)] if inner else []
         return "\n".join(lines) + "\n"

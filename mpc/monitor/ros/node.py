@@ -224,9 +224,14 @@ class MonitorNode(Node):
         self._checked.publish(command(twist, stamp, self._settings.base_frame, stamped=self._settings.stamped))
 
     @property
+    def _name(self) -> str:
+        """Its full name without the first slash: two robots differ by their namespaces."""
+        return str(self.get_fully_qualified_name()).lstrip("/")
+
+    @property
     def _words(self) -> str:
         verdict = self._judge.verdict
-        return f"{STOPPED}: {verdict.words}; call {self.get_name()}/reset" if verdict else PASSING
+        return f"{STOPPED}: {verdict.words}; call {self._name}/reset" if verdict else PASSING
 
     def _announce(self) -> None:
         """Say what it does when that changes."""
@@ -241,7 +246,7 @@ class MonitorNode(Node):
     def _diagnose(self) -> None:
         stopped = bool(self._judge.verdict)
         level = DiagnosticStatus.ERROR if stopped else DiagnosticStatus.OK
-        name = self.get_name()
+        name = self._name
         status = DiagnosticStatus(name=f"{name}: rules", hardware_id=name, level=level, message=self._words)
         status.values = [KeyValue(key="rule", value=self._judge.verdict.rule)]
         array = DiagnosticArray(status=[status])

@@ -1,0 +1,193 @@
+"""What the maker of a robot states of it, by name: numbers with their source, of which none is identified."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.logs.mapping import LogMapping, Topic, Topics
+from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.robot import load_robot
+
+FOLDER = Path(__file__).parent / "stated_robots"
+TO_IDENTIFY = (
+    "gain, lag and dead time of both channels, the yaw rate that the ground leaves of the commanded one, slip, noise of"
+    " the sensors"
+)
+"""What no maker states, in words."""
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_UNITS = {
+    "wheels": "-",
+    "wheel_radius": "m",
+    "wheel_separation": "m",
+    "wheel_separation_multiplier": "-",
+    "v": "m/s",
+    "omega": "rad/s",
+    "v_rate": "m/s^2",
+    "v_braking": "m/s^2",
+    "omega_rate": "rad/s^2",
+    "omega_braking": "rad/s^2",
+    "command_rate": "Hz",
+    "command_timeout": "s",
+    "footprint_radius": "m",
+}
+
+
+class StatedNumber(StrictModel):
+    """A number that the maker states."""
+
+    stated: Positive
+    source: str = Field(min_length=1, description="one of the file's `sources`")
+
+
+class StatedOutline(StrictModel):
+    """Corners of the robot seen from its base point."""
+
+    stated: tuple[tuple[float, float], ...] = Field(min_length=3, description="x, y of each corner [m]")
+    source: str = Field(min_length=1, description="one of the file's `sources`")
+
+
+class StatedTopic(StrictModel):
+    """A topic, in whichever namespace the robot has."""
+
+    stated: str = Field(min_length=1, pattern="^[^/]", description="relative name")
+    type: str = Field(description="type of its messages")
+    source: str = Field(min_length=1, description="one of the file's `sources`")
+
+
+class StatedTopics(StrictModel):
+    """Topics of command and sensors."""
+
+    command: StatedTopic
+    odometry: StatedTopic
+    imu: StatedTopic | None = None
+
+
+class StatedKey(NamedTuple):
+    """A value of a controller's configuration that follows from what is stated."""
+
+    value: float | str
+    reason: str
+    """Unit, and how it follows."""
+
+
+class MakersRobot(StrictModel):
+    """One robot as its maker states it. SI units; what is left out is not stated."""
+
+    name: str
+    provenance: Literal["stated"] = Field(description="never identified: no log stands behind these values")
+    sources: dict[str, str] = Field(description="repository, file and revision by the word that values name")
+    wheels: StatedNumber = Field(description="driven wheels [-]")
+    wheel_radius: StatedNumber = Field(description="[m]")
+    wheel_separation: StatedNumber = Field(description="between the wheels of both sides [m]")
+    wheel_separation_multiplier: StatedNumber = Field(description="track that the base divides by over that one [-]")
+    v: StatedNumber = Field(description="largest forward command [m/s]")
+    omega: StatedNumber = Field(description="largest yaw command [rad/s]")
+    v_rate: StatedNumber | None = Field(None, description="slope of the forward command, away from zero [m/s^2]")
+    v_braking: StatedNumber | None = Field(None, description="the same towards zero [m/s^2]")
+    omega_rate: StatedNumber | None = Field(None, description="slope of the yaw command, away from zero [rad/s^2]")
+    omega_braking: StatedNumber | None = Field(None, description="the same towards zero [rad/s^2]")
+    command_rate: StatedNumber | None = Field(None, description="how often the base takes a command [Hz]")
+    command_timeout: StatedNumber | None = Field(None, description="after which it stops without a command [s]")
+    footprint: StatedOutline | None = None
+    footprint_radius: StatedNumber | None = Field(None, description="of a round robot, in place of corners [m]")
+    topics: StatedTopics
+
+    @model_validator(mode="after")
+    def _sourced(self) -> Self:
+        stated = [part for part in (*dict(self).values(), *dict(self.topics).values()) if hasattr(part, "source")]
+        unknown = sorted({part.source for part in stated} - set(self.sources))
+        if unknown:
+            raise ValueError(f"source '{unknown[0]}' is none of its sources: {', '.join(self.sources)}")
+        return self
+
+    @property
+    def track(self) -> float:
+        """Track [m] by which the base turns omega into wheel speeds, and wheel speeds into its odometry."""
+        return self.wheel_separation.stated * self.wheel_separation_multiplier.stated
+
+    def bounds(self, margin: float) -> dict[str, float]:
+        """Soft limits that follow: none is stated, so they begin `margin` [-] beyond what the command can ask for."""
+        v, omega = self.v.stated, self.omega.stated
+        rim = v + 0.5 * self.track * omega
+        sizes = {"predicted_v": v, "predicted_omega": omega, "wheel_speed": rim}
+        return {f"limits.{name}": float(f"{margin * size:.4g}") for name, size in sizes.items()}
+
+    def configuration(self) -> dict[str, StatedKey]:
+        """Values of a controller's configuration by dotted key; slopes where they are below the default."""
+        separation = (
+            f"m, wheel separation {self.wheel_separation.stated:g} m times multiplier "
+            f"{self.wheel_separation_multiplier.stated:g}"
+        )
+        keys = {
+            "limits.v": StatedKey(self.v.stated, "m/s"),
+            "limits.omega": StatedKey(self.omega.stated, "rad/s"),
+            "wheels.track": StatedKey(float(f"{self.track:.6g}"), separation),
+            "wheels.encoder_track": StatedKey(float(f"{self.track:.6g}"), separation),
+        }
+        usual = load_robot().command_slew
+        for channel, unit in (("v", "m/s^2"), ("omega", "rad/s^2")):
+            for key, rate in (("slew", "rate"), ("braking", "braking")):
+                number: StatedNumber | None = getattr(self, f"{channel}_{rate}")
+                if number is not None and number.stated < getattr(usual, channel):
+                    keys[f"limits.{channel}_{key}"] = StatedKey(number.stated, unit)
+        if self.footprint is not None:
+            corners = json.dumps([list(corner) for corner in self.footprint.stated])
+            keys["free_space.footprint"] = StatedKey(corners, "m")
+        if self.footprint_radius is not None:
+            keys["free_space.footprint"] = StatedKey("[[0.0, 0.0]]", "m, a disc")
+            keys["free_space.footprint_radius"] = StatedKey(self.footprint_radius.stated, "m")
+        return keys
+
+    def mapping(self) -> LogMapping:
+        """Which topic of a bag of this robot is what, in whichever namespace the bag has them."""
+        names = {role: Topic(topic=of.stated) for role, of in dict(self.topics).items() if of is not None}
+        return LogMapping(source=f"{self.name}, as its maker states it", topics=Topics(**names))
+
+    def lines(self) -> list[str]:
+        """What is stated, with its source, and what has to be identified; a line each."""
+        numbers = [(name, unit, getattr(self, name)) for name, unit in _UNITS.items()]
+        lines = [
+            f"{name} {number.stated:g}{'' if unit == '-' else f' {unit}'} (stated: {number.source})"
+            for name, unit, number in numbers
+            if number is not None
+        ]
+        if self.footprint is not None:
+            corners = ", ".join(f"({x:g}, {y:g})" for x, y in self.footprint.stated)
+            lines.append(f"footprint {corners} m (stated: {self.footprint.source})")
+        lines += [
+            f"{role} {topic.stated} {topic.type} (stated: {topic.source})"
+            for role, topic in dict(self.topics).items()
+            if topic is not None
+        ]
+        lines += [f"source {word}: {source}" for word, source in self.sources.items()]
+        return [*lines, f"stated by nobody, to be identified from a log: {TO_IDENTIFY}"]
+
+
+def stated_robots() -> tuple[str, ...]:
+    """Names of the robots that are known, sorted."""
+    return shipped_names(FOLDER)
+
+
+def load_stated_robot(name: str | Path) -> MakersRobot:
+    """Read what the maker states of a robot.
+
+    Parameters
+    ----------
+    name
+        Name of a robot ("husky", "jackal", ...) or the path of such a file.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such robot, or its file has a mistake; the message lists the names.
+    """
+    robot = load_checked(MakersRobot, named_file("robot", FOLDER, name))
+    if robot.footprint is not None and robot.footprint_radius is not None:
+        raise ConfigError(f"{name}: give 'footprint' or 'footprint_radius', not both")
+    return robot

@@ -1,0 +1,114 @@
+"""What makers state of robots, by name: where a configuration begins, and never taken for identified."""
+
+import pytest
+import yaml
+from log_parts import bag_topics, drive, write_bag
+
+from diffdrive_mpc import load_config
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.from_logs import identify
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.stated_robot import FOLDER, load_stated_robot, stated_robots
+
+CLEARPATH = {"odom": "platform/odom", "imu": "platform/sensors/imu_0/data", "cmd_vel": "cmd_vel"}
+
+
+@pytest.fixture(scope="module")
+def husky_bag(tmp_path_factory):
+    """A bag with the topics of a Husky in its namespace, and with another source of commands beside."""
+    topics = bag_topics(drive(60.0), command="geometry_msgs/msg/TwistStamped")
+    named = {f"/a200_0001/{CLEARPATH[name[1:]]}": topic for name, topic in topics.items() if name[1:] in CLEARPATH}
+    named["/a200_0001/joy_teleop/cmd_vel"] = named["/a200_0001/cmd_vel"]
+    return write_bag(tmp_path_factory.mktemp("bag") / "drive", named)
+
+
+@pytest.fixture(scope="module")
+def identified(husky_bag):
+    return identify(husky_bag, robot="husky")
+
+
+def test_the_named_robots_are_there():
+    assert {"husky", "jackal", "warthog", "dingo_d", "turtlebot4"} <= set(stated_robots())
+
+
+@pytest.mark.parametrize("name", stated_robots())
+def test_every_value_is_stated_and_has_a_source_with_its_revision(name):
+    robot = load_stated_robot(name)
+    assert robot.provenance == "stated"
+    assert all("commit" in source or "read 20" in source for source in robot.sources.values())
+    assert "identified" not in yaml.safe_dump(yaml.safe_load((FOLDER / f"{name}.yaml").read_text()))
+    words = "\n".join(robot.lines())
+    assert "dead time" in words
+    assert all(source in words for source in robot.sources.values())
+
+
+@pytest.mark.parametrize("name", stated_robots())
+def test_the_values_make_a_configuration(name):
+    robot = load_stated_robot(name)
+    values = robot.bounds(1.1) | {key: stated.value for key, stated in robot.configuration().items()}
+    config = load_config("kinematic", values)
+    assert config.limits.v == robot.v.stated
+    assert config.wheels.track == pytest.approx(
+        robot.wheel_separation.stated * robot.wheel_separation_multiplier.stated, rel=1e-4
+    )
+    assert config.limits.predicted_v > config.limits.v
+
+
+def test_an_unknown_name_is_one_line_with_the_names():
+    with pytest.raises(ConfigError, match="dingo_d, husky, jackal, turtlebot4, warthog") as refused:
+        load_stated_robot("husk")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_source_that_is_not_listed_is_refused(tmp_path):
+    text = (FOLDER / "husky.yaml").read_text().replace("stated: 4, source: control", "stated: 4, source: memory")
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="memory"):
+        load_stated_robot(tmp_path / "mine.yaml")
+
+
+def test_topics_are_those_of_the_namespace_that_has_the_odometry(husky_bag):
+    log = read_log(husky_bag, load_stated_robot("husky").mapping())
+    assert log.topics["command"][0] == "/a200_0001/cmd_vel"
+    assert log.topics["odometry"][0] == "/a200_0001/platform/odom"
+    assert log.topics["imu"][0] == "/a200_0001/platform/sensors/imu_0/data"
+
+
+def test_two_robots_in_one_bag_are_named(tmp_path, husky_bag):
+    topics = bag_topics(drive(8.0))
+    both = {f"/{name}/platform/odom": topics["/odom"] for name in ("a", "b")}
+    bag = write_bag(tmp_path / "both", both | {"/a/cmd_vel": topics["/cmd_vel"]})
+    with pytest.raises(ConfigError, match="several namespaces have it: /a, /b"):
+        read_log(bag, load_stated_robot("husky").mapping())
+
+
+def test_what_the_log_tells_stays_and_the_maker_bounds_it(identified):
+    limits = {setting.name: setting for setting in identified.configuration.limits}
+    # The log is driven with up to 1.5 rad/s, the maker allows 1.
+    assert limits["omega"].value == 1.0
+    assert "stated by the maker" in limits["omega"].reason
+    assert limits["v"].value < 1.0
+    assert "stated" not in limits["v"].reason
+    assert limits["omega_slew"].value == 1.0
+
+
+def test_the_model_is_the_logs_alone(identified, husky_bag):
+    plain = identify(husky_bag, load_mapping_of_husky(husky_bag))
+    assert identified.content.channels == plain.content.channels
+    assert identified.content.provenance.origin == "identified"
+
+
+def load_mapping_of_husky(bag):
+    path = bag.parent / "mapping.yaml"
+    topics = {"command": "/a200_0001/cmd_vel", "odometry": "/a200_0001/platform/odom"}
+    path.write_text(yaml.safe_dump({"topics": topics | {"imu": "/a200_0001/platform/sensors/imu_0/data"}}))
+    return path
+
+
+def test_its_files_are_a_configuration_with_the_reason_of_each_value(identified, tmp_path):
+    identified.write(tmp_path)
+    config = load_config(tmp_path / "config.yaml")
+    assert config.wheels.track == pytest.approx(1.04063, rel=1e-4)
+    assert config.free_space.corners[0] == [0.55, 0.45]
+    assert "stated by the maker of Clearpath Husky A200" in (tmp_path / "config.yaml").read_text()
+    assert "/a200_0001/platform/odom" in (tmp_path / "node.yaml").read_text()

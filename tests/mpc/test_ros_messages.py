@@ -1,0 +1,160 @@
+"""What other nodes of a stack send and read: trajectories of a base, the estimate, wheel speeds."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Odometry
+from ros_parts import CONFIG, DT, stack
+from std_msgs.msg import Float64MultiArray
+
+from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.ros.control_loop import LoopState
+from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds, pose_message, time_message, yaw_of
+from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_reference
+from diffdrive_mpc.mpc.step_result import Mode
+
+RADIUS = 0.0675
+
+
+def stamped_points(frame="odom", last="odom"):
+    """As nav_msgs/Trajectory has it: a header in each point; 1 m ahead in 4 s."""
+    times = np.linspace(0.0, 4.0, 21)
+    x = 0.5 - 0.5 * np.cos(np.pi * times / 4.0)
+    points = [
+        SimpleNamespace(
+            header=SimpleNamespace(stamp=time_message(10**12 + round(1e9 * at)), frame_id=frame),
+            pose=pose_message((ahead, 0.0, 0.0)),
+        )
+        for at, ahead in zip(times, x, strict=True)
+    ]
+    points[-1].header.frame_id = last
+    return SimpleNamespace(header=SimpleNamespace(stamp=time_message(0), frame_id=frame), points=points)
+
+
+def test_a_trajectory_with_stamped_points_is_read():
+    reference = timed_trajectory_reference(stamped_points(), Limits())
+    assert reference.duration == pytest.approx(4.0)
+    np.testing.assert_allclose(reference.sample([2.0]).pose[0], (0.5, 0.0, 0.0), atol=1e-3)
+
+
+def test_a_point_in_another_frame_is_refused():
+    with pytest.raises(MessageError, match="point 20 is in 'map', the trajectory in 'odom'"):
+        timed_trajectory_reference(stamped_points(last="map"), Limits())
+
+
+def test_points_without_times_are_refused():
+    message = stamped_points()
+    for point in message.points:
+        point.header.stamp = time_message(0)
+    with pytest.raises(MessageError, match="does not come after the one before"):
+        timed_trajectory_reference(message, Limits())
+
+
+def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
+    from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_type
+
+    kind = timed_trajectory_type()
+    assert kind is not None
+    with stack(trajectory="''", drive_on_reference=True) as s:
+        message = kind()
+        message.header.frame_id = "odom"
+        for point in stamped_points().points:
+            timed = type(message).SLOT_TYPES[1].value_type
+            assert timed.name == "TrajectoryPoint"
+            made = __import__(timed.namespaces[0] + ".msg", fromlist=["msg"]).TrajectoryPoint(pose=point.pose)
+            at = nanoseconds(point.header.stamp) - 10**12
+            made.time_from_start.sec, made.time_from_start.nanosec = divmod(at, 10**9)
+            message.points.append(made)
+        publisher = s.publisher(kind, "set_timed_trajectory")
+        s.base.silent(5)
+        publisher.publish(message)
+        s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
+        s.base.run(60)
+        assert s.loop.last.mode == Mode.TRACKING
+        assert s.base.plant.true_pose[0] > 0.05
+
+
+def test_the_estimate_is_odometry_with_frames_and_covariance():
+    with stack(drive=True) as s:
+        heard = s.listen(Odometry, "/diffdrive_mpc/estimate")
+        s.base.until(lambda: s.base.silent(1) is not None and heard, "the estimate")
+        s.base.run(80)
+        s.base.until(lambda: nanoseconds(heard[-1].header.stamp) == s.base.now, "that of the last tick")
+        message, estimate = heard[-1], s.loop.last.result.estimate
+        assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+        pose = message.pose.pose
+        said = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
+        np.testing.assert_allclose(said, estimate.pose, atol=1e-9)
+        np.testing.assert_allclose((message.twist.twist.linear.x, message.twist.twist.angular.z), estimate.twist)
+        covariance = np.reshape(message.pose.covariance, (6, 6))
+        np.testing.assert_allclose(np.diag(covariance)[[0, 1, 5]], estimate.pose_deviation**2)
+        assert np.diag(covariance)[[0, 1, 5]].min() > 0.0
+        assert np.count_nonzero(covariance) == 3
+        # Before the last command moved it; the plant is a tick further.
+        np.testing.assert_allclose(said[:2], s.base.plant.true_pose[:2], atol=0.03)
+
+
+def as_twist(speeds, track):
+    left, right = RADIUS * speeds[0], RADIUS * speeds[1]
+    return 0.5 * (left + right), (right - left) / track
+
+
+class WheelBase:
+    """A stack whose base takes wheel speeds in place of twists."""
+
+    def __init__(self, s, *, crossed=False):
+        self.s, self.heard, self.crossed = s, [], crossed
+        s.base.node.create_subscription(Float64MultiArray, "wheel_commands", self.take, 1)
+
+    def take(self, message):
+        self.heard.append(list(message.data))
+        self.s.base.commands.append(as_twist(message.data[:: -1 if self.crossed else 1], CONFIG.wheels.track))
+        self.s.base.times.append(self.s.base.now)
+
+
+def wheels(overrides=None, **parameters):
+    return stack(overrides, command_output="wheels", wheel_radius=RADIUS, autostart=False, **parameters)
+
+
+def begin(s, *, crossed=False):
+    """Activate the node and have it drive, its base listening to wheel speeds."""
+    base = WheelBase(s, crossed=crossed)
+    s.node.trigger_configure()
+    s.node.trigger_activate()
+    s.base.until(s.hears, "sensors")
+    assert s.trigger("start").success
+    return base
+
+
+def test_wheel_speeds_drive_a_base_without_a_twist():
+    with wheels() as s:
+        base = begin(s)
+        s.base.run(100)
+        assert s.loop.last.mode == Mode.TRACKING
+        assert s.base.plant.true_pose[0] > 0.3
+        np.testing.assert_allclose(s.base.commands[-1], s.loop.last.command, atol=1e-12)
+        assert not s.node.count_publishers("/cmd_vel")
+        s.node.trigger_deactivate()
+        s.base.until(lambda: base.heard[-1] == [0.0, 0.0], "zero at the end")
+
+
+def test_limits_and_slew_hold_for_the_wheels():
+    with wheels({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
+        base = begin(s, crossed=True)
+        before = len(base.heard)
+        s.base.run(60)
+        rim = RADIUS * np.array(base.heard[before:])
+        assert np.abs(rim).max() <= 0.4 + 1e-9
+        limits, half = CONFIG.limits, 0.5 * CONFIG.wheels.track
+        slope = (limits.v_slew + half * limits.omega_slew) * DT
+        assert np.abs(np.diff(rim, axis=0)).max() <= slope + 1e-9
+        # A left turn: the right wheel, which is named first, is the faster one.
+        assert rim[-1, 0] > rim[-1, 1] > 0.0
+
+
+@pytest.mark.parametrize("sides", ["left", "left,middle", ""])
+def test_sides_that_are_none_are_refused(sides):
+    with pytest.raises(Exception, match="wheel_sides"), wheels(wheel_sides=f"'{sides}'") as s:
+        s.node.trigger_configure()
+        raise ValueError(s.node.failure)
