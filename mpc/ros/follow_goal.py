@@ -13,6 +13,7 @@ from enum import IntEnum, StrEnum
 
 import numpy as np
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -21,7 +22,7 @@ from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import Laid, lay_poses
+from diffdrive_mpc.mpc.trajectories.planned.lay import Laid, lay_poses, poses_left
 
 _STANDING = 0.02
 """A slower robot stands [m/s]."""
@@ -112,7 +113,7 @@ class FrameError(DiffdriveMpcError, ValueError):
     """A path cannot be brought into the frame of control; says why."""
 
 
-Lay = Callable[[tuple[object, ...], Callable[[Laid], None], Callable[[str], None]], None]
+Lay = Callable[[tuple[object, ...], Callable[[Laid | None], None], Callable[[str], None]], None]
 """Has `lay_for_robot` called with these arguments, and the one or the other with what came of it."""
 
 
@@ -123,17 +124,38 @@ def lay_for_robot(
     limits: TrajectoryLimits,
     settings: NodeSettings,
     beside: float,
-) -> Laid:
-    """What is done beside the loop, see `lay_poses`."""
-    return lay_poses(
-        poses,
-        limits,
-        robot=robot,
-        twist=twist,
-        deviation=settings.follow_deviation,
-        beside=beside,
-        backwards=settings.follow_backwards,
-    )
+) -> Laid | None:
+    """What is done beside the loop, see `lay_poses`; None where the robot is at the goal, and too short a rest to lay.
+
+    Raises ConfigError for any other path that cannot be laid.
+    """
+    try:
+        return lay_poses(
+            poses,
+            limits,
+            robot=robot,
+            twist=twist,
+            deviation=settings.follow_deviation,
+            beside=beside,
+            backwards=settings.follow_backwards,
+        )
+    except ConfigError:
+        left = poses_left(poses, robot)
+        length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())
+        if length > settings.follow_goal_position or not _within(_gap(robot, poses[-1]), settings):
+            raise
+        return None
+
+
+def _gap(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses (3,)."""
+    gap = pose - goal
+    return float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
+
+
+def _within(gap: tuple[float, float], settings: NodeSettings) -> bool:
+    """Whether a robot so far from its goal has arrived."""
+    return gap[0] <= settings.follow_goal_position and gap[1] <= settings.follow_goal_heading
 
 
 def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettings) -> TrajectoryLimits:
@@ -253,7 +275,7 @@ class Following:
             lambda why: self._refuse(goal, _not_laid(why), why),
         )
 
-    def _begin(self, goal: FollowGoal, laid: Laid, speed: float) -> None:
+    def _begin(self, goal: FollowGoal, laid: Laid | None, speed: float) -> None:
         if goal is not self._coming:
             return
         loop, farthest = self._loop, self._config().failure.max_position_error
@@ -263,6 +285,9 @@ class Following:
             if goal.outdated == _MOST_OUTDATED:
                 self._give_up("a newer goal's path takes too long to prepare for a robot that moves")
             self._ask(goal)
+            return
+        if laid is None:
+            self._stay(goal, moving)
             return
         if laid.begins > farthest:
             why = f"the path begins {laid.begins:.2f} m from the robot; the limit is {farthest:g} m"
@@ -279,6 +304,18 @@ class Following:
             self._driven.end = self._driven.ending or End(GoalOutcome.ABORTED, Code.NONE, "a newer goal took over")
         goal.laid, goal.since = laid, loop.inbox.now
         self._driven, self._coming = goal, None
+
+    def _stay(self, goal: FollowGoal, moving: bool) -> None:
+        """End a goal of which nothing is left to drive: reached, if the robot stands there."""
+        whereabouts = self._loop.whereabouts()
+        gap = (math.inf, math.inf) if moving or whereabouts is None else _gap(whereabouts[0], goal.poses[-1])
+        if not _within(gap, self._settings):
+            self._refuse(goal, Code.INVALID_PATH, "path: it ends where the robot is, which does not stand there")
+            return
+        self._coming = None
+        words = f"is there already, {gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
+        self._close(goal, GoalOutcome.SUCCEEDED, Code.NONE, words)
+        self._give_up("a newer goal took over")
 
     def _refuse(self, goal: FollowGoal, code: Code, why: str) -> None:
         if goal is not self._coming:
@@ -332,10 +369,9 @@ class Following:
         settings, estimate = self._settings, tick.result.estimate
         if estimate is None:
             return End(GoalOutcome.ABORTED, Code.TF_ERROR, "at the end of the path the robot's pose is not known")
-        gap = estimate.pose - goal.poses[-1]
-        distance, turned = float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
-        words = f"{distance:.3f} m and {turned:.3f} rad from the goal"
-        if distance <= settings.follow_goal_position and turned <= settings.follow_goal_heading:
+        gap = _gap(estimate.pose, goal.poses[-1])
+        words = f"{gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
+        if _within(gap, settings):
             return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}")
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 

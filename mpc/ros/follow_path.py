@@ -22,19 +22,20 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds, planar_pose
 from diffdrive_mpc.mpc.ros.follow_goal import Code, End, FollowGoal, Following, GoalOutcome
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
-_REQUESTS = QoSProfile(depth=500)
+_REQUESTS = QoSProfile(depth=2000)
 """So many requests may wait: of the services' default, 10, the middleware drops what arrives while others are read."""
 _RESULTS_AT_ONCE = 4
 """Results sent in one look: a client has room for 10 that it has not read."""
 _LONG_WORK = 0.005
 """After work that took longer [s] the thread rests as long: the interpreter runs one thread, and the loop's is due."""
-_RESULT_KEPT = 10
-"""How long a result waits for its client [s]."""
+_RESULT_KEPT = 60
+"""How long a result waits for its client [s]: one that sends hundreds of goals a second reads their answers late."""
 _LOOK = 0.02
 """How often ends are looked for [s]."""
 _FAREWELL = 0.4
@@ -116,16 +117,18 @@ class FollowPathServer:
 
     def _spin(self) -> None:
         left = round(_FAREWELL / _LOOK)
-        try:
-            while not self._closing or (self._said and left > 0):
-                began = time.thread_time()
+        while not self._closing or (self._said and left > 0):
+            began = time.thread_time()
+            try:
                 self._executor.spin_once(timeout_sec=_LOOK)
-                worked = time.thread_time() - began
-                if worked > _LONG_WORK:
-                    time.sleep(worked)
-                left -= self._closing
-        except ExternalShutdownException:
-            pass
+            except ExternalShutdownException:
+                return
+            except Exception as error:  # one goal's fault must not leave all others without an answer
+                self._node.get_logger().error(f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}")
+            worked = time.thread_time() - began
+            if worked > _LONG_WORK:
+                time.sleep(worked)
+            left -= self._closing
 
     def _pass_on(self) -> None:
         """In the thread of the loop: hand on what has arrived."""

@@ -228,8 +228,9 @@ class SurroundingsInput:
         try:
             self._controller.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
+            # What cannot be used together must not spoil the messages to come, nor pass for fresh.
+            watch.take_back(self._kept[2].get(watch.name))
             self._refuse(watch, str(error))
-            # What cannot be used together must not spoil the messages to come.
             self._grid, self._discs, self._stamps = self._kept[0], self._kept[1], dict(self._kept[2])
         else:
             self._keep()

@@ -59,6 +59,11 @@ class TopicWatch:
         self._stamp, self.delay, self.reason = stamp, now - stamp, ""
         self.accepted += 1
 
+    def take_back(self, stamp: float | None) -> None:
+        """Undo the last `accept`: the message cannot be used after all, and the last good one has `stamp` [s]."""
+        self._stamp = stamp
+        self.accepted -= 1
+
     def refuse(self, reason: str) -> None:
         """Count a message that cannot be used, and why."""
         self.reason = self.last_refusal = f"{self.name} refused: {reason}"

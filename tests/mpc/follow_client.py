@@ -1,7 +1,7 @@
 """A client of follow_path as a process of its own: commands come in as lines of JSON, and what it hears goes out so.
 
-In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}. With "times" and "rate"
-[Hz] the same goal is sent so often, as "id 0", "id 1", ...
+In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}. {"burst": id, "goals":
+[{"poses": .., ..}, ..], "times": count, "rate": Hz} sends these goals in turn, as "id 0", "id 1", ...
 Out: {"id": .., "event": .., ..}.
 """
 
@@ -22,6 +22,18 @@ from rclpy.qos import QoSProfile
 def say(**what):
     sys.stdout.write(json.dumps(what | {"time": time.monotonic()}) + "\n")
     sys.stdout.flush()
+
+
+def goal_message(line):
+    goal = FollowPath.Goal(controller_id=line.get("controller", ""))
+    goal.path.header.frame_id = line.get("frame", "odom")
+    for x, y, theta in line["poses"]:
+        pose = PoseStamped()
+        pose.header.frame_id = goal.path.header.frame_id
+        pose.pose.position.x, pose.pose.position.y = float(x), float(y)
+        pose.pose.orientation.z, pose.pose.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
+        goal.path.poses.append(pose)
+    return goal
 
 
 class Client:
@@ -53,7 +65,7 @@ class Client:
         while not self.ended:
             while self.lines:
                 self.act(self.lines.pop(0))
-            if self.due and self.due[0][0] <= time.monotonic():
+            while self.due and self.due[0][0] <= time.monotonic():
                 self.submit(*self.due.pop(0)[1:])
             # Each goal is answered by several messages.
             for _ in range(5):
@@ -62,21 +74,12 @@ class Client:
     def act(self, line):
         if "cancel" in line:
             self.handles[line["cancel"]].cancel_goal_async()
-            return
-        name = line["send"]
-        goal = FollowPath.Goal(controller_id=line.get("controller", ""))
-        goal.path.header.frame_id = line.get("frame", "odom")
-        for x, y, theta in line["poses"]:
-            pose = PoseStamped()
-            pose.header.frame_id = goal.path.header.frame_id
-            pose.pose.position.x, pose.pose.position.y = float(x), float(y)
-            pose.pose.orientation.z, pose.pose.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
-            goal.path.poses.append(pose)
-        if "times" in line:
+        elif "burst" in line:
+            goals = [goal_message(goal) for goal in line["goals"]]
             now, period = time.monotonic(), 1.0 / line["rate"]
-            self.due = [(now + i * period, f"{name} {i}", goal) for i in range(line["times"])]
+            self.due = [(now + i * period, f"{line['burst']} {i}", goals[i % len(goals)]) for i in range(line["times"])]
         else:
-            self.submit(name, goal)
+            self.submit(line["send"], goal_message(line))
 
     def submit(self, name, goal):
         sent = self.action.send_goal_async(goal, feedback_callback=lambda told: self.told(name, told.feedback))

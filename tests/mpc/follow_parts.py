@@ -38,6 +38,12 @@ class Client:
     def send(self, name, poses, **what):
         self.tell(send=name, poses=np.asarray(poses, dtype=float).tolist(), **what)
 
+    def burst(self, name, goals, times, rate):
+        """Send these goals, with `poses` and what `send` takes, in turn, `rate` [Hz] a second; returns their names."""
+        goals = [goal | {"poses": np.asarray(goal["poses"], dtype=float).tolist()} for goal in goals]
+        self.tell(burst=name, goals=goals, times=times, rate=rate)
+        return [f"{name} {number}" for number in range(times)]
+
     def of(self, name, event):
         return [one for one in list(self.events) if one.get("id") == name and one["event"] == event]
 

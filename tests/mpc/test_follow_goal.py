@@ -78,6 +78,49 @@ def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
     assert loop.told == ["follow"] and goal.laid.length == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("robot", "poses"),
+    [
+        ((1.0, 0.0, 0.0), STRAIGHT),
+        ((1.03, 0.01, 0.0), STRAIGHT),
+        ((1.0, 0.0, 0.0), STRAIGHT[-1:].repeat(2, axis=0)),
+        # A planner's line from the robot, shorter than the robot can bend.
+        ((1.0, 0.01, 0.0), np.array([[1.0, 0.01, 0.0], [1.0, 0.0, 0.0]])),
+    ],
+)
+def test_a_robot_that_stands_at_the_end_has_arrived(made, robot, poses):
+    loop, beside, following = made
+    loop.whereabouts = lambda: (np.array(robot), (0.0, 0.0))
+    following.take(goal := FollowGoal(poses, "odom"))
+    beside.answer()
+    assert (goal.end.outcome, goal.end.code) == (GoalOutcome.SUCCEEDED, Code.NONE)
+    assert loop.told == []
+
+
+@pytest.mark.parametrize("there", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
+def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(made, there):
+    loop, beside, following = made
+    following.take(old := FollowGoal(STRAIGHT, "odom"))
+    beside.answer()
+    loop.whereabouts = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if there is None else there[1])
+    following.take(goal := FollowGoal(STRAIGHT, "odom"))
+    loop.whereabouts = lambda: there and (np.array(there[0]), there[1])
+    beside.answer()
+    assert (goal.end.outcome, goal.end.code) == (GoalOutcome.ABORTED, Code.INVALID_PATH)
+    # The drive that it was to replace ends, too.
+    following.after(standing())
+    assert loop.told == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
+
+
+def test_a_robot_at_the_start_of_a_closed_path_drives_it(made):
+    loop, beside, following = made
+    angle = np.linspace(0.0, 2 * np.pi, 80)
+    loop_path = np.column_stack([np.sin(angle), 1.0 - np.cos(angle), angle])
+    following.take(FollowGoal(loop_path, "odom"))
+    beside.answer()
+    assert loop.told == ["follow"]
+
+
 def test_a_newer_goal_ends_one_that_has_not_begun(made):
     loop, beside, following = made
     first, second = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")

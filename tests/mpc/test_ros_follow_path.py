@@ -57,6 +57,13 @@ def test_a_planners_grid_path_is_driven_to_its_goal(parts):
         # Afterwards it stands and waits.
         follow.tick(10)
         assert not np.any(follow.base.commands[-1]) and str(follow.made.loop.state) == "IDLE"
+        # The same goal again is reached where it is, also where something in the server's thread fails meanwhile.
+        fault = follow.made.node._door._side.create_timer(0.05, lambda: 1 / 0)
+        since = len(follow.base.commands)
+        follow.client.send("again", path[-2:])
+        assert follow.ended("again")["status"] == parts.SUCCEEDED
+        assert np.abs(commanded(follow, since)[:, 0]).max(initial=0.0) < 0.2
+        fault.cancel()
 
 
 def test_a_newer_goal_takes_over_without_a_stop(parts):
@@ -104,36 +111,85 @@ def test_a_cancelled_goal_is_braked_at_the_braking_limits(parts):
 ZIGZAG = np.column_stack([0.05 * np.arange(3000), 0.05 * np.abs(np.arange(3000) / 5 % 2 - 1) - 0.05, np.zeros(3000)])
 
 
+NEWER = {"a newer goal took its place before it began", "a newer goal took over"}
+
+
+def without_result(client, names):
+    ended = {event["id"] for event in list(client.events) if event["event"] == "result"}
+    return [name for name in names if name not in ended]
+
+
+def answered_once(client, names):
+    """The result of each goal; each has one answer, and one result."""
+    heard = {name: {"accepted": [], "result": []} for name in names}
+    for event in list(client.events):
+        if event["event"] in ("accepted", "result"):
+            heard[event["id"]][event["event"]].append(event)
+    counts = {name: (len(events["accepted"]), len(events["result"])) for name, events in heard.items()}
+    assert set(counts.values()) == {(1, 1)}
+    return {name: events["result"][0] for name, events in heard.items()}
+
+
 @pytest.mark.parametrize(
-    ("goals", "path"),
+    ("goals", "rate", "path"),
     [
-        (40, np.repeat(3.0 * STRAIGHT, 25, axis=0)),
-        pytest.param(300, np.repeat(3.0 * STRAIGHT, 5, axis=0), marks=pytest.mark.long),
-        pytest.param(300, ZIGZAG, marks=pytest.mark.long),
+        (40, 100.0, np.repeat(3.0 * STRAIGHT, 25, axis=0)),
+        pytest.param(300, 100.0, np.repeat(3.0 * STRAIGHT, 5, axis=0), marks=pytest.mark.long),
+        pytest.param(1000, 200.0, np.repeat(3.0 * STRAIGHT, 5, axis=0), marks=pytest.mark.long),
+        pytest.param(300, 100.0, ZIGZAG, marks=pytest.mark.long),
     ],
-    ids=["1000 poses", "200 poses", "zigzag"],
+    ids=["1000 poses", "200 poses", "a thousand", "zigzag"],
 )
-def test_every_goal_of_a_hundred_a_second_gets_one_answer_and_one_result(parts, goals, path):
+def test_every_goal_of_hundreds_a_second_gets_one_answer_and_one_result(parts, goals, rate, path):
     """Goals of many poses come faster than they can be read, and only the last is driven to its end."""
     with parts.following() as follow:
-        follow.client.send("a", path, times=goals, rate=100.0)
-        names = [f"a {number}" for number in range(goals)]
-
-        def open_goals():
-            ended = {event["id"] for event in list(follow.client.events) if event["event"] == "result"}
-            return [name for name in names if name not in ended]
-
-        follow.until(lambda: open_goals() in ([], names[-1:]), "all results but the last", most=30 * goals)
-        if open_goals():
+        names = follow.client.burst("a", [{"poses": path}], times=goals, rate=rate)
+        follow.until(
+            lambda: without_result(follow.client, names) in ([], names[-1:]), "all but the last", most=30 * goals
+        )
+        if without_result(follow.client, names):
             follow.client.tell(cancel=names[-1])
         follow.ended(names[-1])
-        for name in names:
-            (answer, *others), (result, *more) = (follow.client.of(name, event) for event in ("accepted", "result"))
-            assert answer and not (others or more) and (result["status"] == parts.ABORTED or name == names[-1])
-        words = {follow.client.result(name)["words"] for name in names}
-        newer = {"a newer goal took its place before it began", "a newer goal took over"}
-        assert words <= {*newer, "cancelled", ""}
+        ends = {(result["status"], result["words"]) for result in answered_once(follow.client, names).values()}
+        # On a slow computer the robot is at the end before the last goal has come.
+        assert ends <= {
+            (parts.CANCELED, "cancelled"),
+            (parts.SUCCEEDED, ""),
+            *((parts.ABORTED, words) for words in NEWER),
+        }
         assert not np.any(follow.base.commands[-1])
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:failed to send response")
+def test_goals_of_all_kinds_are_answered_while_other_clients_are_killed(parts):
+    """A thousand at 200 Hz, good ones between those that cannot be driven; other clients die with goals open."""
+    rng = np.random.default_rng(36)
+    straight = {"poses": STRAIGHT}
+    far = {"poses": np.column_stack([np.linspace(0.0, 20.0, 10_000), np.zeros((10_000, 2))])}
+    kinds = [straight, straight | {"frame": "moon"}]
+    kinds += [{"poses": poses} for poses in ([], STRAIGHT[:1], [[0, 0, 0], [math.nan, 0, 0]], STRAIGHT + [9.0, 0, 0])]
+    goals = [kinds[i] for i in rng.integers(len(kinds), size=98)]
+    goals[10:10], goals[60:60] = [far], [{"poses": ZIGZAG}]
+    with parts.following(follow_client_timeout=0.5) as follow:
+        others = [parts.Client() for _ in range(2)]
+        for other in others:
+            follow.until(lambda other=other: other.events, "another client", pace=parts.DT)
+            other.burst("other", [*[straight] * 20, far], times=200, rate=50.0)
+        names = follow.client.burst("a", goals, times=1000, rate=200.0)
+        for other in others:
+            begun = len(follow.client.events) + rng.integers(50, 300)
+            follow.until(lambda begun=begun: len(follow.client.events) > begun, "some answers")
+            other.process.kill()
+        follow.until(lambda: not without_result(follow.client, names), "all results", most=40_000)
+        results = answered_once(follow.client, names)
+        assert {result["code"] for result in results.values()} == {0, 102, 103}
+        # Nothing is left behind, and the next goal is driven.
+        door = follow.made.node._door
+        follow.until(lambda: not (np.any(follow.base.commands[-1]) or door._open), "rest")
+        start = pose(follow)
+        follow.client.send("b", start + X[:21, None] * [math.cos(start[2]), math.sin(start[2]), 0.0])
+        assert follow.ended("b")["status"] == parts.SUCCEEDED
 
 
 @pytest.mark.parametrize("how", ["terminate", pytest.param("kill", marks=pytest.mark.long)])

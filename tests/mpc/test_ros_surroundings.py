@@ -4,12 +4,14 @@ import math
 import re
 import time
 from array import array
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from ros_parts import stack
 
-from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.mpc import Controller, Mode
+from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 
 pytest.importorskip("rclpy")
@@ -21,7 +23,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from diffdrive_mpc.mpc.free_space.surroundings import SurroundingsError
 from diffdrive_mpc.mpc.ros.conversions import MessageError, time_message
-from diffdrive_mpc.mpc.ros.surroundings_input import read_costmap, read_obstacles
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.surroundings_input import SurroundingsInput, read_costmap, read_obstacles
 
 SEEING = {"free_space.enabled": True}
 
@@ -210,6 +213,31 @@ def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the
         last = drive(45, honest=False)
         assert last.mode == Mode.STOPPED and "the surroundings are" in last.message
         assert drive(60, honest=True).mode == Mode.TRACKING
+
+
+def test_a_combination_that_is_refused_does_not_pass_for_fresh():
+    """A wall and one disc fit; with four discs nothing that was told since the last good messages counts."""
+    controller = Controller(load_config("ssm", SEEING | {"free_space.max_pieces": 4}))
+    inbox = SimpleNamespace(now=100.0, frame="odom", time_of=lambda stamp: stamp * 1e-9)
+    aside = SimpleNamespace(submit=lambda _, job, arguments, done, failed: done(job(*arguments)))
+    said = []
+    seen = SurroundingsInput(NodeSettings(use_costmap=True, use_obstacles=True), controller, inbox, aside, said.append)
+
+    def tell(count):
+        stamp = round(inbox.now * 1e9)
+        seen.take_obstacles(serialize_message(cloud(stamp, count * POINT)))
+
+    seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
+    tell(1)
+    assert not seen.fault and seen.obstacles.accepted == 1
+    inbox.now += 0.9 * controller.config.free_space.max_age
+    seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
+    tell(4)
+    assert "5 convex pieces" in said[-1] and (seen.obstacles.accepted, seen.obstacles.refused) == (1, 1)
+    inbox.now += 0.2 * controller.config.free_space.max_age
+    assert "obstacles is" in seen.fault and "costmap" not in seen.fault
+    tell(1)
+    assert not seen.fault
 
 
 def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wall():

@@ -238,7 +238,7 @@ def lay_poses(
     """
     settings = load_settings()
     _check(poses, settings.longest)
-    poses = _from_robot(poses, robot)
+    poses = poses_left(poses, robot)
     runs = read_runs(poses, robot, backwards=backwards)
     nodes: list[Nodes] = []
     speed, yaw_rate = twist
@@ -282,8 +282,8 @@ def _check(poses: FloatArray, longest: float) -> None:
         raise ConfigError(f"path: it is {length:.3g} m long, the longest is {longest:g} m: are places in m?")
 
 
-def _from_robot(poses: FloatArray, robot: FloatArray) -> FloatArray:
-    """The poses that are left to a robot that has driven on since the path was planned."""
+def poses_left(poses: FloatArray, robot: FloatArray) -> FloatArray:
+    """The poses (n, 3) that are left to a robot at (3,) that has driven on since the path was planned."""
     step = np.diff(poses[:, :2], axis=0)
     lengths = np.hypot(*step.T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
