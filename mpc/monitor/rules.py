@@ -48,18 +48,26 @@ class CommandRules(StrictModel):
 class OnPath(StrictModel):
     """Where the robot may be: near the stretch of path that the reference covers around now."""
 
-    distance: Positive = Field(description="farthest from the stretch, if the robot braked now [m]")
+    distance: Positive = Field(description="farthest from the stretch [m]")
+    lasting: NotNegative = Field(description="the robot may be further away for so long [s]")
+    far: Positive = Field(description="farthest from the stretch, if the robot braked now [m]")
+    reaction: NotNegative = Field(description="braking begins so late [s]")
     heading: Positive = Field(description="farthest from the headings there [rad]")
-    behind: Positive = Field(description="the stretch begins where the reference was so long ago [s]")
-    ahead: NotNegative = Field(description="and ends where it will be so much later [s]")
-    lasting: NotNegative = Field(description="distance and heading may be too large for so long [s]")
-    faster_v: Positive = Field(description="|v| of a command beyond the fastest of the stretch [m/s]")
-    faster_omega: Positive = Field(description="|omega| of a command beyond the fastest of the stretch [rad/s]")
-    faster_lasting: NotNegative = Field(description="a command may be faster than that for so long [s]")
-    after_end: Positive = Field(description="so long after the end of the reference commands have to be zero [s]")
+    far_lasting: NotNegative = Field(description="either may be too large for so long [s]")
+    late: NotNegative = Field(description="the stretch begins where the reference was so long ago [s]")
+    early: NotNegative = Field(description="and ends where it will be so much later [s]")
     grace: Positive = Field(
         description="without a reference, or while the controller says that it stands, a robot may be moved so long [s]"
     )
+
+
+class Returning(StrictModel):
+    """Where a robot may be that something else moved off its path, or whose reference begins elsewhere."""
+
+    within: NotNegative = Field(description="it has so long to be back on the stretch [s]")
+    distance: Positive = Field(description="farthest from the stretch meanwhile, if it braked now [m]")
+    late: NotNegative = Field(description="the stretch begins where the reference was so long ago meanwhile [s]")
+    early: NotNegative = Field(description="and ends where it will be so much later [s]")
 
 
 class SensorAges(StrictModel):
@@ -75,10 +83,10 @@ class Agreement(StrictModel):
     """How far sensors may contradict each other."""
 
     window: Annotated[float, Field(gt=0, le=4)] = Field(description="they are compared over so long [s]")
-    distance: Positive = Field(description="poses against odometry: difference of what was driven [m]")
+    blend: Positive = Field(description="poses correct what wheels and gyro sum up over so long [s]")
+    distance: Positive = Field(description="poses against wheels: difference within the window [m]")
     distance_share: NotNegative = Field(description="and in addition by the distance [m/m]")
-    turn: Positive = Field(description="poses against gyro, else odometry: difference of what was turned [rad]")
-    turn_share: NotNegative = Field(description="and in addition by the turn [rad/rad]")
+    turn: Positive = Field(description="poses against gyro, else wheels: difference within the window [rad]")
     gyro_gain: Positive = Field(description="most that the body turns for what the wheels do [-]")
     gyro_least: NotNegative = Field(description="and least [-]")
     gyro_turn: Positive = Field(description="and by so much more or less over the window [rad]")
@@ -104,6 +112,7 @@ class Rules(StrictModel):
     name: str = Field("", max_length=80, description="for whom they are")
     commands: CommandRules = Field(description="what commands may be")
     path: OnPath = Field(description="where the robot may be")
+    returning: Returning = Field(description="and where, if something else moved it")
     sensors: SensorAges = Field(description="how old sensors may be")
     agreement: Agreement = Field(description="how far sensors may contradict each other")
     answer: ResponseBounds = Field(description="how the robot answers to commands")

@@ -49,6 +49,9 @@ class MonitoredController:
     def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
         self._inner, self._rules, self._fault = inner, rules, fault or Fault()
 
+    stood: list[bool]
+    """Of each tick, whether the controller sent nothing but zero and said that it stands."""
+
     @property
     def verdict(self) -> MonitorVerdict:
         """What stopped the robot, on the clock of the plant; nothing while all is well."""
@@ -65,6 +68,7 @@ class MonitoredController:
         self._judge.reference(t0 + _BEFORE, self._fault.told(points).tolist())
         self._summed, self._summed_at = reference.sample([0.0]).pose[0].tolist(), t0
         self._base, self._base_at = (0.0, 0.0), t0
+        self.stood: list[bool] = []
 
     def step(self, t: float, measurement: Measurement) -> WatchedStep:
         """Decide, judge, and pass on."""
@@ -76,6 +80,7 @@ class MonitoredController:
         command, mode = Sent(t, float(step.command[0]), float(step.command[1])), str(step.mode)
         sent = fault.sends(command) if broken else [command]
         fault.went(sent)
+        self.stood.append(mode in _STANDING and not any(any(one[1:]) for one in sent))
         self._judge.says(now, drives=(fault.says(mode) if broken else mode) not in _STANDING)
         for one in sent:
             self._base, self._base_at = self._judge.command(now, one.stamp + _BEFORE, one.v, one.omega), t

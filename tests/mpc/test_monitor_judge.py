@@ -145,14 +145,17 @@ def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
         ("yaw_slew", lambda r: r.drive(0.1, (0.4, 1.5))),
         ("yaw_rate", lambda r: r.drive(0.1, (0.4, 2.1))),
         ("not_to_move", lambda r: (r.judge.says(r.now, drives=False), r.drive(2.0))),
-        ("after_end", lambda r: (stand(r), r.judge.reference(r.now, r.points[:38]), r.drive(6.0, (0.04, 0.0)))),
+        ("strays", lambda r: (stand(r), r.judge.reference(r.now, r.points[:41]), r.drive(8.0, (0.04, 0.0)))),
+        ("strays", lambda r: (r.judge.says(r.now, drives=True), r.drive(7.5, (0.34, 0.0)))),
+        ("off_path", lambda r: (r.judge.says(r.now, drives=True), stand(r), r.drive(1.5, (0.0, 0.0)))),
         ("odometry", lambda r: (setattr(r, "blind", True), r.drive(0.5))),
-        ("pose", lambda r: (setattr(r, "lost", True), r.drive(1.5))),
+        ("pose", lambda r: (setattr(r, "lost", True), r.drive(3.0))),
         ("no_reference", lambda r: (r.judge.reference(r.now, []), r.drive(0.5))),
         ("bad_reference", lambda r: r.judge.reference(r.now, [[r.now, 0, 0, 0], [r.now + 1, 5, 0, 0]])),
         ("outside", lambda r: r.judge.outside(r.now, wrong=True)),
-        ("off_path", lambda r: (r.state.__setitem__(1, 0.6), r.drive(0.5))),
-        ("off_heading", lambda r: (r.state.__setitem__(2, 2.5), r.drive(0.5))),
+        ("off_heading", lambda r: (stand(r), r.judge.reference(r.now, [[r.now, *r.state]]), r.drive(4.5, (0.0, 0.3)))),
+        ("pose_jumps", lambda r: (r.state.__setitem__(1, 0.6), r.drive(1.0))),
+        ("pose_turns", lambda r: (r.state.__setitem__(2, 0.7), r.drive(0.6))),
         ("clock", lambda r: r.judge.tick(r.now - 5.0)),
     ],
 )
@@ -162,6 +165,31 @@ def test_each_rule_stops_the_robot(robot, rule, harm):
     harm(robot)
     assert robot.judge.verdict.rule == rule
     assert "\n" not in robot.judge.verdict.words and len(robot.judge.verdict.words) > 10
+
+
+def test_a_robot_that_is_held_up_may_be_late(robot):
+    """It does less than commanded: that is no fault of the controller, and does no harm."""
+    robot.drive(2.0)
+    robot.twist, robot.deaf = np.zeros(2), True
+    robot.drive(3.0)
+    robot.deaf = False
+    robot.drive(4.0)
+    assert not robot.judge.verdict
+
+
+@pytest.mark.parametrize(("moved", "rule"), [(0.25, ""), (0.6, "pose_jumps")])
+def test_a_robot_that_something_else_moved_may_return(robot, moved, rule):
+    """By so much and no further: its wheels did not do that."""
+    robot.drive(2.0)
+    for _ in range(10):
+        robot.state[1] += 0.1 * moved
+        robot.drive(DT)
+    robot.drive(0.5)
+    while robot.state[1] > 0.01 and not robot.judge.verdict:
+        robot.state[1] -= 0.002
+        robot.drive(DT)
+    robot.drive(1.0)
+    assert robot.judge.verdict.rule == rule
 
 
 def test_zero_is_never_refused(robot):
@@ -211,7 +239,7 @@ def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(robot):
     robot.drive(2.0)
     robot.state[1] = 0.9
     robot.drive(3.0)
-    assert robot.judge.verdict.rule == "off_path"
+    assert robot.judge.verdict.rule == "pose_jumps"
     robot.drive(3.0, (0.0, 0.0))
     assert not robot.judge.reset(robot.now)
     robot.drive(1.0, (0.04, 0.0))

@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 from diffdrive_mpc.mpc.monitor.judge import rule_names
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from studies.cli import app
+from studies.monitor.drawn import COMMANDS, KINDS, SENSES, parts_of
 from studies.monitor.faults import FAULTS, Fault, Sent
 from studies.monitor.study import MonitorStudyResult, complaint
-from studies.monitor.trial import HARM, faulty_trial, nominal_case, nominal_trial
+from studies.monitor.trial import HARM, drawn_trial, faulty_trial, nominal_case, nominal_trial
 
 RULES = load_rules()
 SEED = 90_000
@@ -75,10 +76,12 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
     """With rules under which a robot may be anywhere the wrong sign is missed: exit code 1, and the report stands."""
     rules = tmp_path / "blind.yaml"
     values = RULES.model_dump()
-    values["path"] |= {"distance": 900.0, "heading": 9.0, "after_end": 900.0, "faster_omega": 99.0, "faster_v": 99.0}
+    values["path"] |= {"distance": 900.0, "far": 900.0, "heading": 9.0}
+    values["returning"] |= {"distance": 900.0}
     rules.write_text(json.dumps(values), encoding="utf-8")
     few = {name: FAULTS[name] for name in ("not a number", "wrong sign")}
     monkeypatch.setattr("studies.monitor.study.FAULTS", few)
+    monkeypatch.setattr("studies.monitor.study.KINDS", 1)
     words = ["monitor", "--rules", str(rules), "--seeds", "1", "--hours", "0.01", "--jobs", "1"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
     assert result.exit_code == 1 and "error: missed or late: wrong sign (1)" in result.stderr
@@ -87,6 +90,21 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
     assert rows["not a number"]["rule"] == "not_finite" and rows["wrong sign"]["rule"] == ""
     assert sum(row["driven"] for row in content["trials"] if not row["fault"]) >= 36.0
     assert "Faults" in (tmp_path / "out" / "monitor.md").read_text(encoding="utf-8")
+
+
+def test_a_controller_that_stops_half_way_is_stopped(kind=2):
+    """Near its path all the while, but not on time; and a monitor that knows no time misses that."""
+    found = drawn_trial(kind, SEED, RULES)
+    assert found.in_time and not found.harmless and found.rule in ("off_path", "strays")
+    path = RULES.path.model_copy(update={"late": 900.0})
+    assert not drawn_trial(kind, SEED, RULES.model_copy(update={"path": path})).in_time
+
+
+def test_no_fault_alone_is_of_two_kinds_and_pairs_are_of_two():
+    single = [parts_of(kind)[0] for kind in range(KINDS) if len(parts_of(kind)) == 1]
+    assert len(single) == len(set(single)) > 20
+    assert all(len(set(parts_of(kind))) == 2 for kind in range(len(single), KINDS))
+    assert {part for kind in range(KINDS) for part in parts_of(kind)} <= {*COMMANDS, *SENSES}
 
 
 def test_an_alarm_in_a_sound_drive_is_a_complaint():

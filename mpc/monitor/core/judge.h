@@ -27,25 +27,28 @@ typedef struct {
     double commands_stop_within;     /* after a controller says that it stands, its commands have to be zero [s] */
     double commands_standing_v;      /* a command or a motion smaller than this stands [m/s] */
     double commands_standing_omega;  /* a command or a motion smaller than this stands [rad/s] */
-    double path_distance;            /* farthest from the stretch of path around the reference, if it braked now [m] */
+    double path_distance;            /* farthest from the stretch of path around the reference [m] */
+    double path_lasting;             /* it may be further away for so long [s] */
+    double path_far;                 /* farthest from there, if it braked now [m] */
+    double path_reaction;            /* braking begins so late [s] */
     double path_heading;             /* farthest from the headings there [rad] */
-    double path_behind;              /* the stretch begins where the reference was so long ago [s] */
-    double path_ahead;               /* and ends where it will be so much later [s] */
-    double path_lasting;             /* distance and heading may be too large for so long [s] */
-    double path_faster_v;            /* |v| of a command beyond that of the reference on the stretch [m/s] */
-    double path_faster_omega;        /* |omega| of a command beyond that of the reference on the stretch [rad/s] */
-    double path_faster_lasting;      /* a command may be faster for so long [s] */
-    double path_after_end;           /* after the end of the reference, commands have to be zero [s] */
+    double path_far_lasting;         /* either may be too large for so long [s] */
+    double path_late;                /* the stretch begins where the reference was so long ago [s] */
+    double path_early;               /* and ends where it will be so much later [s] */
     double path_grace;               /* for so long a robot may be moved without a reference [s] */
+    double returning_within;         /* a robot that something else moved has so long to be back on the stretch [s] */
+    double returning_distance;       /* farthest from the stretch meanwhile, if it braked now [m] */
+    double returning_late;           /* which begins so long ago meanwhile [s] */
+    double returning_early;          /* and ends so much later [s] */
     double sensors_odometry_age;     /* oldest odometry [s] */
     double sensors_pose_age;         /* oldest pose; 0: there is no pose sensor, and odometry's pose counts [s] */
     double sensors_gyro_age;         /* oldest yaw rate; 0: there is no gyro, and nothing is compared with it [s] */
     double sensors_ahead;            /* stamps may be in the future by so much [s] */
     double agreement_window;         /* sensors are compared over so long [s] */
-    double agreement_distance;       /* pose against odometry: difference of what was driven [m] */
+    double agreement_blend;          /* poses correct what wheels and gyro sum up over so long [s] */
+    double agreement_distance;       /* poses against wheels: difference within the window [m] */
     double agreement_distance_share; /* and in addition by the distance [m/m] */
-    double agreement_turn;           /* pose against gyro, else odometry: difference of what was turned [rad] */
-    double agreement_turn_share;     /* and in addition by the turn [rad/rad] */
+    double agreement_turn;           /* poses against gyro, else wheels: difference within the window [rad] */
     double agreement_gyro_gain;      /* gyro against wheels: most that the body turns for what the wheels do [-] */
     double agreement_gyro_least;     /* and least [-] */
     double agreement_gyro_turn;      /* and by so much more or less over the window [rad] */
@@ -77,11 +80,9 @@ enum {
     DDMON_NOT_TO_MOVE,
     DDMON_NO_REFERENCE,
     DDMON_BAD_REFERENCE,
+    DDMON_STRAYS,
     DDMON_OFF_PATH,
     DDMON_OFF_HEADING,
-    DDMON_FASTER,
-    DDMON_FASTER_TURN,
-    DDMON_AFTER_END,
     DDMON_ODOMETRY,
     DDMON_POSE,
     DDMON_GYRO,
@@ -107,7 +108,7 @@ typedef struct {
     double at, value, limit;
 } ddmon_verdict;
 
-enum { DDMON_COMMANDS = 128, DDMON_TRACK = 256, DDMON_POSES = 32 };
+enum { DDMON_COMMANDS = 128, DDMON_TRACK = 256 };
 
 /* State of one judge, in memory of the caller; for `ddmon_` functions alone. */
 typedef struct {
@@ -128,13 +129,12 @@ typedef struct {
     double may_move_since;
     /* sensors: by wheels, gyro and poses */
     int has_odometry, has_pose, has_gyro;
-    double odometry_stamp, odometry_pose[3], wheels[2], gyro_stamp, gyro, pose_stamp, pose[3];
-    double high[2][2], low[2][2], answered, slow_wheels, slow_gyro;
-    /* what wheels and gyro make of the motion, and poses to be compared with it */
-    double track_at[DDMON_TRACK], track[4][DDMON_TRACK], summed[4];
-    int track_last, tracks;
-    double seen_at[DDMON_POSES], seen[3][DDMON_POSES];
-    int seen_last, seens;
+    double odometry_stamp, wheels[2], gyro_stamp, gyro, pose_stamp, pose[3];
+    double high[2][2], low[2][2], answered, slow_wheels, slow_gyro, free_at;
+    /* what wheels and gyro make of the motion; with poses: where the robot is, and what else moved it lately */
+    double track_at[DDMON_TRACK], track[3][DDMON_TRACK], summed[3];
+    int track_last, tracks, placed, returning;
+    double place[3], unexplained[3], driven, moved_at, away_at;
 } ddmon_judge;
 
 /* Begin at `now`; `rules` have to live as long as the judge. */
