@@ -22,7 +22,7 @@ class OracleJudge:
         self.word = None
         self.broken, self.stopped, self.bounds = {}, None, {}
         self.events, self.placed, self.free_at = [], (-1, None), now
-        self.returning, self.moved_at, self.away_at = False, 0.0, 0.0
+        self.returning, self.away_at, self.away_for, self.path_at = False, 0.0, 0.0, now
 
     def judge(self, name, broken, lasting=0.0):
         if not broken:
@@ -49,7 +49,7 @@ class OracleJudge:
             r = self.rules.commands
             sound = (dt > 0).all() and (step <= r.v * dt + 1e-9).all() and (turn <= r.omega * dt + 1e-9).all()
         self.path = points if sound and len(points) else None
-        self.returning, self.moved_at, self.away_at = True, now, now - self.rules.path.lasting
+        self.returning, self.away_at = True, now - self.rules.path.lasting
         self.judge("bad_reference", not sound)
 
     def usable(self, stamp, values, past):
@@ -58,6 +58,8 @@ class OracleJudge:
 
     def says(self, now, *, drives):
         self.now = now
+        if self.word is not None and drives and not self.word[1]:
+            self.returning, self.away_at = True, now
         if self.word is None or self.word[1] != drives:
             self.word = (now, drives)
 
@@ -145,36 +147,36 @@ class OracleJudge:
 
     def _place_anew(self):
         r = self.rules.agreement
-        place, gone, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
+        place, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
         if not self.rules.sensors.pose_age > 0:
-            return (np.array(self.odometry[-1][3:6]) if self.odometry else None), gone
+            return (np.array(self.odometry[-1][3:6]) if self.odometry else None), unexplained
         known = self.summed([event[1][0] for event in self.events])
         newest = None
         for k, (name, row) in enumerate(self.events):
             if name == "odometry":
                 dt = min(row[0] - newest[0], 1.0) if newest is not None else 0.0
-                gone = gone * (1.0 - dt / (r.window + dt))
+                unexplained = unexplained * (1.0 - dt / (r.window + dt))
                 self.driven += abs(row[1]) * dt - dt / (r.window + dt) * self.driven
                 if place is not None:
                     middle = place[2] + 0.5 * row[6] * dt
                     place = place + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
                 newest = row
                 continue
-            seen = np.array(row[1:4])
+            current = np.array(row[1:4])
             latest = self.summed([newest[0]])[0] if newest is not None else None
             if latest is not None and row[0] >= self.odometry[0][0] - 1e-9:
                 then = known[k]
                 way = (latest[0] - then[0] + 1j * (latest[1] - then[1])) * np.exp(1j * (row[3] - then[2]))
-                seen = seen + [way.real, way.imag, latest[2] - then[2]]
+                current = current + [way.real, way.imag, latest[2] - then[2]]
             before = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
             dt = min(row[0] - before[-1], 1.0) if before else 0.0
-            place = seen.copy() if place is None else place
-            apart = seen - place
+            place = current.copy() if place is None else place
+            apart = current - place
             apart[2] = wrapped(apart[2])
-            self.pending = gone + apart
+            self.pending = unexplained + apart
             place = place + dt / (r.blend + dt) * apart
-            gone = gone + dt / (r.blend + dt) * apart
-        return place, gone
+            unexplained = unexplained + dt / (r.blend + dt) * apart
+        return place, unexplained
 
     def _poses_against_odometry(self):
         r = self.rules.agreement
@@ -279,18 +281,23 @@ class OracleJudge:
     def _path(self, output, moved):
         r, back, now = self.rules.path, self.rules.returning, self.now
         self.judge("no_reference", moved and self.path is None, r.grace)
-        place, gone = self._place()
+        place, unexplained = self._place()
         bound = self.path is not None and place is not None and (moved or (self.word is not None and self.word[1]))
         strays = off = far = heading = False
         if bound:
             distance, turned = self.away(place, now - r.late, now + r.early, r.distance)
-            unexplained = np.hypot(*gone[:2])
+            unexplained = np.hypot(*unexplained[:2])
             held = now - self.free_at > self.rules.answer.dead_time + self.rules.answer.lasting
             if distance > r.distance:
                 self.away_at = now
                 if held or unexplained > r.distance:
-                    self.returning, self.moved_at = True, now
-            if now - self.away_at >= r.lasting or now - self.moved_at > back.within:
+                    self.returning = True
+            step = min(now - self.path_at, 1.0)
+            if distance <= r.distance:
+                self.away_for = max(self.away_for - step, 0.0)
+            elif self.away_for <= back.within:
+                self.away_for += step
+            if now - self.away_at >= r.lasting or self.away_for > back.within:
                 self.returning = False
             v = self.odometry[-1][1] if self.odometry else 0.0
             v = output[0] if abs(output[0]) > abs(v) else v
@@ -303,6 +310,7 @@ class OracleJudge:
             off, _ = self.away(at, now - late, now + time + early, np.inf)
             far = off > (back.distance if self.returning else r.far + unexplained)
             strays, heading = (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
+        self.path_at = now
         self.judge("strays", strays, r.lasting)
         self.judge("off_path", far, r.far_lasting)
         self.judge("off_heading", heading, r.far_lasting)

@@ -78,7 +78,7 @@ static void go_on(ddmon_judge *j, double now)
     judge_rule(j, DDMON_CLOCK, j->now - now, j->rules->sensors_ahead, 1, 0.0);
     if (!is_finite(now))
         return;
-    j->now = j->began = j->answered = j->free_at = j->output_at = j->command_at = j->may_move_since = now;
+    j->now = j->began = j->answered = j->free_at = j->path_at = j->output_at = j->command_at = j->may_move_since = now;
     j->has_odometry = j->has_pose = j->has_gyro = j->placed = j->stamped = 0;
     j->ways = j->tracks = 0;
     j->driven = 0.0;
@@ -92,15 +92,15 @@ void ddmon_init(ddmon_judge *j, const ddmon_rules *rules, double now)
     j->rules = rules;
     j->now = j->began = now;
     j->may_move = -1;
-    j->answered = j->free_at = now;
+    j->answered = j->free_at = j->path_at = now;
     j->pace = 0.5 * (rules->commands_slowest + rules->commands_quickest);
 }
 
-/* From now on the robot has time to return to its path. */
-static void moved_away(ddmon_judge *j)
+/* The robot may be away from its path and return; for how long, `away_for` bounds. */
+static void let_return(ddmon_judge *j)
 {
     j->returning = 1;
-    j->moved_at = j->away_at = j->now;
+    j->away_at = j->now;
 }
 
 int ddmon_reference(ddmon_judge *j, double now, const ddmon_point *path, int points)
@@ -120,7 +120,7 @@ int ddmon_reference(ddmon_judge *j, double now, const ddmon_point *path, int poi
     j->path = sound && points ? path : 0;
     j->points = sound ? points : 0;
     /* It may begin away from the robot. */
-    moved_away(j);
+    let_return(j);
     j->away_at = j->now - rules->path_lasting;
     judge_rule(j, DDMON_BAD_REFERENCE, 0.0, 0.0, !sound, 0.0);
     return sound;
@@ -238,27 +238,27 @@ static void compare_gyro(ddmon_judge *j, double step)
 static void correct_place(ddmon_judge *j, double step)
 {
     const ddmon_rules *rules = j->rules;
-    double then[3], seen[3] = {j->pose[X], j->pose[Y], j->pose[THETA]}, *gone = j->unexplained;
+    double then[3], current[3] = {j->pose[X], j->pose[Y], j->pose[THETA]}, *unexplained = j->unexplained;
     if (summed_at(j, j->pose_stamp, then)) {
         double turned = j->pose[THETA] - then[THETA], c = cos(turned), s = sin(turned);
         double x = j->summed[X] - then[X], y = j->summed[Y] - then[Y];
-        seen[X] += c * x - s * y;
-        seen[Y] += s * x + c * y;
-        seen[THETA] += j->summed[THETA] - then[THETA];
+        current[X] += c * x - s * y;
+        current[Y] += s * x + c * y;
+        current[THETA] += j->summed[THETA] - then[THETA];
     }
     if (!j->placed)
-        memcpy(j->place, seen, sizeof seen);
+        memcpy(j->place, current, sizeof current);
     j->placed = 1;
     for (int i = 0; i < 3; i++) {
-        double apart = i == THETA ? wrapped(seen[i] - j->place[i]) : seen[i] - j->place[i];
+        double apart = i == THETA ? wrapped(current[i] - j->place[i]) : current[i] - j->place[i];
         double correction = share_of(step, rules->agreement_blend) * apart;
-        seen[i] = gone[i] + apart; /* also what is not corrected yet */
+        current[i] = unexplained[i] + apart; /* also what is not corrected yet */
         j->place[i] += correction;
-        gone[i] += correction;
+        unexplained[i] += correction;
     }
-    at_most(j, DDMON_POSE_JUMPS, hypot(seen[X], seen[Y]),
+    at_most(j, DDMON_POSE_JUMPS, hypot(current[X], current[Y]),
             rules->agreement_distance + rules->agreement_distance_share * j->driven, rules->agreement_lasting);
-    at_most(j, DDMON_POSE_TURNS, absolute(seen[THETA]), rules->agreement_turn, rules->agreement_lasting);
+    at_most(j, DDMON_POSE_TURNS, absolute(current[THETA]), rules->agreement_turn, rules->agreement_lasting);
 }
 
 void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double omega, double x, double y, double theta)
@@ -312,6 +312,9 @@ void ddmon_says(ddmon_judge *j, double now, int drives)
     go_on(j, now);
     if (j->may_move != drives)
         j->may_move_since = j->now;
+    /* Where it stood its reference went on, until the controller sends it anew. */
+    if (j->may_move == 0 && drives)
+        let_return(j);
     j->may_move = drives;
 }
 
@@ -353,40 +356,46 @@ static void compare_stretch(const ddmon_judge *j, const double at[3], double beg
     away[HEADING] = heading < HUGE_VAL ? heading : 0.0;
 }
 
-/* Where the robot would stand if it braked now, and when; it may still speed up to what was sent. */
-static double rest(const ddmon_judge *j, double at[3])
+/* Where the robot would stand if it braked now; it may still speed up to what was sent. Returns the time in which it
+   would come there at its present speed, braking nothing: by so much later the reference may be there, too. */
+static double place_at_rest(const ddmon_judge *j, double at[3])
 {
     int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
     double sent = j->sent ? j->output[V] : 0.0, v = absolute(sent) > absolute(j->wheels[V]) ? sent : j->wheels[V];
     double time = j->rules->path_reaction + 0.5 * absolute(v) / j->rules->commands_v_braking;
     memcpy(at, j->place, sizeof j->place);
     carry(at, v * time, time * (gyro ? j->gyro : j->wheels[OMEGA]));
-    return j->now + time;
+    return time;
 }
 
-/* The robot is near its path and on time: now, and where it would stand if it braked now. What neither wheels nor gyro
-   explain of its motion is no fault of the controller: that is allowed for. A robot that is away by it, that does not move
-   though it is told to, or whose reference begins elsewhere, has time to return. */
+/* The robot is near its path and on time: now, and where it would stand if it braked now. Motion that neither wheels nor
+   gyro explain is no fault of the controller: that is allowed for. A robot may return for a limited time where something
+   moved it, where it does not move though it is told to, where it stood, and where its reference begins elsewhere. */
 static void judge_path(ddmon_judge *j)
 {
     const ddmon_rules *rules = j->rules;
     int moved = j->sent && moves(rules, j->output), bound = j->path && j->placed && (moved || j->may_move == 1);
-    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3];
+    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3], step = smaller(j->now - j->path_at, LONGEST_STEP);
     double unexplained = hypot(j->unexplained[X], j->unexplained[Y]);
+    j->path_at = j->now;
     judge_rule(j, DDMON_NO_REFERENCE, 0.0, 0.0, moved && !j->path, rules->path_grace);
     if (bound) {
         compare_stretch(j, j->place, j->now - rules->path_late, j->now + rules->path_early, rules->path_distance, away);
         int elsewhere = away[DISTANCE] > rules->path_distance;
         int held = j->now - j->free_at > rules->answer_dead_time + rules->answer_lasting;
         if (elsewhere && (held || unexplained > rules->path_distance))
-            moved_away(j);
+            let_return(j);
         if (elsewhere)
             j->away_at = j->now;
-        if (j->now - j->away_at >= rules->path_lasting || j->now - j->moved_at > rules->returning_within)
+        /* Time elsewhere counts up, time near its path down: a robot that does not return has used up its time,
+           whatever moves it or is sent to it meanwhile. */
+        if (!elsewhere || j->away_for <= rules->returning_within)
+            j->away_for = larger(j->away_for + (elsewhere ? step : -step), 0.0);
+        if (j->now - j->away_at >= rules->path_lasting || j->away_for > rules->returning_within)
             j->returning = 0;
-        double then = rest(j, at), late = j->returning ? rules->returning_late : rules->path_late;
+        double time = place_at_rest(j, at), late = j->returning ? rules->returning_late : rules->path_late;
         double early = j->returning ? rules->returning_early : rules->path_early;
-        compare_stretch(j, at, j->now - late, then + early, HUGE_VAL, ahead);
+        compare_stretch(j, at, j->now - late, j->now + time + early, HUGE_VAL, ahead);
     }
     int strict = bound && !j->returning;
     double far = strict ? rules->path_far + unexplained : rules->returning_distance;
@@ -596,7 +605,7 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
     }
     if (j->path && j->placed)
         compare_stretch(j, j->place, j->now - j->rules->returning_late, j->now + j->rules->returning_early, HUGE_VAL, away);
-    int lost = away[DISTANCE] > j->rules->path_far || away[HEADING] > j->rules->path_heading;
+    int lost = away[DISTANCE] > j->rules->returning_distance;
     memset(j->broken, 0, sizeof j->broken);
     memset(&j->verdict, 0, sizeof j->verdict);
     memset(j->high, 0, sizeof j->high);
@@ -606,8 +615,8 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
     j->stamped = j->ways = j->commanded = j->sent = 0;
     j->slow_wheels = j->slow_gyro = 0.0;
     memset(j->unexplained, 0, sizeof j->unexplained);
-    j->driven = 0.0;
-    moved_away(j);
+    j->driven = j->away_for = 0.0;
+    let_return(j);
     j->pace = 0.5 * (j->rules->commands_slowest + j->rules->commands_quickest);
     if (lost) {
         j->path = 0;
