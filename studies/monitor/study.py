@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.mpc.monitor.rules import Rules, load_rules
 from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
-from studies.monitor.drawn import KINDS, parts_of
+from studies.monitor.drawn import KINDS, NAMED_KINDS, parts_of
 from studies.monitor.faults import FAULTS, FaultBounds
 from studies.monitor.trial import (
     AFTER,
@@ -39,8 +39,9 @@ from studies.robustness.study import turns_on_the_spot
 
 Trial = MonitorTrial | DrawnTrial
 Task = partial[list[Trial]]
-FIRST_SEED = {True: (0, 0), False: (10_000, 20_000)}
-"""Of faulty and of nominal drives: those that rules were tuned on, and those that are reported."""
+FIRST_SEED = {True: (0, 0), False: (30_000, 40_000)}
+"""Of faulty and of nominal drives: those that rules were tuned on, and those that are reported. Those from 10,000 and
+20,000 on were reported before, and looked at."""
 _TOGETHER = 8
 
 
@@ -96,7 +97,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
         rules = load_rules(self._rules)
         seeds = range(self._first[0], self._first[0] + self._seeds)
         faulty = [partial(_each, partial(faulty_trial, name), seeds, rules) for name in FAULTS]
-        kinds = range(0 if self._tuning else 1, KINDS, 2)
+        kinds = (*range(0 if self._tuning else 1, KINDS, 2), *NAMED_KINDS)
         drawn = [partial(_each, partial(drawn_trial, kind), seeds, rules) for kind in kinds]
         nominal = self._nominal_seeds()
         chunks = (nominal[k : k + _TOGETHER] for k in range(0, len(nominal), _TOGETHER))
@@ -118,7 +119,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
     def _able_robots(self) -> Iterator[int]:
         """Seeds of robots that can drive their path; those for tuning are not those that results are reported on."""
         spot_turns = {path: turns_on_the_spot(path) for path in BENCH_PATHS}
-        for seed in count(1 if self._tuning else 0, RESERVED):
+        for seed in count(1 if self._tuning else self._first[1], RESERVED):
             if draw_robot(seed).can_drive(spot_turns[market_case(seed).trajectory]):
                 yield seed
 
