@@ -231,6 +231,14 @@ class Controller:
         return self._reference
 
     @property
+    def planned_delay(self) -> float:
+        """How late the reference is because it was decided so [s]: the robot stood, a speed limit, things in its way.
+
+        Part of `reference_delay` of a step. By how much the robot lags beside that is not counted.
+        """
+        return self._pursuit.planned_delay
+
+    @property
     def rehearsal(self) -> LapLearner | FloorRehearsal | None:
         """What was learned of a reference that is driven again, or of the floor; None unless `rehearsal.enabled`."""
         feature = self._features.get("rehearsal")

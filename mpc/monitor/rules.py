@@ -19,24 +19,28 @@ Age = Annotated[float, Field(ge=0, le=60)]
 
 
 class CommandRules(StrictModel):
-    """What commands may be, whatever the robot does."""
+    """Limits of commands, whatever the robot does."""
 
     v: Positive = Field(description="largest |v| [m/s]")
     omega: Positive = Field(description="largest |omega| [rad/s]")
-    v_slew: Positive = Field(description="fastest change of v away from zero [m/s^2]")
-    omega_slew: Positive = Field(description="fastest change of omega away from zero [rad/s^2]")
-    v_braking: Positive = Field(description="fastest change of v towards zero, and at which the monitor brakes [m/s^2]")
-    omega_braking: Positive = Field(
-        description="fastest change of omega towards zero, and at which the monitor brakes [rad/s^2]"
+    v_slew: Positive = Field(description="largest rate of change of v away from zero [m/s^2]")
+    omega_slew: Positive = Field(description="largest rate of change of omega away from zero [rad/s^2]")
+    v_braking: Positive = Field(
+        description="largest rate of change of v towards zero; the monitor itself brakes at it [m/s^2]"
     )
-    jitter: Positive = Field(description="by so much time commands may come too early or too late for their slew [s]")
-    silence: Positive = Field(description="longest time without a command after one that moves the robot [s]")
-    slowest: Positive = Field(description="longest mean time between commands while the robot is moved [s]")
-    quickest: Positive = Field(description="shortest mean time between commands [s]")
-    oldest: Positive = Field(description="oldest stamp of a command that moves the robot [s]")
-    stop_within: Positive = Field(description="after a controller says that it stands, commands have to be zero [s]")
-    standing_v: Positive = Field(description="a command or a motion up to this stands [m/s]")
-    standing_omega: Positive = Field(description="a command or a motion up to this stands [rad/s]")
+    omega_braking: Positive = Field(
+        description="largest rate of change of omega towards zero; the monitor itself brakes at it [rad/s^2]"
+    )
+    jitter: Positive = Field(description="tolerated error in the timing of commands, for the check of their slew [s]")
+    silence: Positive = Field(description="longest time without a command while the last one moves the robot [s]")
+    slowest: Positive = Field(description="longest mean interval between commands while the robot is moved [s]")
+    quickest: Positive = Field(description="shortest mean interval between commands [s]")
+    oldest: Positive = Field(description="largest age of a command that moves the robot, by its stamp [s]")
+    stop_within: Positive = Field(
+        description="time for commands to become zero after the controller says that it stands [s]"
+    )
+    standing_v: Positive = Field(description="a command or a motion up to this speed counts as standing [m/s]")
+    standing_omega: Positive = Field(description="a command or a motion up to this yaw rate counts as standing [rad/s]")
 
     @model_validator(mode="after")
     def _paces_in_order(self) -> Self:
@@ -48,65 +52,84 @@ class CommandRules(StrictModel):
 class OnPath(StrictModel):
     """Where the robot may be: near the stretch of path that the reference covers around now."""
 
-    distance: Positive = Field(description="farthest from the stretch, if the robot braked now [m]")
-    heading: Positive = Field(description="farthest from the headings there [rad]")
-    behind: Positive = Field(description="the stretch begins where the reference was so long ago [s]")
-    ahead: NotNegative = Field(description="and ends where it will be so much later [s]")
-    lasting: NotNegative = Field(description="distance and heading may be too large for so long [s]")
-    faster_v: Positive = Field(description="|v| of a command beyond the fastest of the stretch [m/s]")
-    faster_omega: Positive = Field(description="|omega| of a command beyond the fastest of the stretch [rad/s]")
-    faster_lasting: NotNegative = Field(description="a command may be faster than that for so long [s]")
-    after_end: Positive = Field(description="so long after the end of the reference commands have to be zero [s]")
+    distance: Positive = Field(description="largest distance from the stretch of path around the reference [m]")
+    lasting: NotNegative = Field(description="longest time for which the distance may be larger [s]")
+    far: Positive = Field(description="largest distance of the place where the robot would stand if it braked now [m]")
+    reaction: NotNegative = Field(description="delay until braking begins [s]")
+    heading: Positive = Field(description="largest angle to the headings of the stretch [rad]")
+    far_lasting: NotNegative = Field(description="longest time for which `far` or `heading` may be exceeded [s]")
+    late: NotNegative = Field(description="the stretch begins where the reference was so long ago [s]")
+    early: NotNegative = Field(description="the stretch ends where the reference will be so much later [s]")
     grace: Positive = Field(
-        description="without a reference, or while the controller says that it stands, a robot may be moved so long [s]"
+        description="longest motion without a reference, or while the controller says that it stands [s]"
     )
 
 
-class SensorAges(StrictModel):
-    """How old sensors may be while the robot is moved."""
+class Returning(StrictModel):
+    """Where a robot may be while it returns: something moved it, it stood, or its reference begins elsewhere."""
 
-    odometry_age: Annotated[float, Field(gt=0, le=60)] = Field(description="oldest odometry [s]")
-    pose_age: Age = Field(description="oldest pose; 0: there is no pose sensor, and the pose of odometry counts [s]")
-    gyro_age: Age = Field(description="oldest yaw rate; 0: there is no gyro, and wheels alone tell how it turns [s]")
-    ahead: Positive = Field(description="stamps may be in the future by so much [s]")
+    within: NotNegative = Field(description="longest time away from the stretch while the robot returns [s]")
+    distance: Positive = Field(
+        description="largest distance, meanwhile, of the place where it would stand if it braked now [m]"
+    )
+    late: NotNegative = Field(description="meanwhile, the stretch begins where the reference was so long ago [s]")
+    early: NotNegative = Field(description="meanwhile, the stretch ends where the reference will be so much later [s]")
+
+
+class SensorAges(StrictModel):
+    """Largest ages of sensors while the robot is moved."""
+
+    odometry_age: Annotated[float, Field(gt=0, le=60)] = Field(description="largest age of the odometry [s]")
+    pose_age: Age = Field(
+        description="largest age of the pose; 0: there is no pose sensor, and the pose of the odometry is used [s]"
+    )
+    gyro_age: Age = Field(
+        description="largest age of the yaw rate; 0: there is no gyro, and the wheels measure the yaw rate [s]"
+    )
+    ahead: Positive = Field(description="largest time by which a stamp may lie in the future [s]")
 
 
 class Agreement(StrictModel):
-    """How far sensors may contradict each other."""
+    """Largest differences between sensors."""
 
-    window: Annotated[float, Field(gt=0, le=4)] = Field(description="they are compared over so long [s]")
-    distance: Positive = Field(description="poses against odometry: difference of what was driven [m]")
-    distance_share: NotNegative = Field(description="and in addition by the distance [m/m]")
-    turn: Positive = Field(description="poses against gyro, else odometry: difference of what was turned [rad]")
-    turn_share: NotNegative = Field(description="and in addition by the turn [rad/rad]")
-    gyro_gain: Positive = Field(description="most that the body turns for what the wheels do [-]")
-    gyro_least: NotNegative = Field(description="and least [-]")
-    gyro_turn: Positive = Field(description="and by so much more or less over the window [rad]")
-    lasting: NotNegative = Field(description="they may contradict each other for so long [s]")
+    window: Annotated[float, Field(gt=0, le=4)] = Field(description="time over which sensors are compared [s]")
+    blend: Positive = Field(
+        description="time constant with which poses correct the place that wheels and gyro carry on [s]"
+    )
+    distance: Positive = Field(description="largest difference between poses and wheels within the window [m]")
+    distance_share: NotNegative = Field(description="additional difference per distance driven [m/m]")
+    turn: Positive = Field(
+        description="largest difference in heading of poses and gyro (no gyro: wheels) within the window [rad]"
+    )
+    gyro_gain: Positive = Field(description="largest ratio of the yaw rate of the gyro to that of the wheels [-]")
+    gyro_least: NotNegative = Field(description="smallest ratio of the two [-]")
+    gyro_turn: Positive = Field(description="tolerated turn beyond these ratios over the window [rad]")
+    lasting: NotNegative = Field(description="longest time for which sensors may contradict each other [s]")
 
 
 class ResponseBounds(StrictModel):
-    """How the robot answers to commands: first order with dead time, between bounds."""
+    """Bounds of the response to commands: first order with dead time."""
 
-    dead_time: Annotated[float, Field(gt=0, le=2)] = Field(description="longest until a command acts [s]")
-    lag_v: Positive = Field(description="slowest time constant with which v follows [s]")
-    lag_omega: Positive = Field(description="slowest time constant with which omega follows [s]")
-    gain_v: Positive = Field(description="most that the robot drives for what is commanded [-]")
-    gain_omega: Positive = Field(description="most that the robot turns for what is commanded [-]")
-    margin_v: Positive = Field(description="and by so much faster or slower [m/s]")
-    margin_omega: Positive = Field(description="and by so much faster or slower [rad/s]")
-    lasting: NotNegative = Field(description="it may be outside for so long [s]")
+    dead_time: Annotated[float, Field(gt=0, le=2)] = Field(description="longest delay until a command acts [s]")
+    lag_v: Positive = Field(description="largest time constant with which v follows [s]")
+    lag_omega: Positive = Field(description="largest time constant with which omega follows [s]")
+    gain_v: Positive = Field(description="largest ratio of v to its command [-]")
+    gain_omega: Positive = Field(description="largest ratio of omega to its command [-]")
+    margin_v: Positive = Field(description="tolerated speed beyond these bounds [m/s]")
+    margin_omega: Positive = Field(description="tolerated yaw rate beyond these bounds [rad/s]")
+    lasting: NotNegative = Field(description="longest time for which the robot may be outside the bounds [s]")
 
 
 class Rules(StrictModel):
-    """What has to hold while a controller drives a robot."""
+    """Rules that hold while a controller drives a robot."""
 
-    name: str = Field("", max_length=80, description="for whom they are")
-    commands: CommandRules = Field(description="what commands may be")
+    name: str = Field("", max_length=80, description="robot for which they are")
+    commands: CommandRules = Field(description="limits of commands")
     path: OnPath = Field(description="where the robot may be")
-    sensors: SensorAges = Field(description="how old sensors may be")
-    agreement: Agreement = Field(description="how far sensors may contradict each other")
-    answer: ResponseBounds = Field(description="how the robot answers to commands")
+    returning: Returning = Field(description="where the robot may be while it returns to its path")
+    sensors: SensorAges = Field(description="largest ages of sensors")
+    agreement: Agreement = Field(description="largest differences between sensors")
+    answer: ResponseBounds = Field(description="bounds of the response to commands")
 
     def with_sensors(self, *, pose: bool, gyro: bool) -> Self:
         """The same for a robot that may have no pose sensor or no gyro."""

@@ -68,6 +68,8 @@ class Pursuit:
         self._speed_limit = math.inf
         self.pace = math.inf
         """Largest progress rate for what lies ahead, set before each tick [-]."""
+        self.planned_delay = 0.0
+        """The part of `delay` that was decided: it stood, or went slowly for things ahead or a speed limit [s]."""
         self.room: Room | None = None
         """Where the robot may be on its way back, set before each tick; None: everywhere."""
         self.configure(config)
@@ -100,6 +102,7 @@ class Pursuit:
         self._reason = ""
         self._driving, self._resumes = True, False
         self._time = -math.inf
+        self.planned_delay, self._slows_down = 0.0, False
 
     def switch_reference(self, reference: Reference, *, native: bool) -> None:
         """Follow `reference`, the current one transformed by a pose; drop any way back, which led to the old place."""
@@ -158,9 +161,19 @@ class Pursuit:
         ended = self._reference is not None and self._time >= self._reference.duration
         if ended and not self._driving:
             self._clock.run_on()
-        self._time = self._clock.advance(since_start, driving=self._driving or ended)
+        before, driving = self._clock.delay, self._driving or ended
+        self._time = self._clock.advance(since_start, driving=driving)
+        self._count_delay(before, driving=driving)
         self._resumes, self._driving = not self._driving, False
         return self._time
+
+    def _count_delay(self, before: float, *, driving: bool) -> None:
+        """Count what was decided on of the delay since it was `before` [s]; a robot that lags is not counted."""
+        delay = self._clock.delay
+        if not driving or self._slows_down:
+            self.planned_delay += max(0.0, delay - before)
+        # What it catches up is no delay any more.
+        self.planned_delay = min(self.planned_delay, max(0.0, delay))
 
     def target(
         self,
@@ -203,9 +216,11 @@ class Pursuit:
         self._driving = True
         late = float(off.late)
         within = self._within_reach(reach, sample.twist[ahead <= _LOOK])
-        most = min(self._fastest * min(1.0, max(0.0, 2.0 - late)), within, self.pace)
+        most = min(self._fastest * min(1.0, max(0.0, 2.0 - late)), within)
+        chosen = self.pace
         if math.isfinite(self._speed_limit):
-            most = min(most, self._within_limit(float(np.abs(sample.twist[ahead <= _LOOK, 0]).max())))
+            chosen = min(chosen, self._within_limit(float(np.abs(sample.twist[ahead <= _LOOK, 0]).max())))
+        self._slows_down, most = chosen < 1.0, min(most, chosen)
         self._clock.plan(most, catch_up=self._way_back is None)
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()

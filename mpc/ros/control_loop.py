@@ -28,6 +28,9 @@ HELD = "held; call hold with false to let go"
 # A frame that moved by less counts as unmoved: displacement at the robot [m], with a radian counted as a metre.
 _STAYS = 1e-4
 
+# The reference is published anew where it is due this much later or earlier [s], or lies this much beside [m, rad].
+_TELL_DELAY, _TELL_MOTION = 0.2, 0.02
+
 
 class LoopState(StrEnum):
     """What an active node does."""
@@ -72,6 +75,14 @@ class Begun:
     t0: float
     reset: bool
     goes_on: bool = False
+
+
+@dataclass(frozen=True)
+class Due:
+    """The reference as it is driven, and its time 0 on the controller's clock [s], which waiting moves on."""
+
+    reference: Reference
+    t0: float
 
 
 @dataclass(frozen=True)
@@ -168,6 +179,7 @@ class ControlLoop:
         self.begun: Begun | None = None
         self.held = held
         self.objection = self.warning = ""
+        self._published: tuple[Begun, Due] | None = None
         self._requests = 0
         # A newly activated node counts as reset.
         self._was_reset = True
@@ -313,6 +325,32 @@ class ControlLoop:
         age = self.inbox.odometry.age(self.inbox.now)
         self.times.end(time.perf_counter() - started, age if np.isfinite(age) else None)
         return tick
+
+    def due(self) -> Due | None:
+        """The reference and when it is due, where that has to be published; None: what was published holds.
+
+        It has to where a drive begins, where one goes on along a reference that waited, and where its frame moved.
+        """
+        begun, last = self.begun, self.last
+        if begun is None or last is None:
+            return None
+        if self._published is None or self._published[0] is not begun:
+            self._published = begun, Due(begun.reference, begun.t0)
+            return self._published[1]
+        published, reference = self._published[1], self._laid or begun.reference
+        t0 = begun.t0 + self._controller.planned_delay
+        drives = last.mode in (Mode.TRACKING, Mode.REUSED_PLAN)
+        if not drives or (abs(t0 - published.t0) < _TELL_DELAY and not self._is_moved(published.reference, reference)):
+            return None
+        self._published = begun, Due(reference, t0)
+        return self._published[1]
+
+    def _is_moved(self, published: Reference, reference: Reference) -> bool:
+        """Whether the frame of the reference has moved enough for it to be published anew."""
+        here = self.inbox.newest_pose
+        if here is None or not (isinstance(published, MovedReference) and isinstance(reference, MovedReference)):
+            return False
+        return _apart(published.motion, reference.motion, here.value) > _TELL_MOTION
 
     def _decide(self, t: float) -> LoopTick:
         self.inbox.look_up_pose()

@@ -10,6 +10,7 @@ from sensor_msgs.msg import Imu
 
 from diffdrive_mpc.models.interface import Measurement, Stamped
 from diffdrive_mpc.mpc.ros.conversions import (
+    NANOSECONDS,
     MessageError,
     check_frame,
     imu_yaw_rate,
@@ -68,6 +69,10 @@ class Inbox:
     def time_of(self, stamp: int) -> float:
         """A stamp [ns] on the controller's clock [s]."""
         return seconds(stamp, self._epoch)
+
+    def stamp_of(self, time: float) -> int:
+        """A time on the controller's clock [s] as a stamp [ns]."""
+        return self._epoch + round(NANOSECONDS * time)
 
     @property
     def has_pose(self) -> bool:

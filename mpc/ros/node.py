@@ -502,10 +502,13 @@ class TrackingNode(LifecycleNode):
         if self._following is not None:
             self._following.after(tick)
         outgoing.command(tick.command, time)
+        due = loop.due()
+        if due is not None:
+            # Before the mode: the monitor has to know where the robot goes before it hears that it drives on.
+            outgoing.reference(due.reference, loop.inbox.stamp_of(due.t0), time)
         outgoing.mode(tick)
         if loop.begun is not None and loop.begun is not self._shown:
             self._shown = loop.begun
-            outgoing.reference(loop.begun.reference, time)
             if self._recording is not None:
                 self._recording.reference(loop.begun, time)
         if loop.begun is not None and (outgoing.recorded or self._recording is not None):

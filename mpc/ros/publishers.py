@@ -108,10 +108,10 @@ class Publishers:
         message.vector.x, message.vector.y, message.vector.z = error
         self._error.publish(message)
 
-    def reference(self, reference: Reference, time: int) -> None:
-        """Send the whole path of `reference` that begins at `time` [ns]; late subscribers get it too."""
+    def reference(self, reference: Reference, begins: int, time: int) -> None:
+        """Send the whole path of `reference` that begins at `begins` [ns]; late subscribers get it too."""
         times = path_times(reference.duration)
-        stamps = time + np.round(times * 1e9).astype(np.int64)
+        stamps = begins + np.round(times * 1e9).astype(np.int64)
         self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
 
     def visuals(self, result: StepResult, period: int, time: int) -> None:

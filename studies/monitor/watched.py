@@ -17,6 +17,8 @@ BASE_TIMEOUT = 0.5
 """The base stops by itself so long after the last command [s], as `sim/ros/base.yaml` has it."""
 _STANDING = frozenset({"STOPPED", "FINISHED", "PAUSED", "IDLE"})
 """Modes in which a controller says that it does not drive."""
+_TOLD_AGAIN = 0.2
+"""The node sends its reference anew where that is due so much later or earlier [s]."""
 _BEFORE = 1000.0
 """The clock at time 0 [s]: a stamp of 0 means "none", as in ROS."""
 
@@ -49,6 +51,9 @@ class MonitoredController:
     def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
         self._inner, self._rules, self._fault = inner, rules, fault or Fault()
 
+    stood: list[bool]
+    """Of each tick, whether the controller sent nothing but zero and said that it stands."""
+
     @property
     def verdict(self) -> MonitorVerdict:
         """What stopped the robot, on the clock of the plant; nothing while all is well."""
@@ -60,11 +65,11 @@ class MonitoredController:
         self._fault.start(reference)
         self._inner.start(self._fault.followed(reference), t0)
         self._judge = Judge(self._rules, t0 + _BEFORE)
-        times = path_times(reference.duration)
-        points = np.column_stack([times + t0 + _BEFORE, reference.sample(times).pose])
-        self._judge.reference(t0 + _BEFORE, self._fault.told(points).tolist())
+        self._reference, self._t0 = reference, t0
+        self._tell_reference(t0, 0.0)
         self._summed, self._summed_at = reference.sample([0.0]).pose[0].tolist(), t0
         self._base, self._base_at = (0.0, 0.0), t0
+        self.stood: list[bool] = []
 
     def step(self, t: float, measurement: Measurement) -> WatchedStep:
         """Decide, judge, and pass on."""
@@ -76,6 +81,10 @@ class MonitoredController:
         command, mode = Sent(t, float(step.command[0]), float(step.command[1])), str(step.mode)
         sent = fault.sends(command) if broken else [command]
         fault.went(sent)
+        planned = getattr(self._inner, "planned_delay", 0.0)
+        if mode not in _STANDING and abs(planned - self._planned) >= _TOLD_AGAIN:
+            self._tell_reference(t, planned)
+        self.stood.append(mode in _STANDING and not any(any(one[1:]) for one in sent))
         self._judge.says(now, drives=(fault.says(mode) if broken else mode) not in _STANDING)
         for one in sent:
             self._base, self._base_at = self._judge.command(now, one.stamp + _BEFORE, one.v, one.omega), t
@@ -86,6 +95,13 @@ class MonitoredController:
             self._base = (0.0, 0.0)
         driven = fault.obeys(self._base) if broken else self._base
         return WatchedStep(np.array(driven), mode, step.message, step.step_time)
+
+    def _tell_reference(self, t: float, delay: float) -> None:
+        """Tell the judge of the reference, which is due so late [s]."""
+        times = path_times(self._reference.duration)
+        points = np.column_stack([times + self._t0 + delay + _BEFORE, self._reference.sample(times).pose])
+        self._judge.reference(t + _BEFORE, self._fault.told(points).tolist())
+        self._planned = delay
 
     def _tell(self, t: float, measurement: Measurement) -> None:
         """What base and sensors say, as on their topics."""

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
+from nav_msgs.msg import Path
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, stack
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from diffdrive_mpc.mpc.monitor.judge import Judge
+from diffdrive_mpc.mpc.monitor.ros.node import planar, seconds
+from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.step_result import Mode
 
@@ -52,6 +58,60 @@ def test_it_brakes_at_the_limits_keeps_the_goal_and_drives_on():
         assert again[-1, 0] > 0.3
         assert tracking_distance(s) < 0.02
         assert hold(s, on=False) == "was not held"
+
+
+class Watch:
+    """The judge of the monitor, told of what the node says, as by the monitor's process."""
+
+    def __init__(self, s):
+        self.base, self.paths = s.base, []
+        self.judge = Judge(load_rules().with_sensors(pose=False, gyro=False), self.now)
+        s.base.tamper = self.take_odometry
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        s.base.node.create_subscription(Path, "/diffdrive_mpc/reference_path", self.take_path, latched)
+        s.base.node.create_subscription(String, "/diffdrive_mpc/mode", self.take_mode, latched)
+
+    @property
+    def now(self):
+        return 1e-9 * self.base.now
+
+    def take_path(self, message):
+        self.paths.append([(seconds(point.header.stamp), *planar(point.pose)) for point in message.poses])
+        self.judge.reference(self.now, self.paths[-1])
+
+    def take_mode(self, message):
+        self.judge.says(self.now, drives=message.data.partition(":")[0] == "TRACKING")
+
+    def take_odometry(self, message):
+        twist = message.twist.twist
+        pose = planar(message.pose.pose)
+        self.judge.odometry(self.now, seconds(message.header.stamp), (twist.linear.x, twist.angular.z), pose)
+        return message
+
+    def run(self, ticks):
+        for _ in range(ticks):
+            self.judge.command(self.now, self.now, *self.base.step())
+            self.base.spin()
+
+
+@pytest.mark.parametrize(("stop", "told"), [("hold", True), ("pause", True), ("pause", False)])
+def test_the_monitor_lets_it_drive_on_with_its_reference_moved_on(stop, told, monkeypatch):
+    """By as long as it stood: the reference that the monitor knew went on meanwhile."""
+    if not told:
+        monkeypatch.setattr("diffdrive_mpc.mpc.ros.control_loop._TELL_DELAY", math.inf)
+    with stack(drive=True) as s:
+        watch = Watch(s)
+        watch.run(100)
+        assert len(watch.paths) == 1
+        hold(s, on=True) if stop == "hold" else s.trigger("pause")
+        watch.run(400)
+        assert not watch.judge.verdict and len(watch.paths) == 1
+        hold(s, on=False) if stop == "hold" else s.trigger("start")
+        watch.run(150)
+        assert bool(watch.judge.verdict) is not told
+        if told:
+            late = np.array(watch.paths[-1])[:, 0] - np.array(watch.paths[0])[:, 0]
+            assert late == pytest.approx(s.node._controller.planned_delay, abs=0.25) and (late > 7.0).all()
 
 
 def test_pushed_off_its_path_while_held_it_rejoins_it():

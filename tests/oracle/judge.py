@@ -21,6 +21,8 @@ class OracleJudge:
         self.sent, self.commands, self.odometry, self.gyros, self.poses = [], [], [], [], []
         self.word = None
         self.broken, self.stopped, self.bounds = {}, None, {}
+        self.events, self.placed, self.free_at = [], (-1, None), now
+        self.returning, self.away_at, self.away_for, self.path_at = False, 0.0, 0.0, now
 
     def judge(self, name, broken, lasting=0.0):
         if not broken:
@@ -47,6 +49,7 @@ class OracleJudge:
             r = self.rules.commands
             sound = (dt > 0).all() and (step <= r.v * dt + 1e-9).all() and (turn <= r.omega * dt + 1e-9).all()
         self.path = points if sound and len(points) else None
+        self.returning, self.away_at = True, now - self.rules.path.lasting
         self.judge("bad_reference", not sound)
 
     def usable(self, stamp, values, past):
@@ -55,6 +58,8 @@ class OracleJudge:
 
     def says(self, now, *, drives):
         self.now = now
+        if self.word is not None and drives and not self.word[1]:
+            self.returning, self.away_at = True, now
         if self.word is None or self.word[1] != drives:
             self.word = (now, drives)
 
@@ -70,6 +75,10 @@ class OracleJudge:
         gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
         turning = twist[1] if gyro is None else gyro
         self.odometry.append((stamp, *twist, *pose, turning, now, gyro))
+        self.events.append(("odometry", self.odometry[-1]))
+        standing = self.rules.commands.standing_v
+        if not self.sent or abs(self.sent[-1][1][0]) <= standing or abs(twist[0]) > standing:
+            self.free_at = now
         self._answer()
         self._gyro_against_wheels()
 
@@ -110,9 +119,10 @@ class OracleJudge:
 
     def pose(self, now, stamp, pose):
         self.now = now
-        if not self.usable(stamp, pose, self.poses):
+        if not self.rules.sensors.pose_age > 0 or not self.usable(stamp, pose, self.poses):
             return
         self.poses.append((stamp, *pose))
+        self.events.append(("pose", self.poses[-1]))
         self._poses_against_odometry()
 
     def summed(self, times):
@@ -129,26 +139,50 @@ class OracleJudge:
         found[np.asarray(times) < t[0] - 1e-9] = np.nan
         return found
 
+    def _place(self):
+        """Where the robot is, and what poses corrected lately; all of it anew where something came."""
+        if len(self.events) != self.placed[0]:
+            self.placed = (len(self.events), self._place_anew())
+        return self.placed[1]
+
+    def _place_anew(self):
+        r = self.rules.agreement
+        place, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
+        if not self.rules.sensors.pose_age > 0:
+            return (np.array(self.odometry[-1][3:6]) if self.odometry else None), unexplained
+        known = self.summed([event[1][0] for event in self.events])
+        newest = None
+        for k, (name, row) in enumerate(self.events):
+            if name == "odometry":
+                dt = min(row[0] - newest[0], 1.0) if newest is not None else 0.0
+                unexplained = unexplained * (1.0 - dt / (r.window + dt))
+                self.driven += abs(row[1]) * dt - dt / (r.window + dt) * self.driven
+                if place is not None:
+                    middle = place[2] + 0.5 * row[6] * dt
+                    place = place + dt * np.array([row[1] * np.cos(middle), row[1] * np.sin(middle), row[6]])
+                newest = row
+                continue
+            current = np.array(row[1:4])
+            latest = self.summed([newest[0]])[0] if newest is not None else None
+            if latest is not None and row[0] >= self.odometry[0][0] - 1e-9:
+                then = known[k]
+                way = (latest[0] - then[0] + 1j * (latest[1] - then[1])) * np.exp(1j * (row[3] - then[2]))
+                current = current + [way.real, way.imag, latest[2] - then[2]]
+            before = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
+            dt = min(row[0] - before[-1], 1.0) if before else 0.0
+            place = current.copy() if place is None else place
+            apart = current - place
+            apart[2] = wrapped(apart[2])
+            self.pending = unexplained + apart
+            place = place + dt / (r.blend + dt) * apart
+            unexplained = unexplained + dt / (r.blend + dt) * apart
+        return place, unexplained
+
     def _poses_against_odometry(self):
         r = self.rules.agreement
-        # One pose is kept for each thirtieth of the window.
-        kept = []
-        for one in self.poses[:-1]:
-            if not kept or one[0] - kept[-1][0] >= r.window / 30:
-                kept.append(one)
-        kept = kept[-32:]
-        newest = self.poses[-1]
-        known = [one for one in kept if newest[0] - one[0] <= r.window and np.isfinite(self.summed([one[0]])).all()]
-        if not known or not np.isfinite(self.summed([newest[0]])).all():
-            return
-        oldest = known[0]
-        then, now = self.summed([oldest[0], newest[0]])
-        angle = oldest[3] - then[2]
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        apart = np.linalg.norm(np.array(newest[1:3]) - oldest[1:3] - turn @ (now[:2] - then[:2]))
-        askew = abs(wrapped(newest[3] - oldest[3] - now[2] + then[2]))
-        self.judge("pose_jumps", apart > r.distance + r.distance_share * (now[3] - then[3]), r.lasting)
-        self.judge("pose_turns", askew > r.turn + r.turn_share * abs(now[2] - then[2]), r.lasting)
+        self._place()
+        self.judge("pose_jumps", np.hypot(*self.pending[:2]) > r.distance + r.distance_share * self.driven, r.lasting)
+        self.judge("pose_turns", abs(self.pending[2]) > r.turn, r.lasting)
 
     def command(self, now, stamp, v, omega):
         self.now = now
@@ -223,45 +257,60 @@ class OracleJudge:
             self.judge(name, moved and most > 0 and age > most)
         self._path(output, moved)
 
+    def stretch(self, begin, end):
+        """(n, 3) poses of the reference at two instants, and those between that it was given with."""
+        path = self.path
+        begin, end = min(begin, path[-1, 0]), max(end, path[0, 0])
+        inside = path[(path[:, 0] > begin) & (path[:, 0] < end), 0]
+        times = np.concatenate([[max(begin, path[0, 0])], inside, [min(end, path[-1, 0])]])
+        turned = np.unwrap(path[:, 3])
+        return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
+
+    def away(self, at, begin, end, close):
+        """Distance from a stretch, and the least angle to the headings of its parts that are close."""
+        rows = self.stretch(begin, end)
+        a, b = (rows[:-1], rows[1:]) if len(rows) > 1 else (rows, rows)
+        along = b[:, :2] - a[:, :2]
+        length = (along**2).sum(axis=1)
+        share = np.clip(((at[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
+        distance = np.linalg.norm(at[:2] - a[:, :2] - share[:, None] * along, axis=1)
+        off = np.abs(wrapped(at[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
+        near = distance <= close
+        return distance.min(), max(off[near].min(), 0.0) if near.any() else 0.0
+
     def _path(self, output, moved):
-        r, path = self.rules.path, self.path
-        self.judge("no_reference", moved and path is None, r.grace)
-        self.judge("after_end", moved and path is not None and self.now > path[-1, 0] + r.after_end)
-        names = ("off_path", "off_heading", "faster", "faster_turn")
-        if not moved or path is None:
-            for name in names:
-                self.judge(name, False)
-            return
-        begin = min(self.now - r.behind, path[-1, 0])
-        end = max(self.now + r.ahead, path[0, 0])
-        a, b = path, np.vstack([path[1:], path[-1:]])
-        near = (b[:, 0] >= begin) & (a[:, 0] <= end)
-        a, b = a[near], b[near]
-        own = self.poses if self.rules.sensors.pose_age > 0 else [(row[0], *row[3:6]) for row in self.odometry]
-        turn, time = wrapped(b[:, 3] - a[:, 3]), b[:, 0] - a[:, 0]
-        if own:
-            x, y, theta = own[-1][1:4]
+        r, back, now = self.rules.path, self.rules.returning, self.now
+        self.judge("no_reference", moved and self.path is None, r.grace)
+        place, unexplained = self._place()
+        bound = self.path is not None and place is not None and (moved or (self.word is not None and self.word[1]))
+        strays = off = far = heading = False
+        if bound:
+            distance, turned = self.away(place, now - r.late, now + r.early, r.distance)
+            unexplained = np.hypot(*unexplained[:2])
+            held = now - self.free_at > self.rules.answer.dead_time + self.rules.answer.lasting
+            if distance > r.distance:
+                self.away_at = now
+                if held or unexplained > r.distance:
+                    self.returning = True
+            step = min(now - self.path_at, 1.0)
+            if distance <= r.distance:
+                self.away_for = max(self.away_for - step, 0.0)
+            elif self.away_for <= back.within:
+                self.away_for += step
+            if now - self.away_at >= r.lasting or self.away_for > back.within:
+                self.returning = False
             v = self.odometry[-1][1] if self.odometry else 0.0
-            stop = v * abs(v) / (2 * self.rules.commands.v_braking)
-            at = np.array([x + stop * np.cos(theta), y + stop * np.sin(theta)])
-            along = b[:, 1:3] - a[:, 1:3]
-            length = (along**2).sum(axis=1)
-            share = np.clip(((at - a[:, 1:3]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
-            away = np.linalg.norm(at - a[:, 1:3] - share[:, None] * along, axis=1)
-            off = np.abs(wrapped(theta - a[:, 3] - 0.5 * turn)) - 0.5 * np.abs(turn)
-            close = away <= r.distance
-            heading = max(off[close].min(), 0.0) if close.any() else 0.0
-            self.judge("off_path", away.min() > r.distance, r.lasting)
-            self.judge("off_heading", heading > r.heading, r.lasting)
-        ok = time > 0
-        middle = a[ok, 3] + 0.5 * turn[ok]
-        along = (b - a)[ok, 1:3]
-        forward = (along * np.column_stack([np.cos(middle), np.sin(middle)])).sum(axis=1)
-        speed = np.where(forward < 0, -1, 1) * np.linalg.norm(along, axis=1) / time[ok]
-        rates = turn[ok] / time[ok]
-        for name, values, sent, margin in (
-            ("faster", speed, output[0], r.faster_v),
-            ("faster_turn", rates, output[1], r.faster_omega),
-        ):
-            low, high = min([0.0, *values]) - margin, max([0.0, *values]) + margin
-            self.judge(name, not low <= sent <= high, r.faster_lasting)
+            v = output[0] if abs(output[0]) > abs(v) else v
+            time = r.reaction + abs(v) / (2 * self.rules.commands.v_braking)
+            gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
+            rate = gyro if gyro is not None else self.odometry[-1][2] if self.odometry else 0.0
+            middle = place[2] + 0.5 * rate * time
+            at = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
+            late, early = (back.late, back.early) if self.returning else (r.late, r.early)
+            off, _ = self.away(at, now - late, now + time + early, np.inf)
+            far = off > (back.distance if self.returning else r.far + unexplained)
+            strays, heading = (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
+        self.path_at = now
+        self.judge("strays", strays, r.lasting)
+        self.judge("off_path", far, r.far_lasting)
+        self.judge("off_heading", heading, r.far_lasting)

@@ -5,8 +5,8 @@
 
 enum { V, OMEGA };
 enum { BY_WHEELS, BY_GYRO };
-enum { LEAST, MOST };
-enum { X, Y, THETA, GONE };
+enum { DISTANCE, HEADING };
+enum { X, Y, THETA };
 
 /* A mean over about so many commands says how they come. */
 #define PACE_SHARE 0.05
@@ -15,6 +15,8 @@ enum { X, Y, THETA, GONE };
 #define TRACK_SPACING 0.015
 /* A step is never longer for a slew [s]. */
 #define LONGEST_STEP 1.0
+/* Two poses of a reference are further apart in time [s]. */
+#define TINY 1e-9
 /* Rounding of a sum of samples [-]. */
 #define ROUNDING 1e-9
 
@@ -76,9 +78,11 @@ static void go_on(ddmon_judge *j, double now)
     judge_rule(j, DDMON_CLOCK, j->now - now, j->rules->sensors_ahead, 1, 0.0);
     if (!is_finite(now))
         return;
-    j->now = j->began = j->answered = j->output_at = j->command_at = j->may_move_since = now;
-    j->has_odometry = j->has_pose = j->has_gyro = j->stamped = 0;
-    j->ways = j->tracks = j->seens = 0;
+    j->now = j->began = j->answered = j->free_at = j->path_at = j->output_at = j->command_at = j->may_move_since = now;
+    j->has_odometry = j->has_pose = j->has_gyro = j->placed = j->stamped = 0;
+    j->ways = j->tracks = 0;
+    j->driven = 0.0;
+    memset(j->unexplained, 0, sizeof j->unexplained);
     memset(j->broken, 0, sizeof j->broken);
 }
 
@@ -88,8 +92,15 @@ void ddmon_init(ddmon_judge *j, const ddmon_rules *rules, double now)
     j->rules = rules;
     j->now = j->began = now;
     j->may_move = -1;
-    j->answered = now;
+    j->answered = j->free_at = j->path_at = now;
     j->pace = 0.5 * (rules->commands_slowest + rules->commands_quickest);
+}
+
+/* The robot may be away from its path and return; for how long, `away_for` bounds. */
+static void let_return(ddmon_judge *j)
+{
+    j->returning = 1;
+    j->away_at = j->now;
 }
 
 int ddmon_reference(ddmon_judge *j, double now, const ddmon_point *path, int points)
@@ -108,27 +119,42 @@ int ddmon_reference(ddmon_judge *j, double now, const ddmon_point *path, int poi
     }
     j->path = sound && points ? path : 0;
     j->points = sound ? points : 0;
+    /* It may begin away from the robot. */
+    let_return(j);
+    j->away_at = j->now - rules->path_lasting;
     judge_rule(j, DDMON_BAD_REFERENCE, 0.0, 0.0, !sound, 0.0);
     return sound;
 }
 
-/* What wheels and gyro make of the motion since the last odometry: pose and distance, both summed up. */
+/* A pose further along an arc. */
+static void carry(double pose[3], double length, double turn)
+{
+    double middle = pose[THETA] + 0.5 * turn;
+    pose[X] += length * cos(middle);
+    pose[Y] += length * sin(middle);
+    pose[THETA] += turn;
+}
+
+/* What a first-order filter takes over of a value in a step. */
+static double share_of(double step, double time) { return step / (time + step); }
+
+/* What wheels and gyro make of the motion since the last odometry. */
 static void sum_up(ddmon_judge *j, double stamp, double step, double v, double omega)
 {
     double *sum = j->summed;
     int last = j->track_last;
     if (j->has_gyro && j->rules->sensors_gyro_age > 0.0)
         omega = j->gyro;
-    double middle = sum[THETA] + 0.5 * omega * step;
-    sum[X] += v * cos(middle) * step;
-    sum[Y] += v * sin(middle) * step;
-    sum[THETA] += omega * step;
-    sum[GONE] += absolute(v) * step;
+    carry(sum, v * step, omega * step);
+    carry(j->place, v * step, omega * step);
+    for (int i = 0; i < 3; i++)
+        j->unexplained[i] -= share_of(step, j->rules->agreement_window) * j->unexplained[i];
+    j->driven += absolute(v) * step - share_of(step, j->rules->agreement_window) * j->driven;
     if (j->tracks && stamp - j->track_at[last] < TRACK_SPACING)
         return;
     last = j->tracks ? (last + 1) % DDMON_TRACK : 0;
     j->track_at[last] = stamp;
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < 3; i++)
         j->track[i][last] = sum[i];
     j->track_last = last;
     if (j->tracks < DDMON_TRACK)
@@ -136,7 +162,7 @@ static void sum_up(ddmon_judge *j, double stamp, double step, double v, double o
 }
 
 /* Motion summed up to an instant; 0 where it is not known any more. */
-static int summed_at(const ddmon_judge *j, double t, double sum[4])
+static int summed_at(const ddmon_judge *j, double t, double sum[3])
 {
     for (int back = 0; back < j->tracks; back++) {
         int k = (j->track_last - back + DDMON_TRACK) % DDMON_TRACK;
@@ -144,7 +170,7 @@ static int summed_at(const ddmon_judge *j, double t, double sum[4])
             continue;
         int next = (k + 1) % DDMON_TRACK;
         double share = back ? (t - j->track_at[k]) / (j->track_at[next] - j->track_at[k]) : 0.0;
-        for (int i = 0; i < 4; i++)
+        for (int i = 0; i < 3; i++)
             sum[i] = j->track[i][k] + (back ? share * (j->track[i][next] - j->track[i][k]) : 0.0);
         return 1;
     }
@@ -166,7 +192,7 @@ static void answer(ddmon_judge *j, int channel, int by, double found, int rule)
         if (j->way_at[k] < j->now - rules->answer_dead_time)
             break; /* it held until the next one came */
     }
-    double *high = &j->high[by][channel], *low = &j->low[by][channel], fall = step / (lag + step);
+    double *high = &j->high[by][channel], *low = &j->low[by][channel], fall = share_of(step, lag);
     *high = most > *high ? most : *high + fall * (most - *high);
     *low = least < *low ? least : *low + fall * (least - *low);
     int above = found > *high + margin, below = found < *low - margin;
@@ -176,6 +202,9 @@ static void answer(ddmon_judge *j, int channel, int by, double found, int rule)
 static void judge_answer(ddmon_judge *j)
 {
     int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
+    double standing = j->rules->commands_standing_v;
+    if (!j->sent || absolute(j->output[V]) <= standing || absolute(j->wheels[V]) > standing)
+        j->free_at = j->now;
     answer(j, V, BY_WHEELS, j->wheels[V], DDMON_ANSWER_V);
     answer(j, OMEGA, gyro ? BY_GYRO : BY_WHEELS, gyro ? j->gyro : j->wheels[OMEGA], DDMON_ANSWER_OMEGA);
     j->answered = j->now;
@@ -191,7 +220,7 @@ static int usable(const ddmon_judge *j, double stamp, int known, double last)
 static void compare_gyro(ddmon_judge *j, double step)
 {
     const ddmon_rules *rules = j->rules;
-    double window = rules->agreement_window, share = step / (window + step);
+    double window = rules->agreement_window, share = share_of(step, window);
     if (!(j->has_gyro && rules->sensors_gyro_age > 0.0))
         return;
     j->slow_wheels += share * (j->wheels[OMEGA] - j->slow_wheels);
@@ -204,28 +233,32 @@ static void compare_gyro(ddmon_judge *j, double step)
                rules->agreement_lasting);
 }
 
-/* Way and turn between the newest pose and the oldest of the window, by poses and by wheels and gyro. */
-static void compare_pose(ddmon_judge *j)
+/* Where the robot is: wheels and gyro carry it on, and poses correct it. What they correct within the window neither wheels
+   nor gyro explain: something else moved the robot, or they contradict the poses. */
+static void correct_place(ddmon_judge *j, double step)
 {
     const ddmon_rules *rules = j->rules;
-    double now[4], then[4];
-    if (!summed_at(j, j->pose_stamp, now))
-        return;
-    for (int back = j->seens - 1; back >= 0; back--) {
-        int k = (j->seen_last - back + DDMON_POSES) % DDMON_POSES;
-        if (j->pose_stamp - j->seen_at[k] > rules->agreement_window || !summed_at(j, j->seen_at[k], then))
-            continue;
-        double turned = j->seen[THETA][k] - then[THETA], c = cos(turned), s = sin(turned);
-        double x = now[X] - then[X], y = now[Y] - then[Y], turn = now[THETA] - then[THETA];
-        double apart = hypot(j->pose[X] - j->seen[X][k] - c * x + s * y, j->pose[Y] - j->seen[Y][k] - s * x - c * y);
-        double askew = absolute(wrapped(j->pose[THETA] - j->seen[THETA][k] - turn));
-        double gone = now[GONE] - then[GONE];
-        at_most(j, DDMON_POSE_JUMPS, apart, rules->agreement_distance + rules->agreement_distance_share * gone,
-                rules->agreement_lasting);
-        at_most(j, DDMON_POSE_TURNS, askew, rules->agreement_turn + rules->agreement_turn_share * absolute(turn),
-                rules->agreement_lasting);
-        return;
+    double then[3], current[3] = {j->pose[X], j->pose[Y], j->pose[THETA]}, *unexplained = j->unexplained;
+    if (summed_at(j, j->pose_stamp, then)) {
+        double turned = j->pose[THETA] - then[THETA], c = cos(turned), s = sin(turned);
+        double x = j->summed[X] - then[X], y = j->summed[Y] - then[Y];
+        current[X] += c * x - s * y;
+        current[Y] += s * x + c * y;
+        current[THETA] += j->summed[THETA] - then[THETA];
     }
+    if (!j->placed)
+        memcpy(j->place, current, sizeof current);
+    j->placed = 1;
+    for (int i = 0; i < 3; i++) {
+        double apart = i == THETA ? wrapped(current[i] - j->place[i]) : current[i] - j->place[i];
+        double correction = share_of(step, rules->agreement_blend) * apart;
+        current[i] = unexplained[i] + apart; /* also what is not corrected yet */
+        j->place[i] += correction;
+        unexplained[i] += correction;
+    }
+    at_most(j, DDMON_POSE_JUMPS, hypot(current[X], current[Y]),
+            rules->agreement_distance + rules->agreement_distance_share * j->driven, rules->agreement_lasting);
+    at_most(j, DDMON_POSE_TURNS, absolute(current[THETA]), rules->agreement_turn, rules->agreement_lasting);
 }
 
 void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double omega, double x, double y, double theta)
@@ -240,9 +273,12 @@ void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double o
     j->odometry_stamp = stamp;
     j->wheels[V] = v;
     j->wheels[OMEGA] = omega;
-    j->odometry_pose[X] = x;
-    j->odometry_pose[Y] = y;
-    j->odometry_pose[THETA] = theta;
+    if (!(j->rules->sensors_pose_age > 0.0)) {
+        j->place[X] = x;
+        j->place[Y] = y;
+        j->place[THETA] = theta;
+        j->placed = 1;
+    }
     judge_answer(j);
     compare_gyro(j, step);
 }
@@ -260,22 +296,15 @@ void ddmon_gyro(ddmon_judge *j, double now, double stamp, double omega)
 void ddmon_pose(ddmon_judge *j, double now, double stamp, double x, double y, double theta)
 {
     go_on(j, now);
-    if (!(usable(j, stamp, j->has_pose, j->pose_stamp) && is_finite(x) && is_finite(y) && is_finite(theta)))
+    if (!(j->rules->sensors_pose_age > 0.0 && usable(j, stamp, j->has_pose, j->pose_stamp) && is_finite(x) && is_finite(y) && is_finite(theta)))
         return;
+    double step = j->has_pose ? smaller(stamp - j->pose_stamp, LONGEST_STEP) : 0.0;
     j->has_pose = 1;
     j->pose_stamp = stamp;
     j->pose[X] = x;
     j->pose[Y] = y;
     j->pose[THETA] = theta;
-    compare_pose(j);
-    if (j->seens && stamp - j->seen_at[j->seen_last] < j->rules->agreement_window / (DDMON_POSES - 2))
-        return;
-    j->seen_last = j->seens ? (j->seen_last + 1) % DDMON_POSES : 0;
-    j->seen_at[j->seen_last] = stamp;
-    for (int i = 0; i < 3; i++)
-        j->seen[i][j->seen_last] = j->pose[i];
-    if (j->seens < DDMON_POSES)
-        j->seens++;
+    correct_place(j, step);
 }
 
 void ddmon_says(ddmon_judge *j, double now, int drives)
@@ -283,6 +312,9 @@ void ddmon_says(ddmon_judge *j, double now, int drives)
     go_on(j, now);
     if (j->may_move != drives)
         j->may_move_since = j->now;
+    /* Where it stood its reference went on, until the controller sends it anew. */
+    if (j->may_move == 0 && drives)
+        let_return(j);
     j->may_move = drives;
 }
 
@@ -292,21 +324,14 @@ void ddmon_outside(ddmon_judge *j, double now, int wrong)
     judge_rule(j, DDMON_OUTSIDE, 0.0, 0.0, wrong, 0.0);
 }
 
-/* The stretch of path that the reference covers around now: how far from it the robot would stand if it braked now, how
-   far the robot is from the headings there, and between which v and omega the reference is there, zero included. 0: there is none. */
-static int stretch(const ddmon_judge *j, double *distance, double *heading, double range[2][2])
+/* How far a pose is from the stretch of path that the reference covers from `begin` to `end`, and how far it is turned from
+   the headings of what of it lies within `close`. */
+static void compare_stretch(const ddmon_judge *j, const double at[3], double begin, double end, double close, double away[2])
 {
-    const ddmon_rules *rules = j->rules;
-    const double *pose = rules->sensors_pose_age > 0.0 ? j->pose : j->odometry_pose;
-    double braking = 0.5 * j->wheels[V] * absolute(j->wheels[V]) / rules->commands_v_braking;
-    const double at[3] = {pose[X] + braking * cos(pose[THETA]), pose[Y] + braking * sin(pose[THETA]), pose[THETA]};
-    double begin = j->now - rules->path_behind, end = j->now + rules->path_ahead, nearest = HUGE_VAL, least = HUGE_VAL;
     const ddmon_point *path = j->path;
     int last = j->points - 1;
-    if (!path)
-        return 0;
-    for (int i = 0; i < 2; i++)
-        range[i][LEAST] = range[i][MOST] = 0.0;
+    double heading = HUGE_VAL;
+    away[DISTANCE] = HUGE_VAL;
     /* Before its first and after its last pose the reference rests there. */
     begin = smaller(begin, path[last].t);
     end = larger(end, path[0].t);
@@ -314,51 +339,69 @@ static int stretch(const ddmon_judge *j, double *distance, double *heading, doub
         const ddmon_point *p = path + k, *q = path + (k < last ? k + 1 : k);
         if (q->t < begin || p->t > end)
             continue;
-        double dx = q->x - p->x, dy = q->y - p->y, length = dx * dx + dy * dy, time = q->t - p->t;
+        /* of the two ends that part which is due in the time */
+        double time = larger(q->t - p->t, TINY), from = larger((begin - p->t) / time, 0.0);
+        double to = smaller((end - p->t) / time, 1.0), dx = q->x - p->x, dy = q->y - p->y;
+        double length = dx * dx + dy * dy, turn = wrapped(q->theta - p->theta) * (to - from);
         double share = length > 0.0 ? ((at[X] - p->x) * dx + (at[Y] - p->y) * dy) / length : 0.0;
-        double turn = wrapped(q->theta - p->theta);
-        share = smaller(larger(share, 0.0), 1.0);
-        double away = hypot(at[X] - p->x - share * dx, at[Y] - p->y - share * dy);
-        nearest = smaller(nearest, away);
-        if (away <= rules->path_distance) {
+        share = smaller(larger(share, from), to);
+        double distance = hypot(at[X] - p->x - share * dx, at[Y] - p->y - share * dy);
+        away[DISTANCE] = smaller(away[DISTANCE], distance);
+        if (distance <= close) {
             /* from the arc of headings between the two */
-            double off = wrapped(at[THETA] - p->theta - 0.5 * turn);
-            least = smaller(least, larger(absolute(off) - 0.5 * absolute(turn), 0.0));
-        }
-        if (time > 0.0) {
-            double middle = p->theta + 0.5 * turn, forward = dx * cos(middle) + dy * sin(middle);
-            double twist[2] = {(forward < 0.0 ? -1.0 : 1.0) * sqrt(length) / time, turn / time};
-            for (int i = 0; i < 2; i++) {
-                range[i][LEAST] = smaller(range[i][LEAST], twist[i]);
-                range[i][MOST] = larger(range[i][MOST], twist[i]);
-            }
+            double off = wrapped(at[THETA] - p->theta - wrapped(q->theta - p->theta) * 0.5 * (from + to));
+            heading = smaller(heading, larger(absolute(off) - 0.5 * absolute(turn), 0.0));
         }
     }
-    *distance = nearest;
-    *heading = least < HUGE_VAL ? least : 0.0;
-    return 1;
+    away[HEADING] = heading < HUGE_VAL ? heading : 0.0;
 }
 
-/* Rules of what is on its way to the robot, with its place on the path. */
+/* Where the robot would stand if it braked now; it may still speed up to what was sent. Returns the time in which it
+   would come there at its present speed, braking nothing: by so much later the reference may be there, too. */
+static double place_at_rest(const ddmon_judge *j, double at[3])
+{
+    int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
+    double sent = j->sent ? j->output[V] : 0.0, v = absolute(sent) > absolute(j->wheels[V]) ? sent : j->wheels[V];
+    double time = j->rules->path_reaction + 0.5 * absolute(v) / j->rules->commands_v_braking;
+    memcpy(at, j->place, sizeof j->place);
+    carry(at, v * time, time * (gyro ? j->gyro : j->wheels[OMEGA]));
+    return time;
+}
+
+/* The robot is near its path and on time: now, and where it would stand if it braked now. Motion that neither wheels nor
+   gyro explain is no fault of the controller: that is allowed for. A robot may return for a limited time where something
+   moved it, where it does not move though it is told to, where it stood, and where its reference begins elsewhere. */
 static void judge_path(ddmon_judge *j)
 {
     const ddmon_rules *rules = j->rules;
-    double distance, heading, range[2][2], latest = j->points ? j->path[j->points - 1].t + rules->path_after_end : 0.0;
-    int moved = j->sent && moves(rules, j->output), known = rules->sensors_pose_age > 0.0 ? j->has_pose : j->has_odometry;
-    int found = stretch(j, &distance, &heading, range);
-    judge_rule(j, DDMON_NO_REFERENCE, 0.0, 0.0, moved && !found, rules->path_grace);
-    judge_rule(j, DDMON_AFTER_END, found ? j->now - latest : 0.0, 0.0, moved && found && j->now > latest, 0.0);
-    found = found && moved;
-    judge_rule(j, DDMON_OFF_PATH, distance, rules->path_distance, found && known && distance > rules->path_distance,
-               rules->path_lasting);
-    judge_rule(j, DDMON_OFF_HEADING, heading, rules->path_heading, found && known && heading > rules->path_heading,
-               rules->path_lasting);
-    const double margin[2] = {rules->path_faster_v, rules->path_faster_omega};
-    for (int i = 0; i < 2; i++) {
-        double least = range[i][LEAST] - margin[i], most = range[i][MOST] + margin[i], sent = j->output[i];
-        judge_rule(j, i == V ? DDMON_FASTER : DDMON_FASTER_TURN, sent, sent > most ? most : least,
-                   found && (sent > most || sent < least), rules->path_faster_lasting);
+    int moved = j->sent && moves(rules, j->output), bound = j->path && j->placed && (moved || j->may_move == 1);
+    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3], step = smaller(j->now - j->path_at, LONGEST_STEP);
+    double unexplained = hypot(j->unexplained[X], j->unexplained[Y]);
+    j->path_at = j->now;
+    judge_rule(j, DDMON_NO_REFERENCE, 0.0, 0.0, moved && !j->path, rules->path_grace);
+    if (bound) {
+        compare_stretch(j, j->place, j->now - rules->path_late, j->now + rules->path_early, rules->path_distance, away);
+        int elsewhere = away[DISTANCE] > rules->path_distance;
+        int held = j->now - j->free_at > rules->answer_dead_time + rules->answer_lasting;
+        if (elsewhere && (held || unexplained > rules->path_distance))
+            let_return(j);
+        if (elsewhere)
+            j->away_at = j->now;
+        /* Time elsewhere counts up, time near its path down: a robot that does not return has used up its time,
+           whatever moves it or is sent to it meanwhile. */
+        if (!elsewhere || j->away_for <= rules->returning_within)
+            j->away_for = larger(j->away_for + (elsewhere ? step : -step), 0.0);
+        if (j->now - j->away_at >= rules->path_lasting || j->away_for > rules->returning_within)
+            j->returning = 0;
+        double time = place_at_rest(j, at), late = j->returning ? rules->returning_late : rules->path_late;
+        double early = j->returning ? rules->returning_early : rules->path_early;
+        compare_stretch(j, at, j->now - late, j->now + time + early, HUGE_VAL, ahead);
     }
+    int strict = bound && !j->returning;
+    double far = strict ? rules->path_far + unexplained : rules->returning_distance;
+    at_most(j, DDMON_STRAYS, strict ? away[DISTANCE] : 0.0, rules->path_distance, rules->path_lasting);
+    at_most(j, DDMON_OFF_PATH, ahead[DISTANCE], far, rules->path_far_lasting);
+    at_most(j, DDMON_OFF_HEADING, strict ? away[HEADING] : 0.0, rules->path_heading, rules->path_far_lasting);
 }
 
 static void judge_ages(ddmon_judge *j)
@@ -521,7 +564,7 @@ int ddmon_tick(ddmon_judge *j, double now, double out[2])
 ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
 {
     ddmon_verdict wrong = {DDMON_NOTHING, 0.0, 0.0, 0.0};
-    double distance, heading, range[2][2];
+    double away[2] = {0.0, 0.0};
     go_on(j, now);
     wrong.at = j->now;
     /* What only a command tells is over with commands of zero; the rest has to be well as it is measured now. */
@@ -560,16 +603,20 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
         wrong.limit = j->rules->commands_standing_v;
         return wrong;
     }
-    int lost = stretch(j, &distance, &heading, range) &&
-               (distance > j->rules->path_distance || heading > j->rules->path_heading);
+    if (j->path && j->placed)
+        compare_stretch(j, j->place, j->now - j->rules->returning_late, j->now + j->rules->returning_early, HUGE_VAL, away);
+    int lost = away[DISTANCE] > j->rules->returning_distance;
     memset(j->broken, 0, sizeof j->broken);
     memset(&j->verdict, 0, sizeof j->verdict);
     memset(j->high, 0, sizeof j->high);
     memset(j->low, 0, sizeof j->low);
     j->followed[V] = j->followed[OMEGA] = j->output[V] = j->output[OMEGA] = 0.0;
     j->command[V] = j->command[OMEGA] = 0.0;
-    j->stamped = j->ways = j->seens = j->commanded = j->sent = 0;
+    j->stamped = j->ways = j->commanded = j->sent = 0;
     j->slow_wheels = j->slow_gyro = 0.0;
+    memset(j->unexplained, 0, sizeof j->unexplained);
+    j->driven = j->away_for = 0.0;
+    let_return(j);
     j->pace = 0.5 * (j->rules->commands_slowest + j->rules->commands_quickest);
     if (lost) {
         j->path = 0;
@@ -594,11 +641,9 @@ static const char *const WORDS[DDMON_RULES][2] = {
     [DDMON_NOT_TO_MOVE] = {"the controller says that it stands, and commands motion", "s"},
     [DDMON_NO_REFERENCE] = {"the robot is moved without a reference", ""},
     [DDMON_BAD_REFERENCE] = {"the reference jumps, is faster than commands may be, or is not finite", ""},
+    [DDMON_STRAYS] = {"the robot is beside its path, late or early", "m"},
     [DDMON_OFF_PATH] = {"the robot is off its path", "m"},
     [DDMON_OFF_HEADING] = {"the robot heads elsewhere than its path", "rad"},
-    [DDMON_FASTER] = {"commands are faster than the reference", "m/s"},
-    [DDMON_FASTER_TURN] = {"commands turn faster than the reference", "rad/s"},
-    [DDMON_AFTER_END] = {"the robot is moved after the end of its reference", "s"},
     [DDMON_ODOMETRY] = {"odometry is old", "s"},
     [DDMON_POSE] = {"the pose is old", "s"},
     [DDMON_GYRO] = {"the yaw rate of the gyro is old", "s"},

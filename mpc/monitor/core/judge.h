@@ -10,54 +10,57 @@
 #define DDMON_EXPORT
 #endif
 
-/* What has to hold; docs/monitor.md says of each what it is for. A rule that is broken for as long as it may be stops
-   the robot. */
+/* Limits of the rules; docs/monitor.md says what each rule is for. A rule that is broken for longer than its limit allows
+   stops the robot. */
 typedef struct {
     double commands_v;               /* largest |v| [m/s] */
     double commands_omega;           /* largest |omega| [rad/s] */
-    double commands_v_slew;          /* fastest change of v away from zero [m/s^2] */
-    double commands_omega_slew;      /* fastest change of omega away from zero [rad/s^2] */
-    double commands_v_braking;       /* fastest change of v towards zero, and the monitor's own [m/s^2] */
-    double commands_omega_braking;   /* fastest change of omega towards zero, and the monitor's own [rad/s^2] */
-    double commands_jitter;          /* by so much time commands may come too early or too late for their slew [s] */
-    double commands_silence;         /* longest time without a command after one that moves the robot [s] */
-    double commands_slowest;         /* longest mean time between commands while the robot is moved [s] */
-    double commands_quickest;        /* shortest mean time between commands [s] */
-    double commands_oldest;          /* oldest stamp of a command that moves the robot [s] */
-    double commands_stop_within;     /* after a controller says that it stands, its commands have to be zero [s] */
-    double commands_standing_v;      /* a command or a motion smaller than this stands [m/s] */
-    double commands_standing_omega;  /* a command or a motion smaller than this stands [rad/s] */
-    double path_distance;            /* farthest from the stretch of path around the reference, if it braked now [m] */
-    double path_heading;             /* farthest from the headings there [rad] */
-    double path_behind;              /* the stretch begins where the reference was so long ago [s] */
-    double path_ahead;               /* and ends where it will be so much later [s] */
-    double path_lasting;             /* distance and heading may be too large for so long [s] */
-    double path_faster_v;            /* |v| of a command beyond that of the reference on the stretch [m/s] */
-    double path_faster_omega;        /* |omega| of a command beyond that of the reference on the stretch [rad/s] */
-    double path_faster_lasting;      /* a command may be faster for so long [s] */
-    double path_after_end;           /* after the end of the reference, commands have to be zero [s] */
-    double path_grace;               /* for so long a robot may be moved without a reference [s] */
-    double sensors_odometry_age;     /* oldest odometry [s] */
-    double sensors_pose_age;         /* oldest pose; 0: there is no pose sensor, and odometry's pose counts [s] */
-    double sensors_gyro_age;         /* oldest yaw rate; 0: there is no gyro, and nothing is compared with it [s] */
-    double sensors_ahead;            /* stamps may be in the future by so much [s] */
-    double agreement_window;         /* sensors are compared over so long [s] */
-    double agreement_distance;       /* pose against odometry: difference of what was driven [m] */
-    double agreement_distance_share; /* and in addition by the distance [m/m] */
-    double agreement_turn;           /* pose against gyro, else odometry: difference of what was turned [rad] */
-    double agreement_turn_share;     /* and in addition by the turn [rad/rad] */
-    double agreement_gyro_gain;      /* gyro against wheels: most that the body turns for what the wheels do [-] */
-    double agreement_gyro_least;     /* and least [-] */
-    double agreement_gyro_turn;      /* and by so much more or less over the window [rad] */
-    double agreement_lasting;        /* sensors may contradict each other for so long [s] */
-    double answer_dead_time;         /* longest until a command acts [s] */
-    double answer_lag_v;             /* slowest time constant with which v follows [s] */
-    double answer_lag_omega;         /* slowest time constant with which omega follows [s] */
-    double answer_gain_v;            /* most that the robot drives for what is commanded [-] */
-    double answer_gain_omega;        /* most that the robot turns for what is commanded [-] */
-    double answer_margin_v;          /* and by so much faster or slower [m/s] */
-    double answer_margin_omega;      /* and by so much faster or slower [rad/s] */
-    double answer_lasting;           /* the robot may be outside for so long [s] */
+    double commands_v_slew;          /* largest rate of change of v away from zero [m/s^2] */
+    double commands_omega_slew;      /* largest rate of change of omega away from zero [rad/s^2] */
+    double commands_v_braking;       /* largest rate of change of v towards zero; the monitor itself brakes at it [m/s^2] */
+    double commands_omega_braking;   /* largest rate of change of omega towards zero; the monitor itself brakes at it [rad/s^2] */
+    double commands_jitter;          /* tolerated error in the timing of commands, for the check of their slew [s] */
+    double commands_silence;         /* longest time without a command while the last one moves the robot [s] */
+    double commands_slowest;         /* longest mean interval between commands while the robot is moved [s] */
+    double commands_quickest;        /* shortest mean interval between commands [s] */
+    double commands_oldest;          /* largest age of a command that moves the robot, by its stamp [s] */
+    double commands_stop_within;     /* time for commands to become zero after the controller says that it stands [s] */
+    double commands_standing_v;      /* a command or a motion up to this speed counts as standing [m/s] */
+    double commands_standing_omega;  /* a command or a motion up to this yaw rate counts as standing [rad/s] */
+    double path_distance;            /* largest distance from the stretch of path around the reference [m] */
+    double path_lasting;             /* longest time for which the distance may be larger [s] */
+    double path_far;                 /* largest distance of the place where the robot would stand if it braked now [m] */
+    double path_reaction;            /* delay until braking begins [s] */
+    double path_heading;             /* largest angle to the headings of the stretch [rad] */
+    double path_far_lasting;         /* longest time for which `far` or `heading` may be exceeded [s] */
+    double path_late;                /* the stretch begins where the reference was so long ago [s] */
+    double path_early;               /* the stretch ends where the reference will be so much later [s] */
+    double path_grace;               /* longest motion without a reference, or while the controller says that it stands [s] */
+    double returning_within;         /* longest time away from the stretch while the robot returns [s] */
+    double returning_distance;       /* largest distance, meanwhile, of the place where it would stand if it braked now [m] */
+    double returning_late;           /* meanwhile, the stretch begins where the reference was so long ago [s] */
+    double returning_early;          /* meanwhile, the stretch ends where the reference will be so much later [s] */
+    double sensors_odometry_age;     /* largest age of the odometry [s] */
+    double sensors_pose_age;         /* largest age of the pose; 0: there is no pose sensor, and the pose of the odometry is used [s] */
+    double sensors_gyro_age;         /* largest age of the yaw rate; 0: there is no gyro, and the wheels measure the yaw rate [s] */
+    double sensors_ahead;            /* largest time by which a stamp may lie in the future [s] */
+    double agreement_window;         /* time over which sensors are compared [s] */
+    double agreement_blend;          /* time constant with which poses correct the place that wheels and gyro carry on [s] */
+    double agreement_distance;       /* largest difference between poses and wheels within the window [m] */
+    double agreement_distance_share; /* additional difference per distance driven [m/m] */
+    double agreement_turn;           /* largest difference in heading of poses and gyro (no gyro: wheels) within the window [rad] */
+    double agreement_gyro_gain;      /* largest ratio of the yaw rate of the gyro to that of the wheels [-] */
+    double agreement_gyro_least;     /* smallest ratio of the two [-] */
+    double agreement_gyro_turn;      /* tolerated turn beyond these ratios over the window [rad] */
+    double agreement_lasting;        /* longest time for which sensors may contradict each other [s] */
+    double answer_dead_time;         /* longest delay until a command acts [s] */
+    double answer_lag_v;             /* largest time constant with which v follows [s] */
+    double answer_lag_omega;         /* largest time constant with which omega follows [s] */
+    double answer_gain_v;            /* largest ratio of v to its command [-] */
+    double answer_gain_omega;        /* largest ratio of omega to its command [-] */
+    double answer_margin_v;          /* tolerated speed beyond these bounds [m/s] */
+    double answer_margin_omega;      /* tolerated yaw rate beyond these bounds [rad/s] */
+    double answer_lasting;           /* longest time for which the robot may be outside the bounds [s] */
 } ddmon_rules;
 
 /* Which rule was broken; `ddmon_words` has a sentence for each. */
@@ -77,11 +80,9 @@ enum {
     DDMON_NOT_TO_MOVE,
     DDMON_NO_REFERENCE,
     DDMON_BAD_REFERENCE,
+    DDMON_STRAYS,
     DDMON_OFF_PATH,
     DDMON_OFF_HEADING,
-    DDMON_FASTER,
-    DDMON_FASTER_TURN,
-    DDMON_AFTER_END,
     DDMON_ODOMETRY,
     DDMON_POSE,
     DDMON_GYRO,
@@ -101,13 +102,13 @@ typedef struct {
     double t, x, y, theta;
 } ddmon_point;
 
-/* A verdict: the rule that was broken, what was found and what is allowed. DDMON_NOTHING: all is well. */
+/* A verdict: the rule that was broken, the value measured and its limit. DDMON_NOTHING: all rules hold. */
 typedef struct {
     int rule;
     double at, value, limit;
 } ddmon_verdict;
 
-enum { DDMON_COMMANDS = 128, DDMON_TRACK = 256, DDMON_POSES = 32 };
+enum { DDMON_COMMANDS = 128, DDMON_TRACK = 256 };
 
 /* State of one judge, in memory of the caller; for `ddmon_` functions alone. */
 typedef struct {
@@ -118,23 +119,23 @@ typedef struct {
     ddmon_verdict verdict;
     int broken[DDMON_RULES];
     double since[DDMON_RULES], value[DDMON_RULES], limit[DDMON_RULES];
-    /* commands: the last that came, the same within the slew, the last that was let through, those on their way */
+    /* commands: the last one received, the same within the slew, the last one passed on, and those that may still act */
     int commanded, stamped, sent;
     double command[2], command_at, command_stamp, followed[2], pace, output[2], output_at;
     double way_at[DDMON_COMMANDS], way_most[2][DDMON_COMMANDS], way_least[2][DDMON_COMMANDS];
     int way, ways;
-    /* the controller's own word: 1 it drives, 0 it stands, -1 it has said nothing */
+    /* what the controller says of itself: 1 it drives, 0 it stands, -1 it has said nothing */
     int may_move;
     double may_move_since;
     /* sensors: by wheels, gyro and poses */
     int has_odometry, has_pose, has_gyro;
-    double odometry_stamp, odometry_pose[3], wheels[2], gyro_stamp, gyro, pose_stamp, pose[3];
-    double high[2][2], low[2][2], answered, slow_wheels, slow_gyro;
-    /* what wheels and gyro make of the motion, and poses to be compared with it */
-    double track_at[DDMON_TRACK], track[4][DDMON_TRACK], summed[4];
-    int track_last, tracks;
-    double seen_at[DDMON_POSES], seen[3][DDMON_POSES];
-    int seen_last, seens;
+    double odometry_stamp, wheels[2], gyro_stamp, gyro, pose_stamp, pose[3];
+    double high[2][2], low[2][2], answered, slow_wheels, slow_gyro, free_at;
+    /* motion by wheels and gyro; with poses: where the robot is, and what else moved it lately; until when and for how
+       long it was away from its path */
+    double track_at[DDMON_TRACK], track[3][DDMON_TRACK], summed[3];
+    int track_last, tracks, placed, returning;
+    double place[3], unexplained[3], driven, away_at, away_for, path_at;
 } ddmon_judge;
 
 /* Begin at `now`; `rules` have to live as long as the judge. */
@@ -154,10 +155,10 @@ DDMON_EXPORT void ddmon_gyro(ddmon_judge *judge, double now, double stamp, doubl
 /* A pose in the frame of the reference. */
 DDMON_EXPORT void ddmon_pose(ddmon_judge *judge, double now, double stamp, double x, double y, double theta);
 
-/* The controller says whether it drives (1) or stands (0). */
+/* The controller says whether it drives (1) or stands (0). After it stood its reference is late: send that anew. */
 DDMON_EXPORT void ddmon_says(ddmon_judge *judge, double now, int drives);
 
-/* Something that only the caller can know is wrong (1), or is well again (0): it stops the robot. */
+/* A fault that only the caller can detect is present (1) and stops the robot, or is over (0). */
 DDMON_EXPORT void ddmon_outside(ddmon_judge *judge, double now, int wrong);
 
 /* A command of the controller with `stamp`, or 0 where it has none. Fills `out` with what the base is to get. */
@@ -166,11 +167,12 @@ DDMON_EXPORT void ddmon_command(ddmon_judge *judge, double now, double stamp, do
 /* Time passes; call it every 0.02 s or so. Returns 1 where `out` is to be sent: the monitor has stopped the robot. */
 DDMON_EXPORT int ddmon_tick(ddmon_judge *judge, double now, double out[2]);
 
-/* A person wants to go on: all is forgotten but what is measured, if nothing is wrong any more, the robot stands and
-   nobody moves it. Returns what is still wrong. A robot that is off its path loses its reference. */
+/* A person lets the robot drive again: if no rule is broken any more, the robot stands and no command moves it, the judge
+   begins anew with its measurements. Returns the rule that is still broken. A robot further from its path than a robot
+   that returns may be (returning_distance) loses its reference. */
 DDMON_EXPORT ddmon_verdict ddmon_reset(ddmon_judge *judge, double now);
 
-/* What is wrong where this rule is broken, in words, and the unit of value and limit. */
+/* A sentence for a broken rule, and the unit of its value and limit. */
 DDMON_EXPORT const char *ddmon_words(int rule);
 DDMON_EXPORT const char *ddmon_unit(int rule);
 
