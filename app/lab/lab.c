@@ -277,7 +277,7 @@ static void judge(double time)
     double twist[2], arc_length;
     reference.sample(reference.context, time, report.reference, twist, &arc_length);
     report.error = hypot(robot.pose[0] - report.reference[0], robot.pose[1] - report.reference[1]);
-    report.peer_error = hypot(ghost.pose[0] - report.reference[0], ghost.pose[1] - report.reference[1]);
+    report.peer_error = rpp_distance(&peer, ghost.pose);
     if (time <= reference.duration + 1e-9) {
         report.counted += 1.0;
         report.square_sum += report.error * report.error;

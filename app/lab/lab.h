@@ -70,6 +70,8 @@ typedef struct {
 void rpp_start(rpp_peer *peer, const lab_rpp *parameters, const ddmpc_reference *reference);
 /* The command for the tick at `t`, inside range and slew of the peer's limits. */
 void rpp_step(rpp_peer *peer, double t, double sample_time, const ddmpc_input *input);
+/* How far a pose is from the path. */
+double rpp_distance(const rpp_peer *peer, const double pose[3]);
 
 /* What the page reads after each tick; numbers by the names of these fields. */
 typedef struct {
@@ -77,7 +79,7 @@ typedef struct {
     double pose[3], estimate[3], reference[3], peer[3];
     double command[2], twist[3], peer_command[2], peer_twist[3];
     double mode, reasons, has_estimate, has_plan, iterations, peer_finished;
-    double error, peer_error;
+    double error, peer_error; /* to the reference at that time; the peer, which keeps no times: to its path */
     double counted, square_sum, largest; /* of the error, up to the end of the reference */
     double controller_seconds, ticks;
     double duration;

@@ -181,3 +181,16 @@ void rpp_step(rpp_peer *peer, double t, double sample_time, const ddmpc_input *i
         peer->last[channel] = fmin(fmax(inside, peer->last[channel] - step[channel]), peer->last[channel] + step[channel]);
     }
 }
+
+double rpp_distance(const rpp_peer *peer, const double pose[3])
+{
+    double nearest = INFINITY;
+    for (int i = 1; i < peer->count; i++) {
+        const double *from = peer->path[i - 1], *to = peer->path[i];
+        const double dx = to[0] - from[0], dy = to[1] - from[1], square = dx * dx + dy * dy;
+        const double along = (pose[0] - from[0]) * dx + (pose[1] - from[1]) * dy;
+        const double share = square > 0.0 ? fmin(fmax(along / square, 0.0), 1.0) : 0.0;
+        nearest = fmin(nearest, hypot(pose[0] - from[0] - share * dx, pose[1] - from[1] - share * dy));
+    }
+    return nearest;
+}
