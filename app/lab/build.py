@@ -20,6 +20,7 @@ import typer
 from diffdrive_mpc.app.lab.formulas import generate_plant
 from diffdrive_mpc.app.lab.numbers import generated_texts, report_fields
 from diffdrive_mpc.app.lab.pool import page_data
+from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.models.whole_file import whole_file
@@ -96,7 +97,7 @@ def main(page: Annotated[Path, typer.Argument(help="The page to write.")]) -> No
     page.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(page) as draft:
         draft.write_text(text, encoding="utf-8")
-    typer.echo(f"{page}: {len(text.encode()) / 1e6:.2f} MB")
+    echo(f"{page}: {len(text.encode()) / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

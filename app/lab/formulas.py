@@ -14,7 +14,12 @@ FLOOR = ("longitudinal_gain", "yaw_gain", "wheel_yaw_gain", "side_slip")
 
 def generate_plant() -> GeneratedC:
     """C of the functions `lab_f_floor` and `lab_f_move`."""
-    return generate((_floor(), _move()), "lab_plant", "app/lab/formulas.py")
+    return generate(plant_functions(), "lab_plant", "app/lab/formulas.py")
+
+
+def plant_functions() -> tuple[ca.Function, ca.Function]:
+    """`lab_f_floor`: twist by model and floor to those of body and wheels; `lab_f_move`: a pose after a while."""
+    return _floor(), _move()
 
 
 def _floor() -> ca.Function:

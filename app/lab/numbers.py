@@ -1,4 +1,4 @@
-"""The laboratory's numbers: what C gets, as flat arrays in the order of structs that are generated from the same names."""
+"""The laboratory's numbers: flat arrays for C, in the order of structs that are generated from the same names."""
 
 from __future__ import annotations
 

@@ -84,9 +84,15 @@ def page_data() -> tuple[dict[str, Any], bytes]:
         "outline": plant_outline("model:ssm"),
         "limits": {"v": load_robot().limits.v, "omega": load_robot().limits.omega},
         "too_far": numbers.configuration(default_of("model"), {}).failure.max_position_error,
-        "experiments": read_yaml(Path(__file__).with_name("experiments.yaml"))["experiments"],
+        "experiments": experiments(),
     }
     return index | {"lengths": pool.lengths}, pool.numbers
+
+
+def experiments() -> list[dict[str, Any]]:
+    """The guided experiments, `experiments.yaml`."""
+    guided: list[dict[str, Any]] = read_yaml(Path(__file__).with_name("experiments.yaml"))["experiments"]
+    return guided
 
 
 def _described(choice: Mapping[str, Any]) -> dict[str, Any]:

@@ -82,7 +82,7 @@ class BodySlip(StrictModel):
         return -self.side_slip * v * omega
 
     def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
-        """v [m/s] and omega [rad/s] by encoders and geometric track."""
+        """Twist v [m/s], omega [rad/s] by encoders and geometric track."""
         return v, self.yaw_gain * omega / self.wheel_yaw_gain
 
 

@@ -335,7 +335,7 @@ class Laboratory {
     element("error").textContent = millimetres(report.error);
     element("mode").textContent = MODES[report.mode];
     element("step").textContent = `${(1000 * figures(report).step).toFixed(2)} ms`;
-    element("rate").textContent = `${this.pictures.length} a second`;
+    element("rate").textContent = `${this.pictures.length} /s`;
   }
 }
 
