@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 
 from diffdrive_mpc.models.pose import arc_displacement
@@ -25,7 +27,8 @@ def plant_functions() -> tuple[ca.Function, ca.Function]:
 def _floor() -> ca.Function:
     """Twist of the model (2) and floor (4) to the twist of the body (3) and that of the wheels (2)."""
     output, floor = ca.SX.sym("output", 2), ca.SX.sym("floor", len(FLOOR))
-    slip = BodySlip.model_construct(**dict(zip(FLOOR, ca.vertsplit(floor), strict=True)))
+    symbols: dict[str, Any] = dict(zip(FLOOR, ca.vertsplit(floor), strict=True))
+    slip = BodySlip.model_construct(**symbols)
     v, omega = slip.gained(output[0], output[1])
     body = ca.vertcat(v, slip.sideways(v, omega), omega)
     return ca.Function(

@@ -78,7 +78,7 @@ void CALLED(lab_set_patches)(const double *numbers)
     memcpy(world.patch, numbers + 1, (size_t)world.patch_count * sizeof *world.patch);
 }
 
-/* Sizes and constants as generated; what they point to lies among the numbers. Returns 0 if the core cannot hold them. */
+/* Sizes and constants as generated; what they point to lies among the numbers. Returns 0 if the core has no room. */
 int CALLED(lab_set_controller)(const double *numbers)
 {
     for (int i = 0; i < 4; i++)
@@ -98,17 +98,6 @@ int CALLED(lab_set_controller)(const double *numbers)
     ours.ready = ddmpc_init(ours.controller, &ours.sizes, &ours.constants, &ours.functions, ours.memory[1],
                             ours.memory[2], ours.memory[3]);
     return ours.ready;
-}
-
-/* Weights and limits of the same sizes, between two ticks. */
-int CALLED(lab_configure)(const double *numbers)
-{
-    ddmpc_sizes sizes;
-    static ddmpc_constants constants[2];
-    static int latest;
-    latest = !latest;
-    lab_read_controller(numbers, &sizes, &constants[latest]);
-    return ddmpc_configure(ours.controller, &constants[latest], &sizes);
 }
 
 static void take_reference(const ddmpc_trajectory *taken)

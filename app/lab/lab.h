@@ -1,5 +1,6 @@
 /* The laboratory: two robots with sensors, the controller that drives one of them, and regulated pure pursuit, which
- * drives the other. All numbers come from Python (app/lab/numbers.py); lab_numbers.h, lab_numbers.c and lab_plant.c are generated. */
+ * drives the other. All numbers come from Python (app/lab/numbers.py); lab_numbers.[ch] and lab_plant.[ch] are
+ * generated. */
 #ifndef LAB_H
 #define LAB_H
 

@@ -24,7 +24,9 @@ from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.core.library import constant_fields, load_core
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -161,6 +163,8 @@ def reference(path: str, speed: float) -> FloatArray | None:
         laid = load_reference(Case(trajectory=path, top_speed=speed or None))
     except ConfigError:
         return None
+    if not isinstance(laid, (ArcTrajectory, SplineTrajectory)):
+        raise ConfigError(f"path '{path}': it is neither of arcs nor a spline, which is all that the page can sample")
     native = laid.native
     head = [float(len(native.table) == 16), native.table.shape[1], len(native.breaks), laid.duration]
     return np.concatenate([head, native.breaks, native.table.ravel()])

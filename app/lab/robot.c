@@ -152,6 +152,8 @@ void robot_measure(lab_robot_state *robot, const lab_world *world, ddmpc_input *
     memcpy(input->sent, robot->sent, sizeof robot->sent);
 }
 
+static double clipped(double value, double limit) { return fmin(fmax(value, -limit), limit); }
+
 void robot_advance(lab_robot_state *robot, const lab_world *world, const double command[2])
 {
     const double sample_time = world->robot.sample_time, begin = (double)robot->tick * sample_time;
@@ -159,7 +161,7 @@ void robot_advance(lab_robot_state *robot, const lab_world *world, const double 
     double before[2], after[2], mean[2], twist[3], wheels[2], start[3], end, look;
     robot->has_sent = 1;
     for (int channel = 0; channel < 2; channel++)
-        robot->sent[channel] = fmin(fmax(command[channel], -world->robot.limits[channel]), world->robot.limits[channel]);
+        robot->sent[channel] = clipped(command[channel], world->robot.limits[channel]);
     output_of(robot, &world->model, before);
     model_advance(robot, &world->model, robot->sent);
     output_of(robot, &world->model, after);

@@ -178,7 +178,8 @@ void rpp_step(rpp_peer *peer, double t, double sample_time, const ddmpc_input *i
     }
     for (int channel = 0; channel < 2; channel++) {
         const double inside = fmin(fmax(peer->wish[channel], -most[channel]), most[channel]);
-        peer->last[channel] = fmin(fmax(inside, peer->last[channel] - step[channel]), peer->last[channel] + step[channel]);
+        const double low = peer->last[channel] - step[channel], high = peer->last[channel] + step[channel];
+        peer->last[channel] = fmin(fmax(inside, low), high);
     }
 }
 

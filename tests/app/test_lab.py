@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from firefox import opened_firefox
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
@@ -139,6 +140,22 @@ def test_drives_are_those_of_python(page_file: Path) -> None:
                 assert np.abs(run.true_pose - np.array(driven["poses"])).max() < ROUNDING
                 assert np.abs(peer.command - np.array(driven["peer"])).max() < ROUNDING
                 assert driven["rms"] == pytest.approx(run.metrics.position_rmse_m, abs=1e-12)
+
+
+@pytest.mark.system("firefox")
+def test_firefox_drives_as_python_and_refuses_a_hostile_link(page_file: Path, tmp_path: Path) -> None:
+    ready = "async () => { while (!window.laboratory?.whole) await new Promise((go) => setTimeout(go, 20)); }"
+    with opened_firefox("firefox-esr", tmp_path) as tab:
+        tab.open(f"{page_file.as_uri()}#horizon=1e308")
+        tab.evaluate(f"async () => {{ await ({ready})(); return null; }}")
+        line, chosen = tab.evaluate("() => [document.getElementById('notice').textContent, laboratory.choices]")
+        assert "'horizon=1e308' is no choice" in line
+        assert chosen["horizon"] == default_of("horizon")
+        for path in PATHS:
+            driven = tab.evaluate("(chosen) => laboratory.judge.drive(chosen)", chosen | {"path": path})
+            config = configuration("ssm", {"told": 0.04})
+            run = simulate(Controller(config), make_plant("model:ssm+0.04"), load_trajectory(path, config))
+            assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
 
 
 @in_browser

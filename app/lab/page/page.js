@@ -153,7 +153,8 @@ class Laboratory {
     const deeds = {
       pause: ["Pause", () => this.pause()], again: ["Begin again", () => this.restart()],
       push: ["Push", () => this.push()], cover: ["Cover the pose sensor", () => this.cover()],
-      thaw: ["Remove the ice", () => this.choose({ ice: [] })], shipped: ["Remove the drawn path", () => this.choose({ drawn: [] })],
+      thaw: ["Remove the ice", () => this.choose({ ice: [] })],
+      shipped: ["Remove the drawn path", () => this.choose({ drawn: [] })],
       peer: ["Pure pursuit", () => { this.peer = !this.peer; this.showDeeds(); }],
     };
     for (const [name, [label, deed]] of Object.entries(deeds))
@@ -191,6 +192,7 @@ class Laboratory {
 
   list(name, choice) {
     const options = choice.values.map((value) => made("option", { value, textContent: value }));
+    if (name === "path") options.push(made("option", { value: "", textContent: "drawn", hidden: true }));
     const select = made("select", { id: `choice-${name}` }, ...options);
     select.onchange = () => {
       const value = choice.values.find((candidate) => String(candidate) === select.value);
@@ -200,7 +202,8 @@ class Laboratory {
   }
 
   slider(name, choice) {
-    const input = made("input", { type: "range", id: `choice-${name}`, min: 0, max: choice.values.length - 1, step: 1 });
+    const last = choice.values.length - 1;
+    const input = made("input", { type: "range", id: `choice-${name}`, min: 0, max: last, step: 1 });
     input.oninput = () => this.choose({ [name]: choice.values[Number(input.value)] });
     const label = made("label", { htmlFor: input.id, title: choice.help ?? "" }, choice.label);
     label.append(made("output", { id: `value-${name}` }));
@@ -214,7 +217,7 @@ class Laboratory {
       if (input.type === "range") {
         input.value = choice.values.indexOf(value);
         input.ariaValueText = element(`value-${name}`).textContent = words;
-      } else input.value = String(value);
+      } else input.value = name === "path" && this.choices.drawn.length ? "" : String(value);
     }
     this.showDeeds();
   }
@@ -256,8 +259,16 @@ class Laboratory {
     window.addEventListener("hashchange", () => this.openLink());
     element("save").onclick = () => download(FILES.config, configFile(this.choices, this.index, this.whole));
     element("savepath").onclick = () => download(FILES.path, pathFile(this.engine.referencePoints(0.02)));
-    element("copy").onclick = () => navigator.clipboard?.writeText(location.href).then(
-      () => { element("copy").textContent = "Copied"; }, () => this.notice("The link is in the address line: copy it there."));
+    element("copy").onclick = () => this.copyLink();
+  }
+
+  async copyLink() {
+    try {
+      await navigator.clipboard.writeText(location.href);
+      element("copy").textContent = "Copied";
+    } catch {
+      this.notice("This browser does not let the page copy: the link is in the address line.");
+    }
   }
 
   point(event) {

@@ -209,13 +209,15 @@ class TimeView {
     const largest = Math.max(20, ...this.rows.map((row) => 1000 * Math.max(row.error, showPeer ? row.peer_error : 0)));
     const error = (row) => 1000 * row.error, peerError = (row) => 1000 * row.peer_error;
     this.chart(pen, width, 0, third, {
-      title: showPeer ? "error, mm; pure pursuit: distance from its path" : "error, mm", low: 0, high: 1.1 * largest, marks: [0, round(largest)],
+      title: showPeer ? "error, mm; pure pursuit: distance from its path" : "error, mm",
+      low: 0, high: 1.1 * largest, marks: [0, round(largest)],
       lines: showPeer ? [[peerError, "ghost"], [error, "robot"]] : [[error, "robot"]],
     });
     [["v", "m/s"], ["omega", "rad/s"]].forEach(([name, unit], channel) => {
       const limit = limits[name];
       this.chart(pen, width, (channel + 1) * third, third, {
-        title: `${name}, ${unit}: command, motion`, low: -1.15 * limit, high: 1.15 * limit, marks: [-limit, 0, limit],
+        title: `${name}, ${unit}: command, motion`,
+        low: -1.15 * limit, high: 1.15 * limit, marks: [-limit, 0, limit],
         lines: [[(row) => row.twist[2 * channel], "estimate"], [(row) => row.command[channel], "robot"]],
       });
     });
