@@ -10,6 +10,7 @@ PROVE_OUT ?= out/prove
 TUNE_OUT ?= out/tune
 REPORTS_OUT ?= out/reports
 SITE_OUT ?= out/site
+LAB_OUT ?= out/lab.html
 BILL_OUT ?= out/bill.json
 # Which study, and options of it: make study NAME=tracking OPTIONS=--quick
 NAME ?=
@@ -35,6 +36,8 @@ BIN := $(VENV)/bin
 CORE := $(VENV)/.core
 # What everything else needs: tests, studies, documents, ROS.
 READY := $(VENV)/.ready
+# And the C compiler of the laboratory, 400 MB.
+LAB_READY := $(VENV)/.lab
 PIP_INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 # The lists are whole. An older pip that resolves them again trips over extras of a package with a newer release.
 LOCKED := --no-deps --require-hashes -r
@@ -43,7 +46,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -63,6 +66,10 @@ $(READY): $(CORE) requirements.txt
 	$(BIN)/uv pip install --quiet --no-config --python $(BIN)/python $(LOCKED) requirements.txt || $(PIP_INSTALL) $(LOCKED) requirements.txt
 	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
 	@touch $(READY)
+
+$(LAB_READY): $(READY) .ci/lab.txt
+	$(PIP_INSTALL) $(LOCKED) .ci/lab.txt
+	@touch $(LAB_READY)
 
 bench: $(CORE) ## every model along every trajectory with five seeds: tables and figures in out/bench
 	$(BIN)/diffdrive-mpc bench --out $(OUT)
@@ -117,7 +124,7 @@ wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/:
 test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tests`
 	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
-test-system: $(READY) ## tests that need Debian packages: a browser, ffmpeg, cross compilers, an emulator, an X server
+test-system: $(LAB_READY) ## tests that need Debian packages: a browser, ffmpeg, cross compilers, an emulator, an X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
@@ -156,6 +163,9 @@ site: $(READY) ## the documents as a site: out/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(SITE_OUT)
 	@echo "$(SITE_OUT)/index.html"
 
+lab: $(LAB_READY) ## the laboratory, one page for a browser that needs nothing else: out/lab.html
+	$(BIN)/python -m diffdrive_mpc.app.lab.build $(LAB_OUT)
+
 notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages
 	$(BIN)/python -m studies.site.notebooks
 
@@ -168,14 +178,14 @@ requirements: ## pin all dependencies anew (needs uv)
 	echo 'setuptools>=77' | uv pip compile pyproject.toml - --constraint requirements.txt --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate --quiet \
 		--output-file requirements-bench.txt
-	for list in .ci/colcon .ci/tools; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
+	for list in .ci/colcon .ci/tools .ci/lab; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
 	uv pip compile $(PEERS_LIST).in --no-deps $(HASHED) --output-file $(PEERS_LIST).txt
 
 bill: $(READY) ## what is installed, with versions, hashes and licences, as CycloneDX: out/bill.json
 	$(BIN)/python .ci/tools.py bill $(BIN)/python $(BILL_OUT)
 
 audit: $(READY) ## known vulnerabilities of what is pinned; says so where nobody could be asked
-	$(BIN)/python .ci/tools.py audit requirements.txt requirements-bench.txt .ci/colcon.txt $(PEERS_LIST).txt
+	$(BIN)/python .ci/tools.py audit requirements.txt requirements-bench.txt .ci/colcon.txt .ci/lab.txt $(PEERS_LIST).txt
 
 clean: ## remove what make has built
 	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

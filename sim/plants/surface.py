@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -57,7 +58,7 @@ class BodySlip(StrictModel):
 
     def body(self, output: FloatArray) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] of the body for the model's output (2,)."""
-        v, omega = self.longitudinal_gain * output[0], self.yaw_gain * output[1]
+        v, omega = self.gained(output[0], output[1])
         if self.virtual_track is not None:
             track = self.virtual_track
             omega = float(virtual_track_yaw_rate(track.p0 * omega, track.p0, track.p1))
@@ -65,11 +66,24 @@ class BodySlip(StrictModel):
             v, lateral, omega = polynomial_twist(self.polynomial.coefficients, [v, omega])
         else:
             lateral = 0.0
-        return np.array([v, lateral - self.side_slip * v * omega, omega])
+        return np.array([v, lateral + self.sideways(v, omega), omega])
 
     def wheels(self, output: FloatArray) -> FloatArray:
         """(2,) v [m/s], omega [rad/s] by encoders and geometric track for the same: they do not see the floor."""
-        return np.array([output[0], self.yaw_gain * output[1] / self.wheel_yaw_gain])
+        return np.array(self.turned(output[0], output[1]))
+
+    # One text each for numbers and for CasADi's symbols, which a copy of this class may hold as its values.
+    def gained(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
+        """Forward speed [m/s] and yaw rate [rad/s] after the gains."""
+        return self.longitudinal_gain * v, self.yaw_gain * omega
+
+    def sideways(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - numbers or symbols
+        """Lateral speed of the side-slip, to the left [m/s]."""
+        return -self.side_slip * v * omega
+
+    def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
+        """Twist v [m/s], omega [rad/s] by encoders and geometric track."""
+        return v, self.yaw_gain * omega / self.wheel_yaw_gain
 
 
 class Surface(StrictModel):

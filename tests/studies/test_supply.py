@@ -12,7 +12,11 @@ from studies.speed.process.environment import REQUIREMENTS, pinned
 from studies.speed.process.subject import SubjectError
 
 ROOT = Path(__file__).parents[2]
-LISTS = (ROOT / "requirements.txt", REQUIREMENTS, ROOT / ".ci" / "colcon.txt", ROOT / ".ci" / "tools.txt")
+LISTS = (
+    ROOT / "requirements.txt",
+    REQUIREMENTS,
+    *(ROOT / ".ci" / f"{name}.txt" for name in ("colcon", "tools", "lab")),
+)
 
 
 @pytest.mark.parametrize("file", LISTS, ids=lambda file: f"{file.parent.name}/{file.name}")
@@ -22,7 +26,7 @@ def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> Non
     assert "://" not in text
     parts = re.split(r"^(?=[A-Za-z0-9])", re.sub(r"^\s*#.*\n", "", text, flags=re.MULTILINE), flags=re.MULTILINE)
     packages = [part for part in parts if part.strip()]
-    assert len(packages) > 10
+    assert packages
     for part in packages:
         assert re.match(r"[A-Za-z0-9._-]+==[^ ]+", part), part
         assert re.search(r"--hash=sha256:[0-9a-f]{64}", part), part

@@ -1,0 +1,1 @@
+"""The laboratory: the controller, a simulated robot and a peer as one page for a browser."""

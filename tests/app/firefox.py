@@ -1,0 +1,64 @@
+"""A page in Firefox, by the protocol that both sides speak without a driver (WebDriver BiDi)."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+_OPTIONS = ("--headless", "--no-remote", "--remote-debugging-port=0", "--profile")
+_PATIENCE = 60.0
+
+
+class Tab:
+    """One page."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket, self._numbers = socket, itertools.count(1)
+        self._call("session.new", capabilities={})
+        self._context = self._call("browsingContext.getTree")["contexts"][0]["context"]
+
+    def open(self, address: str) -> None:
+        """Load a page, and wait until it is there."""
+        self._call("browsingContext.navigate", context=self._context, url=address, wait="complete")
+
+    def evaluate(self, function: str, *arguments: object) -> Any:
+        """What a function of JavaScript returns or resolves to, by JSON both ways."""
+        text = ", ".join(map(json.dumps, arguments))
+        expression = f"(async () => JSON.stringify(await ({function})({text})))()"
+        answer = self._call(
+            "script.evaluate", expression=expression, target={"context": self._context}, awaitPromise=True
+        )
+        assert answer["type"] == "success", answer["exceptionDetails"]["text"]
+        return json.loads(answer["result"]["value"])
+
+    def _call(self, method: str, **parameters: object) -> dict[str, Any]:
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while (message := json.loads(self._socket.recv(_PATIENCE))).get("id") != number:
+            pass
+        assert message["type"] == "success", message
+        result: dict[str, Any] = message["result"]
+        return result
+
+
+@contextmanager
+def opened_firefox(program: str, profile: Path) -> Iterator[Tab]:
+    """A tab of a Firefox of its own with an empty `profile`."""
+    process = subprocess.Popen([program, *_OPTIONS, str(profile)], stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        lines = (re.search(r"WebDriver BiDi listening on (ws://\S+)", line) for line in process.stderr)
+        address = next(match[1] for match in lines if match)
+        with connect(f"{address}/session", max_size=2**26) as socket:
+            yield Tab(socket)
+    finally:
+        process.terminate()
+        process.communicate()
