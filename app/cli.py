@@ -48,6 +48,7 @@ _COMMANDS = {
     "twin": CommandEntry("Your robot", "robot"),
     "tune": CommandEntry("Your robot", "robot"),
     "prove": CommandEntry("Your robot", "robot"),
+    "predict-error": CommandEntry("Your robot", "robot", "predict_error"),
     "commission": CommandEntry("Your robot", "robot"),
     "node": CommandEntry("Robot", "ros", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),

@@ -107,3 +107,26 @@ def cvar(values: ArrayLike, axis: int = -1) -> FloatArray:
     mass = max(TAIL * worst.shape[-1], np.finfo(float).tiny)
     weights = np.clip(mass - np.arange(worst.shape[-1]), 0.0, 1.0)
     return np.asarray(worst @ (weights / weights.sum()))
+
+
+def conformal_quantile(groups: Sequence[FloatArray], level: float) -> float:
+    """Bound that a score of a new group keeps with at least the probability `level`.
+
+    Groups, such as all places of one drive, are exchangeable with each other and with the new one; scores inside a
+    group may depend on each other. Each group has the same weight, spread over its scores, and the new one lies at
+    infinity (Lee, Barber, Willett, "Distribution-free inference with hierarchical data", 2023; with one score a group
+    it is split conformal prediction). Infinite where there are fewer than level / (1 - level) groups.
+
+    Parameters
+    ----------
+    groups
+        (n,) scores of each, not empty; NaN counts as infinite.
+    level
+        In (0, 1).
+    """
+    scores = np.concatenate([np.where(np.isnan(group), np.inf, group) for group in groups])
+    weights = np.concatenate([np.full(len(group), 1.0 / len(group)) for group in groups]) / (len(groups) + 1)
+    order = np.argsort(scores, kind="stable")
+    # Sums of weights are off by rounding.
+    first = int(np.searchsorted(np.cumsum(weights[order]), level - 1e-9))
+    return float(scores[order[first]]) if first < len(order) else np.inf

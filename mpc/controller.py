@@ -46,6 +46,7 @@ from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_ref
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.free_space.feature import KeepClear
     from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
+    from diffdrive_mpc.mpc.predicted_error.predicted_error import PredictedError
     from diffdrive_mpc.mpc.rehearsal.feature import Rehearse
     from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
     from diffdrive_mpc.mpc.rehearsal.rehearsal import LapLearner
@@ -285,6 +286,33 @@ class Controller:
         mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, line)
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
 
+    def predict_error(self, reference: Reference | str | Path, population: str = "drawn") -> PredictedError:
+        """Predict the tracking error of a reference before it is driven; nothing of the controller changes.
+
+        Parameters
+        ----------
+        reference
+            Trajectory, name or path, as for `start`.
+        population
+            Which drives count: "drawn", robots of the market of which this configuration says what their users know;
+            "own", the robot that it was made for, with what is uncertain of load, link, floor and poses.
+
+        Returns
+        -------
+        PredictedError
+            Tubes in which 95 % of the drives stay at each place, and all the way.
+
+        Raises
+        ------
+        ArgumentError, ConfigError, ValueError
+            As `start`, and where there is no such population, or the reference lasts no time or over two hours.
+        """
+        from diffdrive_mpc.mpc.predicted_error.predicted_error import predict_error  # noqa: PLC0415 - rarely needed
+
+        reference = self._named(reference)
+        self._check(reference, 0.0)
+        return predict_error(reference, self._config, self.model.lag, population)
+
     def set_applied_commands(self, commands: ArrayLike) -> None:
         """Replace the last K commands by those actually sent, for instance by another controller.
 
@@ -324,12 +352,17 @@ class Controller:
             If `t0` or the reference is not finite, or if the reference exceeds the limits of the configuration, by its
             own speeds or by the commands that they need with the model's gain.
         """
-        if isinstance(reference, (str, Path)):
-            from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
-
-            reference = load_trajectory(reference, self._config)
+        reference = self._named(reference)
         self._check(reference, t0)
         self._begin(reference, t0)
+
+    def _named(self, reference: Reference | str | Path) -> Reference:
+        """A reference itself, or the trajectory of a name or path."""
+        if not isinstance(reference, (str, Path)):
+            return reference
+        from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
+
+        return load_trajectory(reference, self._config)
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):

@@ -356,6 +356,32 @@ def prove(
         raise typer.Exit(FAILED)
 
 
+# `diffdrive-mpc predict-error`: how far off it will be, before it drives.
+
+
+PREDICT_ERROR_EXAMPLE = "Example: diffdrive-mpc predict-error --config ssm --trajectory s --out predicted"
+
+
+def predict_error(
+    *,
+    config: Annotated[
+        str,
+        typer.Option(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+    ] = "ssm",
+    trajectory: Annotated[
+        str, typer.Option(help="Name or path of the trajectory.", autocompletion=choices("trajectory"))
+    ],
+    population: Annotated[
+        str, typer.Option(metavar="drawn|own", help="Any robot of the market, or the configuration's own.")
+    ] = "drawn",
+    out: Annotated[Path, out_option("predicted-error.png and predicted-error.csv")],
+) -> None:
+    """Predict the tracking error of a trajectory before it is driven: tubes in which 95 % of drives stay, and why."""
+    from diffdrive_mpc.app.predicted_error import predict_into  # noqa: PLC0415 - --help does without it
+
+    predict_into(config, trajectory, population, out)
+
+
 # `diffdrive-mpc commission`: from an unknown robot to a proven controller.
 
 

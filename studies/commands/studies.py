@@ -23,6 +23,7 @@ EXAMPLES = {
     "robustness": "Example: python -m studies robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "worlds": "Example: python -m studies worlds --out results --quick --controllers mpc,rpp+stop",
     "speed": "Example: python -m studies speed --out results --quick --peers ours,acados",
+    "predicted-error": "Example: python -m studies predicted-error --out predicted --quick",
     "monitor": "Example: python -m studies monitor --out watched --seeds 2 --hours 0.2",
     "real-logs": "Example: python -m studies real-logs husky --data logs --out husky",
     "loop-speed": "Example: python -m studies loop-speed --out results --models ssm --trajectories circle,s",
@@ -335,6 +336,27 @@ def real_logs(
     prove_log(log, data, out, seeds)
 
 
+def predicted_error(
+    *,
+    out: Annotated[Path, out_option("report.html, predicted-error.json, predicted-error.md and calibration.yaml")],
+    quick: Annotated[bool, typer.Option("--quick", help="Few drives of one population, to see that it works.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    kept: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Keep driven sets there, and go on from them.", show_default=False),
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Calibrate the predicted tracking error, and say how far it holds on other drives: a quarter of an hour."""
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+    from studies.predicted_error.drives import load_study  # noqa: PLC0415 - --help does without it
+    from studies.predicted_error.study import PredictedErrorStudy  # noqa: PLC0415
+
+    if quick and (study is not None or kept is not None):
+        raise ValueError("--quick has a study of its own and keeps nothing; give it alone")
+    carry_out(PredictedErrorStudy(load_study(study, quick=quick), kept), out, jobs)
+
+
 STUDIES: dict[str, Callable[..., None]] = {
     "tracking": tracking,
     "robustness": robustness,
@@ -348,5 +370,6 @@ STUDIES: dict[str, Callable[..., None]] = {
     "loop-speed": loop_speed,
     "real-logs": real_logs,
     "monitor": monitor,
+    "predicted-error": predicted_error,
 }
 """The studies by the names of their commands, `python -m studies NAME`."""

@@ -102,6 +102,7 @@ SAVING = ShownReport(
     "saving.md",
 )
 ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
 SHOWN = (
     BENCH,
     TRACKING,
@@ -117,6 +118,7 @@ SHOWN = (
     TORQUE,
     ENERGY_FRONT,
     SAVING,
+    PREDICTED_ERROR,
 )
 
 

@@ -30,6 +30,7 @@ COMMANDS = [
     ["models", "list"],
     ["models", "show"],
     ["models", "check"],
+    ["predict-error"],
 ]
 
 runner = CliRunner()
