@@ -81,7 +81,8 @@ def _identify_into(
         if packages and (force or not verdict.identification.refusal):
             bar.begin("parameters of other packages", 1)
             report = verdict.identification.report
-            quantities = estimate_stack(report.data, report.fitted.identified.limits)
+            fitted = report.fitted
+            quantities = estimate_stack(report.data, fitted.identified.limits, fitted.base)
             for package in packages:
                 (folder / package_file(package)).write_text(package_text(package, quantities), encoding="utf-8")
         write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)

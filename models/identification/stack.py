@@ -13,16 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import PARTS
-from diffdrive_mpc.models.identification.effects.fitting import covariance
-from diffdrive_mpc.models.identification.effects.free_run import sensed
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.effects.fitting import covariance, fit_effects, weighted
+from diffdrive_mpc.models.identification.effects.free_run import Point, sensed
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.effects.selection import Selection, select_effects
+from diffdrive_mpc.models.identification.effects.selection import select_effects
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.noise import scatter_by_block
 from diffdrive_mpc.models.identification.fit.pose_calibration import TwoRadii, calibrate_wheels
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.identification.settings import StackSettings, identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
+from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import joined
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -59,7 +62,9 @@ Quantities = Mapping[str, Quantity]
 """By the names that `estimate_stack` lists."""
 
 
-def estimate_stack(data: LogData, limits: Mapping[str, float] | None = None) -> dict[str, Quantity]:
+def estimate_stack(
+    data: LogData, limits: Mapping[str, float] | None = None, base: IdentifiedBase | None = None
+) -> dict[str, Quantity]:
     """Estimate what ros2_control, Nav2 and robot_localization have to be told of a robot.
 
     Names: wheel_separation, wheel_radius [m]; separation_multiplier, left_radius_multiplier, right_radius_multiplier
@@ -72,6 +77,8 @@ def estimate_stack(data: LogData, limits: Mapping[str, float] | None = None) -> 
         The records; those to identify from are used.
     limits
         Levels at which a model of the log clips its commands, by channel: where the search for limits begins.
+    base
+        A model with all effects of the base, where that was looked for: its effects are taken in place of a search.
 
     Raises
     ------
@@ -84,19 +91,30 @@ def estimate_stack(data: LogData, limits: Mapping[str, float] | None = None) -> 
     largest = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
     levels = dict(zip(CHANNELS, (settings.first_limit * largest).tolist(), strict=True)) | dict(limits or {})
     track = geometry.track if geometry else None
-    selection = select_effects(joined(sensed(data.train, data.yaw)), track, limits=levels, only=_TRIED, also=_ALSO)
-    free = selection.fit.free
-    estimate = ParameterEstimate(
-        free, np.array([selection.fit.point[name] for name in free]), covariance(selection.fit, selection.data)
-    )
-    calibrated = _calibrated(data, geometry, selection)
+    experiments = joined(sensed(data.train, data.yaw))
+    if base is None:
+        selection = select_effects(experiments, track, limits=levels, only=_TRIED, also=_ALSO)
+        fit, weights = selection.fit, selection.data
+    else:
+        weights = weighted(experiments, base.point)
+        fit = fit_effects(base.point, _free(base.point), weights, near=True)
+    values = np.array([fit.point[name] for name in fit.free])
+    estimate = ParameterEstimate(fit.free, values, covariance(fit, weights))
+    calibrated = _calibrated(data, geometry, fit.point)
     quantities = {
         **_wheels(data.stated_track, geometry, estimate, calibrated),
-        **_delays(selection, estimate, data.train[0].dt),
-        **_limits(largest, selection, estimate),
+        **_delays(fit.point, estimate, data.train[0].dt),
+        **_limits(largest, fit.point, estimate),
         **_variances(data),
     }
     return quantities | _look_ahead(quantities, settings)
+
+
+def _free(point: Point) -> list[str]:
+    """Parameters of a model with effects that are no bound of the search and not the log's own track."""
+    bounds = effect_settings().parameters
+    names = [name for name in point if name in bounds and name != "encoders.track"]
+    return [name for name in names if point[name] not in bounds[name][:2]]
 
 
 def _told(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
@@ -113,19 +131,31 @@ def _untold(unit: str, reason: str) -> Quantity:
     return Quantity(None, (math.nan, math.nan), unit, reason)
 
 
-def _calibrated(data: LogData, geometry: WheelGeometry | None, selection: Selection) -> ParameterEstimate | str:
+def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> ParameterEstimate | str:
     """left_radius, right_radius and track [m] from poses; in words why not, where the log does not tell them."""
     records = [record for record in data.train if record.pose is not None and record.wheels is not None]
     if geometry is None:
         return "the log has no wheel speeds: log joint states with the velocity of each wheel"
     if not records:
         return "the log has no pose from outside: wheels of another radius look like another speed"
-    sensor = pose_sensor(records, selection.fit.point) if data.yaw == "gyro" else None
-    lag = sensor.value("pose.delay") - selection.fit.point["encoders.delay"] if sensor else 0.0
+    sensor = pose_sensor(records, point) if data.yaw == "gyro" else None
+    lag = sensor.value("pose.delay") - point["encoders.delay"] - point.get("encoders.lag", 0.0) if sensor else 0.0
     try:
-        return calibrate_wheels(records, TwoRadii(*geometry), lag).parameters
+        estimate = calibrate_wheels([_later(record, lag) for record in records], TwoRadii(*geometry)).parameters
     except ValueError as error:
         return str(error)
+    unsure = 1.96 * float(np.max(estimate.standard_deviation[:2] / estimate.values[:2]))
+    if unsure > identification_settings().stack.widest_radius:
+        return f"the poses of this log tell radii only to {100 * unsure:.2g} %: better poses, or a longer log"
+    return estimate
+
+
+def _later(record: Record, lag: float) -> Record:
+    """The record with wheel speeds as old as its poses, to parts of a sample: rounding would pass for other radii."""
+    assert record.wheels is not None
+    known = np.isfinite(record.wheels).all(axis=1)
+    columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
+    return replace(record, wheels=np.column_stack(columns))
 
 
 def _wheels(
@@ -182,35 +212,35 @@ def _sure(quantity: Quantity) -> Quantity:
     )
 
 
-def _delays(selection: Selection, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
+def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
     """Dead time and both lags together [s] of either channel: the delay that stands for the whole answer."""
     # A ramp is taken at the end of each part of a sample, so that the rest of the delay seems longer by half a part.
-    ahead = 0.5 * dt / PARTS if "slew.v" in selection.fit.point else 0.0
+    ahead = 0.5 * dt / PARTS if "slew.v" in point else 0.0
     result = {}
     for channel in CHANNELS:
         names = [f"{kind}.{channel}" for kind in ("dead_time", "lag", "spread")]
 
         def late(row: FloatArray, names: Sequence[str] = names) -> FloatArray:
-            point = {**selection.fit.point, **dict(zip(estimate.names, row.tolist(), strict=True))}
-            dead, lag, spread = (point.get(name, 0.0) for name in names)
+            moved = {**point, **dict(zip(estimate.names, row.tolist(), strict=True))}
+            dead, lag, spread = (moved.get(name, 0.0) for name in names)
             return np.array([dead + 2.0 * lag * math.cosh(spread) - ahead])
 
-        dead = selection.fit.point[names[0]]
-        told = _told(
+        dead = point[names[0]]
+        delay = _told(
             estimate.derived(["delay"], late), "s", f"dead time of {dead:.3g} s and lag of the answer of {channel}"
         )
-        result[f"delay.{channel}"] = replace(told, interval=(max(0.0, told.interval[0]), told.interval[1]))
+        result[f"delay.{channel}"] = replace(delay, interval=(max(0.0, delay.interval[0]), delay.interval[1]))
     return result
 
 
-def _limits(largest: FloatArray, selection: Selection, estimate: ParameterEstimate) -> dict[str, Quantity]:
+def _limits(largest: FloatArray, point: Point, estimate: ParameterEstimate) -> dict[str, Quantity]:
     """Speeds and accelerations at which the robot stops to follow, as the body has them: gain times the command's.
 
     A limit whose interval reaches the `largest` (2,) command of the log was not reached.
     """
     result = {}
     for most, channel in zip(largest.tolist(), CHANNELS, strict=True):
-        unit, driven = _UNITS[channel], selection.fit.point[f"gain.{channel}"] * most
+        unit, driven = _UNITS[channel], point[f"gain.{channel}"] * most
         words = f"not reached in this log, which drives up to {driven:.3g} {unit}"
         top, rate = (_in_the_body(estimate, kind, channel) for kind in ("limit", "slew"))
         reached = top is not None and top.values[1] + 1.96 * top.deviation("command") < most
