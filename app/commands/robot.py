@@ -53,6 +53,15 @@ def identify(
     effects: Annotated[
         bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
     ] = False,
+    packages: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            metavar="NAMES",
+            help="Write parameters of nav2, ros2_control, robot_localization, too; several with commas.",
+            show_default="none",
+        ),
+    ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
     robot: RobotName = None,
     draft_mapping: Annotated[
@@ -81,6 +90,7 @@ def identify(
         effects=effects,
         name=name,
         robot=robot,
+        packages=packages,
         force=force,
     )
 

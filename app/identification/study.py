@@ -11,6 +11,7 @@ from typing import Any
 
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
+from diffdrive_mpc.app.identification.stack import chosen_packages, package_file, package_text, stack_table
 from diffdrive_mpc.app.identification.trial_drives import (
     FIRST_CIRCLE,
     first_circle,
@@ -30,6 +31,7 @@ from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
+from diffdrive_mpc.models.identification.stack import Quantities, estimate_stack
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
@@ -39,19 +41,27 @@ from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import plain_line
 
 
-def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
+def identify_into(
+    logs: Sequence[Path],
+    out: Path,
+    *,
+    packages: str | None = None,
+    force: bool = False,
+    **options: Any,  # noqa: ANN401 - those of `identify`
+) -> None:
     """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
 
-    Without `force` neither model nor configuration is written where the logs or the FIT speak against it; a mapping
-    that mends the logs is.
+    `packages` are names with commas of those whose parameter files are written, too. Without `force` neither
+    model nor configuration is written where the logs or the FIT speak against it; a mapping that mends the logs is.
 
     Raises
     ------
     models.checked_yaml.ConfigError, ValueError, OSError
         If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
     """
+    names = () if packages is None else chosen_packages(packages)
     try:
-        _identify_into(logs, out, force, options)
+        _identify_into(logs, out, names, force, options)
     except AdvisedError as error:
         if error.advice is None:
             raise
@@ -60,14 +70,26 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
         raise ConfigError(f"{error}. {error.advice.sentence(out)}") from error
 
 
-def _identify_into(logs: Sequence[Path], out: Path, force: bool, options: Mapping[str, Any]) -> None:
+def _identify_into(
+    logs: Sequence[Path], out: Path, packages: Sequence[str], force: bool, options: Mapping[str, Any]
+) -> None:
     began = time.perf_counter()
-    files = (*FILES, FIRST_CIRCLE, REPORT)
+    files = (*FILES, FIRST_CIRCLE, *map(package_file, packages), REPORT)
+    quantities: Quantities = {}
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
         verdict = _proven(_identified(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
+        if packages and (force or not verdict.identification.refusal):
+            bar.begin("parameters of other packages", 1)
+            report = verdict.identification.report
+            fitted = report.fitted
+            quantities = estimate_stack(report.data, fitted.identified.limits, fitted.base)
+            for package in packages:
+                (folder / package_file(package)).write_text(package_text(package, quantities), encoding="utf-8")
         write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)
     _print(verdict.identification, out)
+    if quantities:
+        output_console().print(rich_table(stack_table(quantities)))
     if verdict.identification.advice:
         _print_line(verdict.identification.advice.sentence(out))
     _print_verdict(verdict, out, force)

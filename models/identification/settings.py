@@ -33,6 +33,20 @@ class AdviceSettings(StrictModel):
     tolerance: Positive = Field(description="by which neither may fall [percentage points]")
 
 
+class StackSettings(StrictModel):
+    """How parameters for other packages follow from an estimate."""
+
+    first_limit: Annotated[float, Field(gt=0, lt=1)] = Field(description="first guess over the largest command [-]")
+    widest: Positive = Field(description="half of an interval over the value, beyond which it is not told [-]")
+    widest_radius: Positive = Field(description="the same of the radii, which else keep what is stated [-]")
+    fewest_blocks: int = Field(ge=2, description="of readings, to tell a noise [-]")
+    phase_margin: Positive = Field(lt=60, description="of pure pursuit on a straight path [degrees]")
+    controller_frequency: Positive = Field(description="of Nav2's controller server [Hz]")
+    slow_share: Annotated[float, Field(gt=0, le=1)] = Field(
+        description="least speed that looks ahead, over the fastest"
+    )
+
+
 class IdentificationSettings(StrictModel):
     """Sizes and thresholds of the way from logs to a model."""
 
@@ -57,6 +71,7 @@ class IdentificationSettings(StrictModel):
     lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
     expert: tuple[str, ...] = Field(description="groups and keys of a configuration that stand under `expert:` in it")
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
+    stack: StackSettings = Field(description="parameters for other packages")
     warn: JudgementSettings
     advice: AdviceSettings = Field(description="when a change of the mapping is advised")
 

@@ -26,6 +26,7 @@ EXAMPLES = {
     "predicted-error": "Example: python -m studies predicted-error --out predicted --quick",
     "monitor": "Example: python -m studies monitor --out watched --seeds 2 --hours 0.2",
     "real-logs": "Example: python -m studies real-logs husky --data logs --out husky",
+    "stack": "Example: python -m studies stack --out results --robots 20",
     "loop-speed": "Example: python -m studies loop-speed --out results --models ssm --trajectories circle,s",
 }
 
@@ -318,6 +319,20 @@ def monitor(
         raise typer.Exit(FAILED)
 
 
+def stack(
+    *,
+    out: Annotated[Path, out_option("report.html, stack.json and stack.md")],
+    robots: Annotated[int, typer.Option(min=1, help="How many drawn robots.")] = 200,
+    tuning_robots: Annotated[bool, typer.Option("--tuning-robots", help="Robots to tune on.")] = False,
+    jobs: Jobs = None,
+) -> None:
+    """Hold parameters for other packages, and their intervals, against drawn robots: half an hour on two cores."""
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does without it
+    from studies.stack.study import StackStudy  # noqa: PLC0415
+
+    carry_out(StackStudy(robots, tuning=tuning_robots), out, jobs)
+
+
 def real_logs(
     log: Annotated[str, typer.Argument(help="husky, warthog-asphalt or warthog-gravel.")],
     *,
@@ -369,6 +384,7 @@ STUDIES: dict[str, Callable[..., None]] = {
     "speed": speed,
     "loop-speed": loop_speed,
     "real-logs": real_logs,
+    "stack": stack,
     "monitor": monitor,
     "predicted-error": predicted_error,
 }

@@ -163,6 +163,8 @@ def select_effects(
     encoder_track: float | None,
     on_trial: Callable[[str], None] | None = None,
     limits: Mapping[str, float] | None = None,
+    only: Sequence[str] | None = None,
+    also: Sequence[str] = (),
 ) -> Selection:
     """Fit the linear model with its sensors, then try every effect.
 
@@ -181,6 +183,10 @@ def select_effects(
         Called with the name of what is tried next.
     limits
         Of channels whose command a simpler model found to be clipped.
+    only
+        Names of the effects that are tried; None for all.
+    also
+        Parameters that are free from the first fit on, beside those of `LINEAR`.
 
     Raises
     ------
@@ -189,8 +195,8 @@ def select_effects(
     """
     settings = effect_settings()
     gyro = experiments[0].outputs.shape[1] == len(SENSORS)
-    free = LINEAR if gyro else BY_ENCODERS
-    start = {name: settings.parameters[name][2] for name in LINEAR} | ({} if gyro else _WITHOUT_GYRO)
+    free = (*(LINEAR if gyro else BY_ENCODERS), *also)
+    start = {name: settings.parameters[name][2] for name in (*LINEAR, *also)} | ({} if gyro else _WITHOUT_GYRO)
     if encoder_track is not None:
         start[_TRACK] = encoder_track
     clipped = {f"limit.{channel}": level for channel, level in (limits or {}).items()}
@@ -202,7 +208,8 @@ def select_effects(
     effects: list[str] = []
     trials: list[EffectTrial] = []
     announce = on_trial or (lambda _: None)
-    for effect in _possible(gyro=gyro, track=encoder_track is not None, clipped=bool(clipped)):
+    possible = _possible(gyro=gyro, track=encoder_track is not None, clipped=bool(clipped))
+    for effect in [name for name in possible if only is None or name in only]:
         announce(effect)
         candidate = tried(_with(model.fit, effect, data, clipped if effect == _CLIPPED else {}), data)
         worth = gain(model, candidate, data)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
@@ -132,6 +133,21 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
         for name, second in joined.items()
         if second.size >= _FEWEST
     }
+
+
+def scatter_by_block(records: Sequence[Record], signal: str, column: int) -> FloatArray:
+    """(B,) variance of what is random in one column of a signal, in each block of the settings' length.
+
+    Each block counts the second differences of its readings; blocks with fewer than fifty are left out.
+    """
+    variances = []
+    for record in records:
+        span = max(1, round(identification_settings().block_time / record.dt))
+        for first in range(0, len(record.command), span):
+            second = _scatter(record.part(first, min(first + span, len(record.command))), signal, [column])
+            if second.size >= _FEWEST:
+                variances.append(float(np.mean(second**2)) / _SECOND_DIFFERENCE**2)
+    return np.array(variances)
 
 
 def _scatter(record: Record, signal: str, columns: list[int]) -> FloatArray:

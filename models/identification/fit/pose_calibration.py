@@ -81,6 +81,36 @@ class ConstantTrack:
 
 
 @dataclass(frozen=True)
+class TwoRadii:
+    """As `ConstantTrack`, with a radius of its own on either side.
+
+    Coefficients: left_radius, right_radius [m], track [m], side_slip [s].
+
+    Attributes
+    ----------
+    wheel_radius, track
+        Of the catalogue, to start from [m].
+    """
+
+    wheel_radius: float
+    track: float
+    names: tuple[str, ...] = ("left_radius", "right_radius", "track", "side_slip")
+    holds_lever_arm: bool = False
+
+    @property
+    def start(self) -> FloatArray:
+        """(4,)."""
+        return np.array([self.wheel_radius, self.wheel_radius, self.track, 0.0])
+
+    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
+        """(..., 3); see `SlipLaw`."""
+        *radii, track, side_slip = coefficients
+        v, difference = _at_the_rim(1.0, wheels * np.array(radii))
+        omega = difference / track
+        return np.stack([v, -side_slip * v * omega, omega], axis=-1)
+
+
+@dataclass(frozen=True)
 class GrowingTrack:
     """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
 

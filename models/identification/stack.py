@@ -1,0 +1,320 @@
+"""What a log tells of the parameters that other packages take: tracks, radii, delays, limits, noises; with intervals.
+
+One free run from the commands explains encoders and gyro at once (`effects`), so that delay, limits and the ratio of
+the two yaw rates come with one covariance. Poses tell the radii. What a log does not tell has a reason and no value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import PARTS
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.effects.fitting import covariance, fit_effects, weighted
+from diffdrive_mpc.models.identification.effects.free_run import Point, sensed
+from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.effects.selection import select_effects
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
+from diffdrive_mpc.models.identification.fit.noise import scatter_by_block
+from diffdrive_mpc.models.identification.fit.pose_calibration import TwoRadii, calibrate_wheels
+from diffdrive_mpc.models.identification.log_data import LogData, most_informative
+from diffdrive_mpc.models.identification.settings import StackSettings, identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import joined
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+_TRIED = ("clipped commands", "twist slew", "veer")
+"""Effects of the base that change what is estimated here."""
+_ALSO = ("spread.v", "spread.omega")
+_UNITS = {"v": "m/s", "omega": "rad/s"}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that a log tells, or the reason why it does not.
+
+    Attributes
+    ----------
+    value
+        None where the log does not tell it.
+    interval
+        (2,) of 95 %; equal ends where the value is stated, or follows without an error.
+    unit
+        Of both.
+    reason
+        Where the value comes from, or why there is none.
+    """
+
+    value: float | None
+    interval: tuple[float, float]
+    unit: str
+    reason: str
+
+
+Quantities = Mapping[str, Quantity]
+"""By the names that `estimate_stack` lists."""
+
+
+def estimate_stack(
+    data: LogData, limits: Mapping[str, float] | None = None, base: IdentifiedBase | None = None
+) -> dict[str, Quantity]:
+    """Estimate what ros2_control, Nav2 and robot_localization have to be told of a robot.
+
+    Names: wheel_separation, wheel_radius [m]; separation_multiplier, left_radius_multiplier, right_radius_multiplier
+    [-]; delay.v, delay.omega [s]; max.v, max.omega, rate.v, rate.omega, driven.v [SI units]; look_ahead_time [s],
+    look_ahead, min_look_ahead, max_look_ahead [m]; variance.v, variance.omega, variance.gyro [(SI units)^2].
+
+    Parameters
+    ----------
+    data
+        The records; those to identify from are used.
+    limits
+        Levels at which a model of the log clips its commands, by channel: where the search for limits begins.
+    base
+        A model with all effects of the base, where that was looked for: its effects are taken in place of a search.
+
+    Raises
+    ------
+    ValueError
+        If a reading never changes, or the records are too short.
+    """
+    settings = identification_settings().stack
+    data = replace(data, train=tuple(most_informative(data.train, identification_settings().most_rows["effects"])))
+    geometry = wheel_geometry(data.train)
+    largest = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
+    levels = dict(zip(CHANNELS, (settings.first_limit * largest).tolist(), strict=True)) | dict(limits or {})
+    track = geometry.track if geometry else None
+    experiments = joined(sensed(data.train, data.yaw))
+    if base is None:
+        selection = select_effects(experiments, track, limits=levels, only=_TRIED, also=_ALSO)
+        fit, weights = selection.fit, selection.data
+    else:
+        weights = weighted(experiments, base.point)
+        fit = fit_effects(base.point, _free(base.point), weights, near=True)
+    values = np.array([fit.point[name] for name in fit.free])
+    estimate = ParameterEstimate(fit.free, values, covariance(fit, weights))
+    calibrated = _calibrated(data, geometry, fit.point)
+    quantities = {
+        **_wheels(data.stated_track, geometry, estimate, calibrated),
+        **_delays(fit.point, estimate, data.train[0].dt),
+        **_limits(largest, fit.point, estimate),
+        **_variances(data),
+    }
+    return quantities | _look_ahead(quantities, settings)
+
+
+def _free(point: Point) -> list[str]:
+    """Parameters of a model with effects that are no bound of the search and not the log's own track."""
+    bounds = effect_settings().parameters
+    names = [name for name in point if name in bounds and name != "encoders.track"]
+    return [name for name in names if point[name] not in bounds[name][:2]]
+
+
+def _told(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
+    """The first parameter of an estimate, with its interval of 95 %."""
+    value, half = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
+    return Quantity(value, (value - half, value + half), unit, reason)
+
+
+def _stated(value: float, unit: str, reason: str) -> Quantity:
+    return Quantity(value, (value, value), unit, reason)
+
+
+def _untold(unit: str, reason: str) -> Quantity:
+    return Quantity(None, (math.nan, math.nan), unit, reason)
+
+
+def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> ParameterEstimate | str:
+    """left_radius, right_radius and track [m] from poses; in words why not, where the log does not tell them."""
+    records = [record for record in data.train if record.pose is not None and record.wheels is not None]
+    if geometry is None:
+        return "the log has no wheel speeds: log joint states with the velocity of each wheel"
+    if not records:
+        return "the log has no pose from outside: wheels of another radius look like another speed"
+    sensor = pose_sensor(records, point) if data.yaw == "gyro" else None
+    lag = sensor.value("pose.delay") - point["encoders.delay"] - point.get("encoders.lag", 0.0) if sensor else 0.0
+    try:
+        estimate = calibrate_wheels([_later(record, lag) for record in records], TwoRadii(*geometry)).parameters
+    except ValueError as error:
+        return str(error)
+    unsure = 1.96 * float(np.max(estimate.standard_deviation[:2] / estimate.values[:2]))
+    if unsure > identification_settings().stack.widest_radius:
+        return f"the poses of this log tell radii only to {100 * unsure:.2g} %: better poses, or a longer log"
+    return estimate
+
+
+def _later(record: Record, lag: float) -> Record:
+    """The record with wheel speeds as old as its poses, to parts of a sample: rounding would pass for other radii."""
+    assert record.wheels is not None
+    known = np.isfinite(record.wheels).all(axis=1)
+    columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
+    return replace(record, wheels=np.column_stack(columns))
+
+
+def _wheels(
+    stated: float | None,
+    geometry: WheelGeometry | None,
+    estimate: ParameterEstimate,
+    calibrated: ParameterEstimate | str,
+) -> dict[str, Quantity]:
+    """Separation, radius and their multipliers; all three of one source, as they belong together."""
+    separation = stated or (geometry.track if geometry else None)
+    source = "as the mapping states it" if stated else "by which the log's omega was computed"
+    result = {
+        "wheel_separation": _stated(separation, "m", source)
+        if separation
+        else _untold("m", "neither log nor mapping states a track: take the robot's description"),
+        "wheel_radius": _stated(geometry.radius, "m", "by which the log's v was computed")
+        if geometry
+        else _untold("m", "the log has no wheel speeds: take the robot's description"),
+    }
+    if not isinstance(calibrated, str) and geometry and separation:
+        of_radius = f"wheels against the pose, over the radius of {geometry.radius:.4g} m"
+        for side in ("left", "right"):
+            part = calibrated.part([f"{side}_radius"]).derived(["radius"], lambda row: row / geometry.radius)
+            result[f"{side}_radius_multiplier"] = _told(part, "", of_radius)
+        wide = calibrated.part(["track"]).derived(["track"], lambda row: row / separation)
+        reason = f"effective track by the pose over the separation of {separation:.4g} m, with the radii of this file"
+        result["separation_multiplier"] = _sure(_told(wide, "", reason))
+        return result
+    words = calibrated if isinstance(calibrated, str) else "neither log nor mapping states a track"
+    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _untold("", words))
+    if "encoders.yaw_ratio" not in estimate.names:
+        words = "the log has neither a gyro nor a pose: nothing says how far the body turns for what the wheels do"
+        return result | {"separation_multiplier": _untold("", words)}
+    ratio = estimate.part(["encoders.yaw_ratio"])
+    if geometry is None or separation is None:
+        by_odometry = _told(ratio, "", "")
+        words = (
+            "without wheel speeds only a ratio is known: multiply the one that the odometry of this log was made with "
+            f"by {by_odometry.value:.4g} [{by_odometry.interval[0]:.4g}, {by_odometry.interval[1]:.4g}]"
+        )
+        return result | {"separation_multiplier": _untold("", words)}
+    wide = ratio.derived(["track"], lambda row: row * geometry.track / separation)
+    reason = f"yaw rate of the wheels over that of the gyro, on a separation of {separation:.4g} m"
+    return result | {"separation_multiplier": _sure(_told(wide, "", reason))}
+
+
+def _sure(quantity: Quantity) -> Quantity:
+    """The quantity, or why it is not told, where its interval is too wide to be of use."""
+    low, high = quantity.interval
+    if quantity.value is None or 0.5 * (high - low) <= identification_settings().stack.widest * abs(quantity.value):
+        return quantity
+    return _untold(
+        quantity.unit, f"the log tells only {low:.3g} to {high:.3g} {quantity.unit}: drive with larger steps"
+    )
+
+
+def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
+    """Dead time and both lags together [s] of either channel: the delay that stands for the whole answer."""
+    # A ramp is taken at the end of each part of a sample, so that the rest of the delay seems longer by half a part.
+    ahead = 0.5 * dt / PARTS if "slew.v" in point else 0.0
+    result = {}
+    for channel in CHANNELS:
+        names = [f"{kind}.{channel}" for kind in ("dead_time", "lag", "spread")]
+
+        def late(row: FloatArray, names: Sequence[str] = names) -> FloatArray:
+            moved = {**point, **dict(zip(estimate.names, row.tolist(), strict=True))}
+            dead, lag, spread = (moved.get(name, 0.0) for name in names)
+            return np.array([dead + 2.0 * lag * math.cosh(spread) - ahead])
+
+        dead = point[names[0]]
+        delay = _told(
+            estimate.derived(["delay"], late), "s", f"dead time of {dead:.3g} s and lag of the answer of {channel}"
+        )
+        result[f"delay.{channel}"] = replace(delay, interval=(max(0.0, delay.interval[0]), delay.interval[1]))
+    return result
+
+
+def _limits(largest: FloatArray, point: Point, estimate: ParameterEstimate) -> dict[str, Quantity]:
+    """Speeds and accelerations at which the robot stops to follow, as the body has them: gain times the command's.
+
+    A limit whose interval reaches the `largest` (2,) command of the log was not reached.
+    """
+    result = {}
+    for most, channel in zip(largest.tolist(), CHANNELS, strict=True):
+        unit, driven = _UNITS[channel], point[f"gain.{channel}"] * most
+        words = f"not reached in this log, which drives up to {driven:.3g} {unit}"
+        top, rate = (_in_the_body(estimate, kind, channel) for kind in ("limit", "slew"))
+        reached = top is not None and top.values[1] + 1.96 * top.deviation("command") < most
+        result[f"max.{channel}"] = (
+            _sure(_told(top, unit, "where the robot clips its command, times its gain"))
+            if top is not None and reached
+            else _untold(unit, words)
+        )
+        result[f"rate.{channel}"] = (
+            _sure(_told(rate, f"{unit}^2", "slope at which the robot ramps its command, times its gain"))
+            if rate is not None
+            else _untold(f"{unit}^2", "no slope of the command is too steep for the robot in this log")
+        )
+        result[f"driven.{channel}"] = _stated(driven, unit, "largest command of the log times the gain")
+    return result
+
+
+def _in_the_body(estimate: ParameterEstimate, kind: str, channel: str) -> ParameterEstimate | None:
+    """A bound of the command times the gain, and of the command; None where there is none."""
+    names = [f"{kind}.{channel}", f"gain.{channel}"]
+    if names[0] not in estimate.names:
+        return None
+    return estimate.part(names).derived(["body", "command"], lambda pair: np.array([pair[0] * pair[1], pair[0]]))
+
+
+def _variances(data: LogData) -> dict[str, Quantity]:
+    """Of the readings of encoders and gyro: how they scatter about their neighbours."""
+    sources = {"v": ("twist", 0), "omega": ("twist", 1), "gyro": ("yaw_rate", 0)}
+    result = {}
+    for name, (signal, column) in sources.items():
+        unit = "(m/s)^2" if name == "v" else "(rad/s)^2"
+        blocks = scatter_by_block(data.train, signal, column)
+        if len(blocks) < identification_settings().stack.fewest_blocks:
+            result[f"variance.{name}"] = _untold(unit, f"the log has too few readings of {name} to tell its noise")
+            continue
+        mean, error = float(blocks.mean()), float(blocks.std(ddof=1) / math.sqrt(len(blocks)))
+        reason = f"scatter of the readings about their neighbours, {len(blocks)} blocks; slip is not in it"
+        result[f"variance.{name}"] = Quantity(mean, (max(0.0, mean - 2 * error), mean + 2 * error), unit, reason)
+    return result
+
+
+def look_ahead_factor(phase_margin: float) -> float:
+    """Least look-ahead time of pure pursuit over the delay of the robot [-], for a phase margin [rad].
+
+    On a straight path pure pursuit steers with the curvature -2 (y + L psi) / L^2. With y' = v psi, psi' = v curvature,
+    p = s L / v and theta = delay v / L its open loop is 2 (p + 1) exp(-theta p) / p^2: its gain is 1 at w^2 = 2 +
+    sqrt(8), where the phase is atan(w) - w theta above -pi. So L / v = delay w / (atan(w) - margin). Source of the
+    idea: Ollero, Heredia, "Stability analysis of mobile robot path tracking", IROS 1995.
+    """
+    crossing = math.sqrt(2.0 + math.sqrt(8.0))
+    return crossing / (math.atan(crossing) - phase_margin)
+
+
+def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Quantity]:
+    """Look-ahead of regulated pure pursuit from how late omega answers; the controller's half period is added."""
+    late = quantities["delay.omega"]
+    assert late.value is not None
+    factor, wait = look_ahead_factor(math.radians(settings.phase_margin)), 0.5 / settings.controller_frequency
+    reason = (
+        f"{factor:.3g} times the delay of omega and half a period at {settings.controller_frequency:g} Hz: phase "
+        f"margin of {settings.phase_margin:g} degrees on a straight path"
+    )
+
+    def at(speed: float, unit: str, words: str) -> Quantity:
+        low, value, high = (
+            speed * factor * (end + wait) for end in (late.interval[0], late.value or 0.0, late.interval[1])
+        )
+        return Quantity(value, (low, high), unit, words)
+
+    fast = quantities["driven.v"].value or 0.0
+    slow = settings.slow_share * fast
+    return {
+        "look_ahead_time": at(1.0, "s", reason),
+        "look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+        "min_look_ahead": at(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
+        "max_look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+    }

@@ -1,0 +1,123 @@
+"""The study: what is told of drawn robots, beside the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+
+import numpy as np
+
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.statistics import Rate
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.identification.stack import estimate_stack
+from studies.stack.population import drawn_log, load_population
+
+Row = dict[str, object]
+FIRST, EVERY = 1000, 2
+"""Seeds of the robots: even ones are reserved, and these are of no other study."""
+_TUNING = 1
+
+
+def told(seed: int) -> list[Row]:
+    """A row for each quantity of one robot: truth, value, interval; NaN where it is not told."""
+    log, began = drawn_log(seed), time.process_time()
+    quantities = estimate_stack(log.data)
+    seconds = time.process_time() - began
+    rows: list[Row] = []
+    for name, truth in log.truth.items():
+        quantity = quantities[name]
+        low, high = quantity.interval
+        value = math.nan if quantity.value is None else quantity.value
+        rows.append({"seed": seed, "quantity": name, "truth": truth, "value": value, "low": low, "high": high})
+        rows[-1] |= {"reached": log.reached.get(name, True), "seconds": seconds}
+    return rows
+
+
+class StackStudy(Study[list[int], list[Row]]):
+    """Logs of drawn robots, each estimated from as `identify --for` does.
+
+    Parameters
+    ----------
+    robots
+        How many.
+    tuning
+        Whether their seeds are those to tune on.
+    """
+
+    name = "stack"
+    title = "Parameters for other packages"
+
+    def __init__(self, robots: int, *, tuning: bool = False) -> None:
+        self._robots, self._tuning = robots, tuning
+
+    def plan(self) -> list[int]:
+        """The seeds."""
+        first = _TUNING if self._tuning else FIRST
+        return list(range(first, first + EVERY * self._robots, EVERY))
+
+    def run(self, plan: list[int], jobs: int, bar: ProgressBar) -> list[Row]:
+        """Estimate from every log."""
+        bar.begin("estimating", len(plan))
+        return [row for rows in run_tasks([partial(told, seed) for seed in plan], jobs, bar.advance) for row in rows]
+
+    def report(self, results: list[Row], seconds: float) -> Report:
+        """How many are told, how many lie within the tolerance, and how many intervals hold the truth."""
+        seeds = {row["seed"] for row in results}
+        return Report(
+            counted=f"{len(seeds)} robots",
+            meta={"population": load_population().model_dump()},
+            content={"rows": results},
+            facts=[f"Logs of {len(seeds)} drawn robots with {'tuning' if self._tuning else 'reserved'} seeds."],
+            tables=[coverage_table(results)],
+            notes=[f"{seconds:.0f} s in all."],
+        )
+
+
+def coverage_table(rows: list[Row]) -> Table:
+    """One row for each quantity."""
+    settings = load_population()
+    lines = []
+    for name in dict.fromkeys(str(row["quantity"]) for row in rows):
+        tolerance = settings.tolerances[name.partition(".")[0]]
+        mine = [row for row in rows if row["quantity"] == name]
+        there = [row for row in mine if row["reached"]]
+        values = np.array([[row[key] for key in ("truth", "value", "low", "high")] for row in there], dtype=float)
+        truth, value, low, high = values[np.isfinite(values[:, 1])].T
+        error = np.abs(value - truth) / (1.0 if name.startswith("delay") else truth)
+        false = sum(not row["reached"] and math.isfinite(float(str(row["value"]))) for row in mine)
+        inside, covered = (
+            Rate.of_runs(int(np.sum(hits)), len(hits)) if len(hits) else None
+            for hits in (error <= tolerance, (low <= truth) & (truth <= high))
+        )
+        lines.append(
+            (
+                name,
+                f"{len(value)} of {len(there)}",
+                f"{false} of {len(mine) - len(there)}",
+                f"{tolerance:g}",
+                _percent(inside),
+                number(float(np.max(error))) if len(error) else "-",
+                _percent(covered),
+                "-" if covered is None else "yes" if covered.low <= 0.95 <= covered.high else "no",
+            )
+        )
+    columns = (
+        "quantity",
+        "told",
+        "told falsely",
+        "tolerance",
+        "within it [%]",
+        "largest error",
+        "coverage [%]",
+        "95 % inside",
+    )
+    note = "Tolerances and errors: seconds for delays, else relative. Intervals are exact ones (Clopper, Pearson)."
+    return Table("What a log tells", columns, tuple(lines), text_columns=len(columns), note=note)
+
+
+def _percent(rate: Rate | None) -> str:
+    return "-" if rate is None else f"{100 * rate.share:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
