@@ -186,8 +186,7 @@ class Tree:
                 sys.exit(f"{self._log.read_text()}\nthe unchanged product fails: {stage}")
             self._times[stage] = time.monotonic() - begin
         file, library = self._tree / mutant.path, None
-        is_core = file.parent.name == "core" and file.stem in self._objects and "monitor" not in mutant.path
-        if is_core:
+        if mutant.path.endswith(".c") and file.stem in self._objects:
             objects = (self._objects | {file.stem: "mutant.o"}).values()
             library = self._sources / "mutant.so"
             subprocess.run(["cc", "-shared", *objects, "-o", library, "-lm"], cwd=self._sources, check=True)
