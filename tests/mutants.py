@@ -61,6 +61,8 @@ _words = f"{_OPERATORS} {_FUNCTIONS}".split()
 SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
     **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")},
 }
+# What stands before the size of an array in its declaration: a larger one changes nothing, a smaller one is undefined.
+_ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")
 AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
 
 
@@ -77,6 +79,11 @@ class Mutant:
     def text(self) -> str:
         """The changed file."""
         return self.original[: self.span[0]] + self.word + self.original[self.span[1] :]
+
+    @property
+    def is_size(self) -> bool:
+        """Whether the place is the size of an array of C."""
+        return bool(_ARRAY.fullmatch(self.original, self.original.rfind("\n", 0, self.span[0]) + 1, self.span[0]))
 
     @property
     def change(self) -> tuple[str, str, str]:
@@ -164,6 +171,8 @@ class Tree:
 
     def changes_code(self, mutant: Mutant) -> bool:
         """Whether a mutant compiles, and to other code than the original."""
+        if mutant.is_size:
+            return False
         compiled = _python_code if mutant.path.endswith(".py") else self._machine_code
         if mutant.path not in self._codes:
             self._codes[mutant.path] = compiled(mutant.original, mutant.path)
