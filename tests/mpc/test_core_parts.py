@@ -1,5 +1,7 @@
 """Parts of the core that no drive isolates, called directly, against rules that are written here once more."""
 
+import math
+
 import numpy as np
 import pytest
 from inner_core import InnerController
@@ -75,3 +77,18 @@ def test_turns_are_limited_in_the_direction_in_which_the_reference_moves():
         for kinds, after, end, place in ((slice(5, 7), 1, STEPS, 3), (slice(7, 9), lag, samples - 1, 5)):
             wanted = [-direction(speeds, i + after, end) for i in range(STEPS)]
             assert np.sign(gradients[kinds, :, place]).tolist() == [wanted, wanted], (speeds, kinds)
+
+
+@pytest.mark.parametrize(("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, -math.inf)])
+def test_a_reference_that_is_refused_changes_nothing(t0, duration):
+    """The one before is tracked on, whoever starts or relays another."""
+    inner = InnerController(horizon=STEPS)
+    inner.controller.start(load_trajectory("circle"), 1.0)
+    other = inner.ffi.new("ddmpc_reference *", inner.c.reference)
+    other.duration = duration
+    for begin in (inner.lib.ddmpc_start, inner.lib.ddmpc_relay):
+        assert begin(inner.c, other, t0) == 0
+        assert (inner.c.t0, inner.c.reference.duration) == (1.0, load_trajectory("circle").duration)
+    other.duration = 5.0
+    assert inner.lib.ddmpc_start(inner.c, other, 2.0) == 1
+    assert (inner.c.t0, inner.c.reference.duration) == (2.0, 5.0)
