@@ -183,7 +183,7 @@ class Robot:
     def change(self):
         """Another command, and another fault or none, until another tick."""
         self.command = self.draw.uniform([-0.6, -1.5], [0.9, 1.5]) * self.draw.choice([0.0, 1.0, 1.0, 1.0])
-        self.fault = self.draw.choice(["", "", *FAULTS])
+        self.fault, self.creeps = self.draw.choice(["", "", *FAULTS]), 10.0 ** self.draw.uniform(-1.5, 0.0)
         self.began, self.ends = self.tick, self.tick + self.draw.integers(10, 60)
 
     def advance(self, dt, output, ratio):
@@ -219,7 +219,7 @@ class Robot:
         """A pose (3,) and its covariance."""
         if self.fault != "pose frozen" or self.seen is None:
             self.seen = self.poses[-1 - self.late] + self.draw.normal(0.0, 1.0, 3) * self.noise
-            self.seen = self.seen + (self.tick - self.began) * CREEPING.get(self.fault, 0.0)
+            self.seen = self.seen + (self.tick - self.began) * self.creeps * CREEPING.get(self.fault, 0.0)
         return self.seen.copy(), np.diag([1.0, 1.4, 0.7]) * (max(self.noise, 0.003) * self.stated) ** 2 + 1e-7
 
 
