@@ -14,17 +14,22 @@ import random
 import re
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from importlib import import_module
 from itertools import accumulate, islice
 from pathlib import Path
 from types import CodeType
 
+import cffi
+import pytest
 import yaml
 
 from diffdrive_mpc.mpc.core.sources import library_texts
@@ -33,16 +38,12 @@ ROOT = Path(__file__).parents[1]
 PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 # Share of unexplained mutants to kill; time of tests in that of the product's, and beside it [s]; memory [bytes].
 GOAL, PATIENCE, START, MEMORY = 0.9, 4.0, 30.0, 8 << 30
-PYTEST = ("-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
+PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
 # A field of another type is no mutant, but gcc 12 only warns.
-COMPILE = ("cc", "-std=c99", "-O2", "-w", "-Werror=int-conversion", "-Werror=incompatible-pointer-types", "-I.")
-# All but one of the core's files are as they were: what is the same after the preprocessor is compiled once.
-COMPILER = """#!/bin/sh
-case " $* " in *" -c "*) ;; *) exec {cc} "$@" ;; esac
-for source; do :; done
-kept={folder}/$( (echo "$*"; {cc} "$@" -E -o -) | sha256sum | cut -c1-64).o
-[ -f "$kept" ] || {{ {cc} "$@" -o "$kept.$$" && mv "$kept.$$" "$kept"; }} && cp "$kept" "${{source%.c}}.o"
-"""
+ERRORS = ("-w", "-Werror=int-conversion", "-Werror=incompatible-pointer-types")
+COMPILE = ("cc", "-std=c99", "-O2", "-fPIC", *ERRORS, "-I.")
+# Imported once, for all runs of the tests.
+PRELOADED = ("casadi", "cffi", "control", "hypothesis", "mujoco", "numpy", "osqp", "pydantic", "scipy.stats")
 
 _STRING = r'[rf]*(?:"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\')|'
 # A directive of C is skipped unless it defines a number.
@@ -60,6 +61,8 @@ _words = f"{_OPERATORS} {_FUNCTIONS}".split()
 SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
     **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")},
 }
+# What stands before the size of an array in its declaration: a larger one changes nothing, a smaller one is undefined.
+_ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")
 AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
 
 
@@ -76,6 +79,11 @@ class Mutant:
     def text(self) -> str:
         """The changed file."""
         return self.original[: self.span[0]] + self.word + self.original[self.span[1] :]
+
+    @property
+    def is_size(self) -> bool:
+        """Whether the place is the size of an array of C."""
+        return bool(_ARRAY.fullmatch(self.original, self.original.rfind("\n", 0, self.span[0]) + 1, self.span[0]))
 
     @property
     def change(self) -> tuple[str, str, str]:
@@ -154,28 +162,26 @@ class Tree:
         self._sources.mkdir()
         for name, text in library_texts().items():
             (self._sources / name).write_text(text, encoding="utf-8")
-        compiler = self._sources / "cc"
-        compiler.write_text(COMPILER.format(cc=shutil.which("cc"), folder=self._sources), encoding="utf-8")
-        compiler.chmod(0o755)
-        self._environment = os.environ | {
-            "PATH": os.pathsep.join((str(self._sources), os.environ["PATH"])),
-            "PYTHONPATH": os.pathsep.join((str(self._tree / "src"), str(self._tree))),
-            "DIFFDRIVE_MPC_CACHE": str(folder / "cache"),
-            # Python compares times of files in whole seconds: two mutants could share compiled code.
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
+        self._objects = {path.stem: f"{path.stem}.o" for path in self._sources.glob("*.c")}
+        subprocess.run([*COMPILE, "-c", *(f"{name}.c" for name in self._objects)], cwd=self._sources, check=True)
+        for name in PRELOADED:
+            import_module(name)
+        os.environ["DIFFDRIVE_MPC_CACHE"] = str(folder / "cache")
+        os.environ["PYTHONPATH"] = os.pathsep.join((str(self._tree / "src"), str(self._tree)))
 
     def changes_code(self, mutant: Mutant) -> bool:
         """Whether a mutant compiles, and to other code than the original."""
+        if mutant.is_size:
+            return False
         compiled = _python_code if mutant.path.endswith(".py") else self._machine_code
         if mutant.path not in self._codes:
             self._codes[mutant.path] = compiled(mutant.original, mutant.path)
         return compiled(mutant.text, mutant.path) not in (None, self._codes[mutant.path])
 
     def _machine_code(self, text: str, path: str) -> bytes | None:
-        command = [*COMPILE, f"-I{(self._tree / path).parent}", "-x", "c", "-c", "-", "-o", "out.o"]
+        command = [*COMPILE, f"-I{(self._tree / path).parent}", "-x", "c", "-c", "-", "-o", "mutant.o"]
         done = subprocess.run(command, input=text, text=True, cwd=self._sources, capture_output=True, check=False)
-        return None if done.returncode else (self._sources / "out.o").read_bytes()
+        return None if done.returncode else (self._sources / "mutant.o").read_bytes()
 
     def kills(self, mutant: Mutant) -> bool:
         """Whether a test that belongs to the file of a mutant fails, crashes or does not end."""
@@ -185,22 +191,67 @@ class Tree:
     def _fails(self, stage: str, mutant: Mutant) -> bool:
         if stage not in self._times:
             begin = time.monotonic()
-            done = self._run(3600.0, *PYTEST, *stage.split())
-            if done.returncode:
-                sys.exit(f"{done.stdout}\nthe unchanged product fails: {stage}")
+            if self._run(3600.0, stage):
+                sys.exit(f"{self._log.read_text()}\nthe unchanged product fails: {stage}")
             self._times[stage] = time.monotonic() - begin
-        file = self._tree / mutant.path
+        file, library = self._tree / mutant.path, None
+        if mutant.path.endswith(".c") and file.stem in self._objects:
+            objects = (self._objects | {file.stem: "mutant.o"}).values()
+            library = self._sources / "mutant.so"
+            subprocess.run(["cc", "-shared", *objects, "-o", library, "-lm"], cwd=self._sources, check=True)
+        written = file.stat()
         file.write_text(mutant.text, encoding="utf-8")
+        # Python compares times of files in whole seconds: compiled code of the original must not count.
+        os.utime(file, (written.st_atime, written.st_mtime + 10.0))
         try:
-            return self._run(PATIENCE * self._times[stage] + START, *PYTEST, *stage.split()).returncode != 0
+            return self._run(PATIENCE * self._times[stage] + START, stage, library, keep=False) != 0
         finally:
             file.write_text(mutant.original, encoding="utf-8")
+            os.utime(file, (written.st_atime, written.st_mtime))
 
-    def _run(self, seconds: float, *words: str) -> subprocess.CompletedProcess[str]:
-        """Python, ended after a while with all that it has started."""
-        command = ["timeout", "--signal=KILL", f"{seconds:.0f}", sys.executable, *words]
-        into = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
-        return subprocess.run(command, cwd=self._tree, env=self._environment, check=False, **into)
+    @property
+    def _log(self) -> Path:
+        return self._sources / "log"
+
+    def _run(self, seconds: float, stage: str, library: Path | None = None, *, keep: bool = True) -> int:
+        """Run tests in a copy of this process, ended after a while with all that it has started; 0 if they pass."""
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            os.chdir(self._tree)
+            log = os.open(self._log, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+            os.dup2(log, 1)
+            os.dup2(log, 2)
+            os._exit(_tested(self._tree, stage, library, keep=keep))
+        end, status = time.monotonic() + seconds, 0
+        while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
+            if time.monotonic() > end:
+                break
+            time.sleep(0.05)
+        status = ended[1] if ended[0] else 1
+        with suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
+        if ended[0] == 0:
+            os.waitpid(child, 0)
+        return status
+
+
+def _tested(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
+    """Result of pytest; `keep` what Python compiles. The core is `library`, if there is one."""
+    sys.dont_write_bytecode = not keep
+    for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
+        del sys.modules[name]
+    sys.path[:] = [str(tree / "src"), str(tree), *(path for path in sys.path if not path.startswith(str(ROOT)))]
+    if library:
+        core = import_module("diffdrive_mpc.mpc.core.library")
+
+        def load_library(_: str, declarations: str, *rest: object) -> tuple[cffi.FFI, object]:
+            ffi = cffi.FFI()
+            ffi.cdef(declarations)
+            return ffi, ffi.dlopen(str(library))
+
+        core.load_library = load_library
+    return int(pytest.main([*PYTEST, *stage.split()]))
 
 
 def _python_code(text: str, path: str) -> object:

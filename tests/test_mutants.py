@@ -45,3 +45,9 @@ def test_a_mutant_changes_one_token(path, line, after):
     drawn = [mutant for site in mutants.mutants_of(path, text) for mutant in site]
     assert {mutant.change[2] for mutant in drawn} == after
     assert all(mutant.change[:2] == (path, line) for mutant in drawn)
+
+
+def test_the_size_of_an_array_is_no_place_for_a_mutant():
+    text = "    real state[MOST], before[2], after = before[1] - 3;\n    x[2] = 1;\n    before[1] = a;\n"
+    places = [text[m.span[0] - 1 :][:3] for site in mutants.mutants_of("a.c", text) for m in site if m.is_size]
+    assert set(places) == {"[2]"} and text.index("[2]") == text.index("before[2]") + 6

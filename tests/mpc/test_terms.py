@@ -10,6 +10,7 @@ import yaml
 from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
+from diffdrive_mpc.models.errors import ArgumentError
 from diffdrive_mpc.mpc.problem.terms import MOST_SOFT_ROWS
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
@@ -386,3 +387,8 @@ def test_a_term_that_is_no_number_somewhere_stops_the_robot_and_says_so():
     assert results[-1].mode is Mode.STOPPED
     assert "solve failed" in results[-1].message
     assert poses[-1, 0] < 1.3
+
+
+def test_of_a_list_of_terms_the_one_that_is_none_is_named():
+    with pytest.raises(ArgumentError, match="terms: expected a list of Term, got .*push"):
+        Controller(CONFIG, terms=[KEEP_OFF, "push"])

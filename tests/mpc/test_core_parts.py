@@ -1,0 +1,94 @@
+"""Parts of the core that no drive isolates, called directly, against rules that are written here once more."""
+
+import math
+
+import numpy as np
+import pytest
+from inner_core import InnerController
+
+from diffdrive_mpc.models import Measurement, Stamped
+from diffdrive_mpc.mpc import load_trajectory
+
+STEPS = 8
+
+
+def kept_to_radius(wanted, last, step, most, radius):
+    """The command (2,) nearest to `wanted` within range and slew, its turn taken back as far as slew allows."""
+    most = np.maximum(most, np.abs(last) - step)
+    v, omega = np.clip(wanted, np.maximum(last - step, -most), np.minimum(last + step, most))
+    if radius * abs(omega) <= abs(v):
+        return np.array([v, omega]), 0.0
+    widest = abs(v) / radius
+    nearest = np.clip(omega, -widest, widest)
+    if abs(nearest - np.clip(nearest, last[1] - step[1], last[1] + step[1])) < 1e-15:
+        return np.array([v, nearest]), abs(omega - nearest)
+    turn = last[1] - np.sign(last[1]) * step[1]
+    # Not even the quickest way out of the turn is enough: the speed is kept up, but not raised.
+    speed = min(radius * abs(turn), abs(last[0]), most[0])
+    backs_off = speed > abs(v) or (v < 0) != (last[0] < 0)
+    return np.array([np.copysign(speed, last[0]) if backs_off else v, turn]), abs(omega - turn)
+
+
+def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
+    """The next command of a drawn plan, from drawn last commands."""
+    inner = InnerController(horizon=STEPS, **{"limits.min_commanded_radius": 1.0})
+    c, k, draw, reported = inner.c, inner.k, np.random.default_rng(0), 0
+    for _ in range(400):
+        radius, step = draw.uniform(0.2, 2.0), draw.uniform([0.005, 0.01], [0.2, 0.4])
+        last, plan = draw.uniform([-1, -2], [1, 2]), draw.uniform([-1.2, -2.4], [1.2, 2.4], (STEPS, 2))
+        most = draw.uniform([0.3, 0.5], [1.5, 2.5])
+        command, taken = kept_to_radius(plan[3], last, step, most, radius)
+        k.slew, k.largest_command, k.min_commanded_radius, c.last = step.tolist(), most.tolist(), radius, last.tolist()
+        # On either side of what is taken back.
+        side = draw.choice([0.999, 1.001])
+        k.turn_held_from, k.max_reused_ticks = [taken * side, 1e3], 3
+        c.plan_age, c.result.reasons = 2, 0
+        c.kept[0 : 2 * STEPS] = plan.ravel().tolist()
+        inner.lib.ddmpc_reuse(c)
+        assert c.result.mode == inner.lib.DDMPC_REUSED_PLAN
+        assert [c.result.command[0], c.result.command[1]] == pytest.approx(command, abs=1e-12)
+        is_held = bool(c.result.reasons & inner.lib.DDMPC_TURN_HELD)
+        assert is_held == (taken > 0 and side < 1)
+        reported += is_held
+    assert reported > 30
+
+
+def direction(v, at, end):
+    """1 or -1: where the reference stands at a sample, as it moves next up to `end`, else as it moved last."""
+    moving = [x for x in [*v[at : end + 1], *v[: at + 1][::-1], v[0]] if abs(x) > 1.0]
+    return -1.0 if (moving[0] if moving else v[0]) < 0 else 1.0
+
+
+def test_turns_are_limited_in_the_direction_in_which_the_reference_moves():
+    """It goes to and fro, and rests for samples in a row, also at the ends: rows by the speed have that sign."""
+    inner = InnerController(horizon=STEPS, **{"limits.min_turn_radius": 0.5, "limits.min_commanded_radius": 0.5})
+    controller, c, draw = inner.controller, inner.c, np.random.default_rng(0)
+    controller.start(load_trajectory("circle"), 0.0)
+    assert controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).mode == "TRACKING"
+    samples, lag = inner.lib.ddmpc_samples(c), c.sizes.lag_v
+    for _ in range(200):
+        parts = draw.choice([-2.0, 0.0, 0.5, -0.5, 2.0], samples)
+        speeds = np.repeat(parts, draw.integers(1, 2 * STEPS, samples))[:samples]
+        inner.k.standing = 1.0
+        c.reference_twist[0 : 2 * samples] = np.column_stack([speeds, 0 * speeds]).ravel().tolist()
+        inner.lib.ddmpc_problem_limit(c)
+        gradients = np.reshape(list(c.problem.soft_gradient[0 : 7 * c.sizes.soft * STEPS]), (-1, STEPS, 7))
+        # By pose (3), speed and yaw rate of the model, and command (2): the first two turns are the body's.
+        for kinds, after, end, place in ((slice(5, 7), 1, STEPS, 3), (slice(7, 9), lag, samples - 1, 5)):
+            wanted = [-direction(speeds, i + after, end) for i in range(STEPS)]
+            assert np.sign(gradients[kinds, :, place]).tolist() == [wanted, wanted], (speeds, kinds)
+
+
+@pytest.mark.parametrize(("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, -math.inf)])
+def test_a_reference_that_is_refused_changes_nothing(t0, duration):
+    """The one before is tracked on, whoever starts or relays another."""
+    inner = InnerController(horizon=STEPS)
+    inner.controller.start(load_trajectory("circle"), 1.0)
+    other = inner.ffi.new("ddmpc_reference *", inner.c.reference)
+    other.duration = duration
+    for begin in (inner.lib.ddmpc_start, inner.lib.ddmpc_relay):
+        assert begin(inner.c, other, t0) == 0
+        assert (inner.c.t0, inner.c.reference.duration) == (1.0, load_trajectory("circle").duration)
+    other.duration = 5.0
+    assert inner.lib.ddmpc_start(inner.c, other, 2.0) == 1
+    assert (inner.c.t0, inner.c.reference.duration) == (2.0, 5.0)
