@@ -42,7 +42,9 @@ class NodeSettings(StrictModel, strict=True):
         "(std_msgs/Float64MultiArray [rad/s]), for a velocity controller of ros2_control on a base without (v, omega) "
         "[-]",
     )
-    wheel_radius: Positive = Field(0.0675, description="with command_output wheels: radius of the wheels [m]")
+    wheel_radius: NotNegative = Field(
+        0.0, description="with command_output wheels: radius of the wheels, which has to be given then [m]"
+    )
     wheel_sides: Annotated[str, Field(pattern="^(left|right)(,(left|right)){1,11}$")] = Field(
         "left,right",
         description="with command_output wheels: side of each joint, in the order of the velocity controller's joints "
@@ -170,6 +172,12 @@ class NodeSettings(StrictModel, strict=True):
     def _one_source_of_poses(self) -> NodeSettings:
         if self.use_pose_topic and self.pose_source == "tf":
             raise ValueError("use_pose_topic means pose_source topic, and pose_source is tf: set one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _wheels_have_a_radius(self) -> NodeSettings:
+        if self.command_output == "wheels" and not self.wheel_radius > 0.0:
+            raise ValueError("command_output wheels needs wheel_radius, the radius of the wheels [m]: set it")
         return self
 
     @property

@@ -114,7 +114,7 @@ class WheelBase:
 
 
 def wheels(overrides=None, **parameters):
-    return stack(overrides, command_output="wheels", wheel_radius=RADIUS, autostart=False, **parameters)
+    return stack(overrides, **{"command_output": "wheels", "wheel_radius": RADIUS, "autostart": False, **parameters})
 
 
 def begin(s, *, crossed=False):
@@ -151,6 +151,12 @@ def test_limits_and_slew_hold_for_the_wheels():
         assert np.abs(np.diff(rim, axis=0)).max() <= slope + 1e-9
         # A left turn: the right wheel, which is named first, is the faster one.
         assert rim[-1, 0] > rim[-1, 1] > 0.0
+
+
+def test_wheels_without_a_radius_are_refused():
+    with pytest.raises(Exception, match="needs wheel_radius"), wheels(wheel_radius=0.0) as s:
+        s.node.trigger_configure()
+        raise ValueError(s.node.failure)
 
 
 @pytest.mark.parametrize("sides", ["left", "left,middle", ""])
