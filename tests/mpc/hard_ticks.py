@@ -1,19 +1,24 @@
-"""How long a step takes where limits press everywhere: `python tests/mpc/hard_ticks.py [DRIVE...]` prints it.
+"""How long a step takes where limits press everywhere, and what a stopped solve costs.
+
+    python tests/mpc/hard_ticks.py [DRIVE...] [--horizons N,..] [--methods auto,osqp,daqp] [--bounds SHARE,..]
 
 Processor time of `Controller.step`, and how the ticks were solved, on drives of robots that can hardly or by no means
-follow, and on one that can. Set OMP_NUM_THREADS=1.
+follow, and on one that can: a table in Markdown. Drives are those in `DRIVES`. `--bounds` compiles the core with these
+shares of the operations after which a solve is stopped. Set OMP_NUM_THREADS=1.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections import Counter
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.mpc.core import library
 
 DRIVES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "slow wheels": ("kinematic", "cane", {"horizon": 60, "limits.wheel_speed": 0.0562, "limits.omega_slew": 0.134}),
@@ -23,31 +28,77 @@ DRIVES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "as shipped": ("ssm", "s", {}),
 }
 """Model, trajectory and changes of the configuration of each."""
+MOST = "return MOST_WORK * (p.start + p.factor);"
+"""Where the core says after how many operations no further system is begun."""
+HEAD = ("drive", "N", "method", "bound", "ticks", "p50 [ms]", "p99 [ms]", "worst [ms]", "systems", "of bound")
+HEAD += ("stopped", "RMSE [m]", "by")
 
 
 class Timed(Controller):
-    """Keeps the processor time of each step [ms]."""
+    """Keeps the processor time of each step [ms], and its operations."""
 
     def step(self, *args: Any, **bounds: Any) -> Any:
         began = time.process_time()
         result = super().step(*args, **bounds)
         vars(self).setdefault("times", []).append(1e3 * (time.process_time() - began))
         vars(self).setdefault("operations", []).append(result.solver.operations)
+        vars(self).setdefault("stopped", []).append(result.solver.status.startswith("stopped"))
         return result
 
 
+def lower_bound(share: float) -> None:
+    """Have controllers from now on use a core that stops a solve after this share of its operations."""
+    texts, origin = LIBRARY_TEXTS(), CORE_ORIGIN()
+    if texts["active_set.c"].count(MOST) != 1:
+        raise SystemExit("mpc/core/active_set.c states its bound otherwise now")
+    lower = f"return (ddmpc_count)({share!r} * MOST_WORK * (double)(p.start + p.factor));"
+    texts["active_set.c"] = texts["active_set.c"].replace(MOST, lower)
+    vars(library)["library_texts"] = lambda: texts
+    vars(library)["core_origin"] = lambda: f"{origin}, {share!r} of the bound"
+    library.load_core.cache_clear()
+    library.load_functions.cache_clear()
+
+
+LIBRARY_TEXTS, CORE_ORIGIN = library.library_texts, library.core_origin
+
+
+def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]:
+    """Drive once, and say what HEAD names."""
+    model, trajectory, changes = DRIVES[drive]
+    config = load_config(model, changes | {"solver.method": method} | ({"horizon": horizon} if horizon else {}))
+    controller = Timed(config)
+    run = simulate(controller, make_plant("model:ssm", seed=1), load_trajectory(trajectory))
+    kept = vars(controller)
+    methods = ", ".join(f"{name} {count}" for name, count in Counter(run.solver_methods).most_common())
+    return [
+        drive,
+        str(config.horizon),
+        method,
+        f"{share:g}",
+        str(len(run.solver_methods)),
+        *(f"{value:.2f}" for value in np.percentile(kept["times"], (50, 99, 100))),
+        f"{np.nanmax(run.solver_iterations):.0f}",
+        f"{max(kept['operations']) / controller.operations_bound:.3f}",
+        str(sum(kept["stopped"])),
+        f"{run.metrics.position_rmse_m:.4f}",
+        methods,
+    ]
+
+
 def main() -> None:
-    print(f"{'drive':16} {'ticks':>5} {'p50 [ms]':>9} {'p99':>7} {'worst':>7} {'systems':>8} {'of bound':>8}  by")
-    for name in sys.argv[1:] or DRIVES:
-        model, trajectory, changes = DRIVES[name]
-        controller = Timed(load_config(model, changes))
-        run = simulate(controller, make_plant("model:ssm", seed=1), load_trajectory(trajectory))
-        p50, p99, worst = np.percentile(vars(controller)["times"], (50, 99, 100))
-        methods = ", ".join(f"{method} {count}" for method, count in Counter(run.solver_methods).most_common())
-        most = np.nanmax(run.solver_iterations)
-        share = max(vars(controller)["operations"]) / controller.operations_bound
-        times = f"{p50:9.2f} {p99:7.2f} {worst:7.2f}"
-        print(f"{name:16} {len(run.solver_methods):5} {times} {most:8.0f} {share:8.2f}  {methods}")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("drives", nargs="*", default=list(DRIVES))
+    parser.add_argument("--horizons", default="", help="in place of each drive's own")
+    parser.add_argument("--methods", default="auto")
+    parser.add_argument("--bounds", default="1")
+    options = parser.parse_args()
+    horizons = [int(word) for word in options.horizons.split(",") if word] or [None]
+    print(f"| {' | '.join(HEAD)} |\n| --- | {' | '.join(['---:'] * (len(HEAD) - 2))} | --- |", flush=True)
+    for bound in map(float, options.bounds.split(",")):
+        if bound != 1.0:
+            lower_bound(bound)
+        for drive, horizon, method in product(options.drives, horizons, options.methods.split(",")):
+            print(f"| {' | '.join(row(drive, horizon, method, bound))} |", flush=True)
 
 
 if __name__ == "__main__":
