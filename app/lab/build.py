@@ -11,17 +11,15 @@ import importlib.util
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
-
-import typer
 
 from diffdrive_mpc.app.lab.formulas import generate_plant
 from diffdrive_mpc.app.lab.numbers import generated_texts, report_fields
 from diffdrive_mpc.app.lab.pool import page_data
 from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.core.sources import core_texts
@@ -35,8 +33,6 @@ _FLAGS = (
 _LONGEST = 300.0
 """How long the compiler may take [s]; its first call of a machine compiles a C library, too."""
 SCRIPTS = ("engine.js", "settings.js", "view.js", "page.js")
-
-app = typer.Typer(cls=OneLineErrors, add_completion=False)
 
 
 def has_compiler() -> bool:
@@ -77,9 +73,10 @@ def compile_module() -> bytes:
 
 def page_text() -> str:
     """The page; raises NotCompiledError as `compile_module`."""
+    module = compile_module()
     index, numbers = page_data()
     index["report"] = report_fields((FOLDER / "lab.h").read_text(encoding="utf-8"))
-    parts = {"module": compile_module(), "numbers": numbers, "index": json.dumps(index, allow_nan=False).encode()}
+    parts = {"module": module, "numbers": numbers, "index": json.dumps(index, allow_nan=False).encode()}
     held = {name: base64.b64encode(gzip.compress(part, 9, mtime=0)).decode() for name, part in parts.items()}
     script = "\n".join((FOLDER / "page" / name).read_text(encoding="utf-8") for name in SCRIPTS)
     page = (FOLDER / "page" / "page.html").read_text(encoding="utf-8")
@@ -90,15 +87,20 @@ def page_text() -> str:
     return page
 
 
-@app.command()
-def main(page: Annotated[Path, typer.Argument(help="The page to write.")]) -> None:
-    """Build the laboratory as one page that needs nothing else."""
-    text = page_text()
-    page.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(page) as draft:
-        draft.write_text(text, encoding="utf-8")
+def main(words: Sequence[str]) -> int:
+    """Write the page that `words` name, by default out/lab.html; a failure is one line on stderr, and 1."""
+    try:
+        page = Path(words[0] if words else "out/lab.html")
+        text = page_text()
+        page.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(page) as draft:
+            draft.write_text(text, encoding="utf-8")
+    except (NotCompiledError, ConfigError, OSError) as error:
+        echo(f"error: {error}", err=True)
+        return 1
     echo(f"{page}: {len(text.encode()) / 1e6:.2f} MB")
+    return 0
 
 
 if __name__ == "__main__":
-    app(prog_name="lab")
+    sys.exit(main(sys.argv[1:]))

@@ -24,16 +24,17 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     documents = {f"docs/{file.src_uri}": file.content_string for file in files.documentation_pages()}
     for place, text in {**pages_outside(root, documents), **reference_pages(documents)}.items():
         files.append(File.generated(config, place, content=text))
-    files.append(File.generated(config, _LABORATORY, content=_laboratory()))
+    files.append(File.generated(config, _LABORATORY, content=laboratory_page()))
     return files
 
 
-def _laboratory() -> str:
+def laboratory_page() -> str:
     """The page of the laboratory, or a line in its place where its compiler is not installed."""
     if has_compiler():
         return page_text()
     logging.getLogger("mkdocs.hooks.laboratory").info(_NO_COMPILER)
-    return f"<!DOCTYPE html><html lang='en'><title>Laboratory</title><p>{_NO_COMPILER}</p></html>"
+    head = "<!DOCTYPE html><html lang=en><meta name=viewport content=width=device-width><title>Laboratory</title>"
+    return f"{head}<p>{_NO_COMPILER}</p></html>"
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:

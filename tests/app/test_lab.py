@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import importlib.util
 import json
 import shlex
 import time
@@ -18,7 +19,7 @@ from firefox import opened_firefox
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.lab.build import page_text
+from diffdrive_mpc.app.lab.build import main, page_text
 from diffdrive_mpc.app.lab.formulas import FLOOR, plant_functions
 from diffdrive_mpc.app.lab.numbers import configuration, default_of, lab_settings, plant_model, values_of
 from diffdrive_mpc.app.lab.pool import VARIED, experiments
@@ -28,6 +29,7 @@ from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from studies.documents.browser import opened_browser
+from studies.site.mkdocs_hook import laboratory_page
 
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
@@ -116,6 +118,18 @@ def test_defaults_and_experiments_are_choices() -> None:
     assert not config.reentry.enabled
     assert set(VARIED) < set(lab_settings()["choices"])
     assert plant_model("ssm", 0.12)[1] > plant_model("ssm", 0.0)[1]
+
+
+def test_without_the_compiler_one_line_says_what_installs_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The builder ends with it, and the site has it in place of the page."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert main([str(tmp_path / "lab.html")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "error: the laboratory needs Zig's C compiler: pip install ziglang, or make lab"
+    assert not list(tmp_path.iterdir())
+    assert "make lab installs it" in laboratory_page()
 
 
 # In the browser.
