@@ -36,6 +36,7 @@ from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import mapping_text
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.stated_robot import FOLDER as MAKERS
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.whole_file import new_folder
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
@@ -228,6 +229,8 @@ def _steps(request: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Pa
     """The steps in order; each is made when those before are done."""
     size = {"room": [request.room.length, request.room.width], "seed": request.seed}
     start = () if is_shipped(request.config) else (Path(request.config),)
+    # What the maker states bounds what is learned and identified.
+    maker = () if request.stated is None else (named_file("robot", MAKERS, request.stated),)
     named = {"config": request.config if is_shipped(request.config) else ""}
     slow, full = out / "record-slow", out / "record"
 
@@ -239,7 +242,7 @@ def _steps(request: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Pa
     )
     yield _recorded("record-slow", request, out / "excite-slow" / DRIVE, request.config, start, ledger, fresh)
     logs = _logs(slow, request)
-    yield Step("learn", named, (slow, *start), partial(chain.learn, logs=logs, config=request.config))
+    yield Step("learn", named, (slow, *start, *maker), partial(chain.learn, logs=logs, config=request.config))
     config = out / "learn" / CONFIG_FILE
     yield Step(
         "excite",
@@ -250,8 +253,7 @@ def _steps(request: CommissionRequest, out: Path, ledger: Ledger, fresh: list[Pa
     yield _recorded("record", request, out / "excite" / DRIVE, str(config), (out / "learn",), ledger, fresh)
     whole = _logs(full, request)
     both = replace(whole, files=(*whole.files, *logs.files))
-    stated = {} if request.stated is None else {"stated": request.stated}
-    yield Step("identify", stated, (slow, full), partial(chain.identify_all, logs=both))
+    yield Step("identify", {}, (slow, full, *maker), partial(chain.identify_all, logs=both))
     yield Step(
         "twin",
         {"seconds": request.twin_seconds},

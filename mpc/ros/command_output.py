@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from geometry_msgs.msg import Twist, TwistStamped
@@ -37,8 +38,10 @@ class CommandOutput(Protocol):
         """Destroy the publisher."""
 
 
-def command_output(node: LifecycleNode, settings: NodeSettings, config: ControllerConfig) -> CommandOutput:
-    """The output that `settings` choose."""
+def command_output(
+    node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig]
+) -> CommandOutput:
+    """The output that `settings` choose; `config` gives the configuration of the controller as it is now."""
     if settings.command_output == "wheels":
         return _WheelOutput(node, settings, config)
     return _TwistOutput(node, settings)
@@ -76,10 +79,9 @@ class _TwistOutput(_Output):
 class _WheelOutput(_Output):
     """Angular speeds of the wheels [rad/s], in the order of the joints of ros2_control's controller."""
 
-    def __init__(self, node: LifecycleNode, settings: NodeSettings, config: ControllerConfig) -> None:
+    def __init__(self, node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig]) -> None:
         super().__init__(node, Float64MultiArray, WHEELS)
-        self._radius, self._half_track = settings.wheel_radius, 0.5 * config.wheels.track
-        self._fastest = config.limits.wheel_speed
+        self._radius, self._half_track, self._config = settings.wheel_radius, 0.5 * config().wheels.track, config
         # Right wheels turn faster in a left turn.
         self._signs = [1.0 if side == "right" else -1.0 for side in settings.wheel_sides.split(",")]
 
@@ -87,6 +89,7 @@ class _WheelOutput(_Output):
         v, omega = float(command[0]), float(command[1])
         rim = abs(v) + self._half_track * abs(omega)
         # All wheels slower by one factor: the path keeps its curvature.
-        share = min(1.0, self._fastest / rim) if rim > 0.0 else 1.0
+        # The limit may change while driving.
+        share = min(1.0, self._config().limits.wheel_speed / rim) if rim > 0.0 else 1.0
         speeds = [share * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
         self._publisher.publish(Float64MultiArray(data=speeds))

@@ -308,7 +308,10 @@ class Following:
     def _stay(self, goal: FollowGoal, moving: bool) -> None:
         """End a goal of which nothing is left to drive: reached, if the robot stands there."""
         whereabouts = self._loop.whereabouts()
-        gap = (math.inf, math.inf) if moving or whereabouts is None else _gap(whereabouts[0], goal.poses[-1])
+        if whereabouts is None:
+            self._refuse(goal, Code.TF_ERROR, self._loop.missing() or "the robot's pose is not known")
+            return
+        gap = (math.inf, math.inf) if moving else _gap(whereabouts[0], goal.poses[-1])
         if not _within(gap, self._settings):
             self._refuse(goal, Code.INVALID_PATH, "path: it ends where the robot is, which does not stand there")
             return

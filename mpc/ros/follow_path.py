@@ -124,7 +124,9 @@ class FollowPathServer:
             except ExternalShutdownException:
                 return
             except Exception as error:  # one goal's fault must not leave all others without an answer
-                self._node.get_logger().error(f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}")
+                words = f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}"
+                self._node.get_logger().error(words, throttle_duration_sec=_FAREWELL)
+                time.sleep(_LOOK)
             worked = time.thread_time() - began
             if worked > _LONG_WORK:
                 time.sleep(worked)

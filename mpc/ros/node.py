@@ -272,7 +272,8 @@ class TrackingNode(LifecycleNode):
             self._frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
             hears = listen(self, self._frames)
         self._inbox = Inbox(settings, self._now, self._now(), self._frames)
-        self._outgoing = Publishers(self, settings, config, self._inbox.frame)
+        controller = self._controller
+        self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
         self._rivals = Rivals(self, command_topic(settings))
         sensors, inbox = qos_profile_sensor_data, self._inbox
         self._inputs = [

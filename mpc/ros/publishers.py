@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -44,12 +44,14 @@ class Publishers:
     settings
         Its settings.
     config
-        Configuration of the controller.
+        Gives the configuration of the controller as it is now.
     frame
         Frame that control is in.
     """
 
-    def __init__(self, node: LifecycleNode, settings: NodeSettings, config: ControllerConfig, frame: str) -> None:
+    def __init__(
+        self, node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig], frame: str
+    ) -> None:
         self._node, self._settings, self._frame = node, settings, frame
         create = node.create_lifecycle_publisher
         self._command = command_output(node, settings, config)

@@ -178,6 +178,8 @@ class NodeSettings(StrictModel, strict=True):
     def _wheels_have_a_radius(self) -> NodeSettings:
         if self.command_output == "wheels" and not self.wheel_radius > 0.0:
             raise ValueError("command_output wheels needs wheel_radius, the radius of the wheels [m]: set it")
+        if set(self.wheel_sides.split(",")) != {"left", "right"}:
+            raise ValueError("wheel_sides: wheels of one side only cannot turn the robot; name both sides")
         return self
 
     @property

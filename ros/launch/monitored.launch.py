@@ -12,8 +12,8 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import LifecycleNode
 
-# The map is the same for all robots.
-FRAMES = ("odom", "odom"), ("base", "base_link")
+# Frames with the prefix of a robot, and their names without it; the map is the same for all robots.
+FRAMES = ("odom_frame", "odom"), ("base_frame", "base_link")
 SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
@@ -24,14 +24,13 @@ def generate_launch_description() -> LaunchDescription:
     poses = PythonExpression(["'use_pose_topic:=' + '", LaunchConfiguration("use_pose_topic"), "'"])
     name_space = ["__ns:=/", LaunchConfiguration("namespace")]
     prefix = LaunchConfiguration("frame_prefix")
-    frames = [word for frame, name in FRAMES for word in ("-p", [f"{frame}_frame:=", prefix, name])]
+    frames = [word for frame, _ in FRAMES for word in ("-p", [f"{frame}:=", prefix, LaunchConfiguration(frame)])]
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),
             DeclareLaunchArgument("namespace", default_value="", description="The robot's, such as r1."),
-            DeclareLaunchArgument(
-                "frame_prefix", default_value="", description="Before odom and base_link, such as r1/."
-            ),
+            DeclareLaunchArgument("frame_prefix", default_value="", description="Before both frames, such as r1/."),
+            *(DeclareLaunchArgument(frame, default_value=name, description="A frame.") for frame, name in FRAMES),
             DeclareLaunchArgument("trajectory", default_value="circle", description="Trajectory: a name or a path."),
             DeclareLaunchArgument("rules", default_value="default", description="Rules: a name or a path."),
             DeclareLaunchArgument("simulated", default_value="false", description="Whether the robot is simulated."),
@@ -58,7 +57,7 @@ def generate_launch_description() -> LaunchDescription:
                     str(SHARE / "config" / "node.yaml"),
                     {
                         "config": LaunchConfiguration("config"),
-                        **{f"{frame}_frame": [LaunchConfiguration("frame_prefix"), name] for frame, name in FRAMES},
+                        **{frame: [prefix, LaunchConfiguration(frame)] for frame, _ in FRAMES},
                         "trajectory": trajectory,
                         "use_sim_time": in_sim_time,
                         "use_pose_topic": LaunchConfiguration("use_pose_topic"),

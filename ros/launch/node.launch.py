@@ -8,8 +8,8 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 
-# The map is the same for all robots.
-FRAMES = ("odom", "odom"), ("base", "base_link")
+# Frames with the prefix of a robot, and their names without it; the map is the same for all robots.
+FRAMES = ("odom_frame", "odom"), ("base_frame", "base_link")
 SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
@@ -19,9 +19,8 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),
             DeclareLaunchArgument("namespace", default_value="", description="The robot's, such as r1."),
-            DeclareLaunchArgument(
-                "frame_prefix", default_value="", description="Before odom and base_link, such as r1/."
-            ),
+            DeclareLaunchArgument("frame_prefix", default_value="", description="Before both frames, such as r1/."),
+            *(DeclareLaunchArgument(frame, default_value=name, description="A frame.") for frame, name in FRAMES),
             DeclareLaunchArgument("trajectory", default_value="circle", description="Trajectory: a name or a path."),
             DeclareLaunchArgument("use_sim_time", default_value="false", description="Whether to follow /clock."),
             LifecycleNode(
@@ -34,7 +33,10 @@ def generate_launch_description() -> LaunchDescription:
                     str(SHARE / "config" / "node.yaml"),
                     {
                         "config": LaunchConfiguration("config"),
-                        **{f"{frame}_frame": [LaunchConfiguration("frame_prefix"), name] for frame, name in FRAMES},
+                        **{
+                            frame: [LaunchConfiguration("frame_prefix"), LaunchConfiguration(frame)]
+                            for frame, _ in FRAMES
+                        },
                         "trajectory": LaunchConfiguration("trajectory"),
                         "use_sim_time": LaunchConfiguration("use_sim_time"),
                     },

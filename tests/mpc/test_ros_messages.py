@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
 from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import Float64MultiArray
 
@@ -153,13 +154,23 @@ def test_limits_and_slew_hold_for_the_wheels():
         assert rim[-1, 0] > rim[-1, 1] > 0.0
 
 
+def test_a_wheel_limit_that_is_lowered_while_driving_holds_at_once():
+    with wheels() as s:
+        base = begin(s)
+        s.base.run(80)
+        assert RADIUS * np.abs(base.heard[-1]).max() > 0.45
+        s.node.set_parameters([Parameter("limits.wheel_speed", value=0.3)])
+        s.base.run(3)
+        assert RADIUS * np.abs(base.heard[-1]).max() <= 0.3 + 1e-9
+
+
 def test_wheels_without_a_radius_are_refused():
     with pytest.raises(Exception, match="needs wheel_radius"), wheels(wheel_radius=0.0) as s:
         s.node.trigger_configure()
         raise ValueError(s.node.failure)
 
 
-@pytest.mark.parametrize("sides", ["left", "left,middle", ""])
+@pytest.mark.parametrize("sides", ["left", "left,middle", "", "left,left"])
 def test_sides_that_are_none_are_refused(sides):
     with pytest.raises(Exception, match="wheel_sides"), wheels(wheel_sides=f"'{sides}'") as s:
         s.node.trigger_configure()

@@ -28,7 +28,7 @@ ALLOWED: dict[str, set[str]] = {
     "core": set(),
     "worlds": {"disturbances"},
     "plants": {"core", "sensing", "disturbances", "worlds"},
-    "ros": {"sensing", "plants"},
+    "ros": {"sensing", "plants", "worlds"},
     "twin": {"sensing", "plants"},
     "view": {"sensing", "disturbances", "plants"},
     "": {"sensing", "disturbances", "plants", "metrics", "worlds"},
