@@ -36,7 +36,7 @@ def package_file(package: str) -> str:
 
 
 def package_text(package: str, quantities: Quantities) -> str:
-    """The parameter file of a package: values with interval and reason; what the log does not tell is a comment."""
+    """The parameter file of a package: values with interval and reason; what is not known is a comment."""
     lines = [f"# {package}, from a log by `diffdrive-mpc identify --for {package}`. Intervals are of 95 %."]
     for node, parameters in packages()[package].items():
         lines += [f"{node}:", "  ros__parameters:"]
@@ -47,14 +47,14 @@ def package_text(package: str, quantities: Quantities) -> str:
 def _line(name: str, content: object, quantities: Quantities) -> str:
     """One parameter as it stands in the file."""
     if isinstance(content, Mapping):
-        if "untold" in content:
-            return f"# {name}: not told: {content['untold']}"
+        if "missing" in content:
+            return f"# {name}: not known: {content['missing']}"
         return f"{name}: {_yaml(content['is'])}   # {content['why']}"
     entries = content if isinstance(content, Sequence) and not isinstance(content, str) else [content]
     named = {entry: quantities[entry.removeprefix("-")] for entry in entries if isinstance(entry, str)}
     missing = [f"{entry.removeprefix('-')}: {part.reason}" for entry, part in named.items() if part.value is None]
     if missing:
-        return f"# {name}: not told: {plain_line('; '.join(missing))}"
+        return f"# {name}: not known: {plain_line('; '.join(missing))}"
     values = [_signed(entry, named[entry]) if isinstance(entry, str) else entry for entry in entries]
     reasons = "; ".join(dict.fromkeys(interval_words(part) + part.reason for part in named.values()))
     return f"{name}: {_yaml(values[0] if content is entries[0] else values)}   # {plain_line(reasons)}"
@@ -89,7 +89,7 @@ def stack_table(quantities: Quantities) -> TextTable:
         (
             name,
             "-" if part.value is None else f"{part.value:.{_DIGITS}g}",
-            "not told" if part.value is None else interval_words(part).rstrip(", "),
+            "not known" if part.value is None else interval_words(part).rstrip(", "),
             part.reason,
         )
         for name, part in quantities.items()

@@ -37,9 +37,9 @@ class StackSettings(StrictModel):
     """How parameters for other packages follow from an estimate."""
 
     first_limit: Annotated[float, Field(gt=0, lt=1)] = Field(description="first guess over the largest command [-]")
-    widest: Positive = Field(description="half of an interval over the value, beyond which it is not told [-]")
-    widest_radius: Positive = Field(description="the same of the radii, which else keep what is stated [-]")
-    fewest_blocks: int = Field(ge=2, description="of readings, to tell a noise [-]")
+    max_half_interval: Positive = Field(description="over the value, beyond which it is not known [-]")
+    max_radius_half_interval: Positive = Field(description="the same of the radii, which else keep what is stated [-]")
+    min_blocks: int = Field(ge=2, description="of readings, to estimate a noise [-]")
     phase_margin: Positive = Field(lt=60, description="of pure pursuit on a straight path [degrees]")
     controller_frequency: Positive = Field(description="of Nav2's controller server [Hz]")
     slow_share: Annotated[float, Field(gt=0, le=1)] = Field(

@@ -69,7 +69,8 @@ def estimate_stack(
 
     Names: wheel_separation, wheel_radius [m]; separation_multiplier, left_radius_multiplier, right_radius_multiplier
     [-]; delay.v, delay.omega [s]; max.v, max.omega, rate.v, rate.omega, driven.v [SI units]; look_ahead_time [s],
-    look_ahead, min_look_ahead, max_look_ahead [m]; variance.v, variance.omega, variance.gyro [(SI units)^2].
+    look_ahead, min_look_ahead, max_look_ahead [m]; variance.v, variance.omega, variance.gyro [(SI units)^2];
+    controller_frequency [Hz], for which the look-ahead holds.
 
     Parameters
     ----------
@@ -117,9 +118,13 @@ def _free(point: Point) -> list[str]:
     return [name for name in names if point[name] not in bounds[name][:2]]
 
 
-def _told(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
-    """The first parameter of an estimate, with its interval of 95 %."""
+def _estimated(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
+    """The first parameter of an estimate, with its interval of 95 %; missing where one of them is not finite."""
     value, half = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
+    if not math.isfinite(value):
+        return _missing(unit, "the estimate is not a finite number: drive steps of both signs in v and in omega")
+    if not math.isfinite(half):
+        return _missing(unit, "its interval is not finite: the log does not tell it apart from other parameters")
     return Quantity(value, (value - half, value + half), unit, reason)
 
 
@@ -127,7 +132,7 @@ def _stated(value: float, unit: str, reason: str) -> Quantity:
     return Quantity(value, (value, value), unit, reason)
 
 
-def _untold(unit: str, reason: str) -> Quantity:
+def _missing(unit: str, reason: str) -> Quantity:
     return Quantity(None, (math.nan, math.nan), unit, reason)
 
 
@@ -145,7 +150,9 @@ def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> 
     except ValueError as error:
         return str(error)
     unsure = 1.96 * float(np.max(estimate.standard_deviation[:2] / estimate.values[:2]))
-    if unsure > identification_settings().stack.widest_radius:
+    if not math.isfinite(unsure):
+        return "the poses of this log tell no radii: their interval is not finite"
+    if unsure > identification_settings().stack.max_radius_half_interval:
         return f"the poses of this log tell radii only to {100 * unsure:.2g} %: better poses, or a longer log"
     return estimate
 
@@ -170,44 +177,46 @@ def _wheels(
     result = {
         "wheel_separation": _stated(separation, "m", source)
         if separation
-        else _untold("m", "neither log nor mapping states a track: take the robot's description"),
+        else _missing("m", "neither log nor mapping states a track: take the robot's description"),
         "wheel_radius": _stated(geometry.radius, "m", "by which the log's v was computed")
         if geometry
-        else _untold("m", "the log has no wheel speeds: take the robot's description"),
+        else _missing("m", "the log has no wheel speeds: take the robot's description"),
     }
     if not isinstance(calibrated, str) and geometry and separation:
         of_radius = f"wheels against the pose, over the radius of {geometry.radius:.4g} m"
         for side in ("left", "right"):
             part = calibrated.part([f"{side}_radius"]).derived(["radius"], lambda row: row / geometry.radius)
-            result[f"{side}_radius_multiplier"] = _told(part, "", of_radius)
+            result[f"{side}_radius_multiplier"] = _estimated(part, "", of_radius)
         wide = calibrated.part(["track"]).derived(["track"], lambda row: row / separation)
         reason = f"effective track by the pose over the separation of {separation:.4g} m, with the radii of this file"
-        result["separation_multiplier"] = _sure(_told(wide, "", reason))
+        result["separation_multiplier"] = _sure(_estimated(wide, "", reason))
         return result
     words = calibrated if isinstance(calibrated, str) else "neither log nor mapping states a track"
-    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _untold("", words))
+    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _missing("", words))
     if "encoders.yaw_ratio" not in estimate.names:
         words = "the log has neither a gyro nor a pose: nothing says how far the body turns for what the wheels do"
-        return result | {"separation_multiplier": _untold("", words)}
+        return result | {"separation_multiplier": _missing("", words)}
     ratio = estimate.part(["encoders.yaw_ratio"])
     if geometry is None or separation is None:
-        by_odometry = _told(ratio, "", "")
+        by_odometry = _estimated(ratio, "", "")
+        if by_odometry.value is None:
+            return result | {"separation_multiplier": by_odometry}
         words = (
             "without wheel speeds only a ratio is known: multiply the one that the odometry of this log was made with "
             f"by {by_odometry.value:.4g} [{by_odometry.interval[0]:.4g}, {by_odometry.interval[1]:.4g}]"
         )
-        return result | {"separation_multiplier": _untold("", words)}
+        return result | {"separation_multiplier": _missing("", words)}
     wide = ratio.derived(["track"], lambda row: row * geometry.track / separation)
     reason = f"yaw rate of the wheels over that of the gyro, on a separation of {separation:.4g} m"
-    return result | {"separation_multiplier": _sure(_told(wide, "", reason))}
+    return result | {"separation_multiplier": _sure(_estimated(wide, "", reason))}
 
 
 def _sure(quantity: Quantity) -> Quantity:
-    """The quantity, or why it is not told, where its interval is too wide to be of use."""
-    low, high = quantity.interval
-    if quantity.value is None or 0.5 * (high - low) <= identification_settings().stack.widest * abs(quantity.value):
+    """The quantity; missing where its interval is too wide to be of use."""
+    low, high, most = *quantity.interval, identification_settings().stack.max_half_interval
+    if quantity.value is None or 0.5 * (high - low) <= most * abs(quantity.value):
         return quantity
-    return _untold(
+    return _missing(
         quantity.unit, f"the log tells only {low:.3g} to {high:.3g} {quantity.unit}: drive with larger steps"
     )
 
@@ -226,10 +235,12 @@ def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Q
             return np.array([dead + 2.0 * lag * math.cosh(spread) - ahead])
 
         dead = point[names[0]]
-        delay = _told(
+        delay = _estimated(
             estimate.derived(["delay"], late), "s", f"dead time of {dead:.3g} s and lag of the answer of {channel}"
         )
-        result[f"delay.{channel}"] = replace(delay, interval=(max(0.0, delay.interval[0]), delay.interval[1]))
+        if delay.value is not None:
+            delay = replace(delay, interval=(max(0.0, delay.interval[0]), delay.interval[1]))
+        result[f"delay.{channel}"] = delay
     return result
 
 
@@ -243,16 +254,17 @@ def _limits(largest: FloatArray, point: Point, estimate: ParameterEstimate) -> d
         unit, driven = _UNITS[channel], point[f"gain.{channel}"] * most
         words = f"not reached in this log, which drives up to {driven:.3g} {unit}"
         top, rate = (_in_the_body(estimate, kind, channel) for kind in ("limit", "slew"))
-        reached = top is not None and top.values[1] + 1.96 * top.deviation("command") < most
+        # Of an interval that is not finite nobody knows whether it reaches so far: `_estimated` says so.
+        reached = top is not None and not top.values[1] + 1.96 * top.deviation("command") >= most
         result[f"max.{channel}"] = (
-            _sure(_told(top, unit, "where the robot clips its command, times its gain"))
+            _sure(_estimated(top, unit, "where the robot clips its command, times its gain"))
             if top is not None and reached
-            else _untold(unit, words)
+            else _missing(unit, words)
         )
         result[f"rate.{channel}"] = (
-            _sure(_told(rate, f"{unit}^2", "slope at which the robot ramps its command, times its gain"))
+            _sure(_estimated(rate, f"{unit}^2", "slope at which the robot ramps its command, times its gain"))
             if rate is not None
-            else _untold(f"{unit}^2", "no slope of the command is too steep for the robot in this log")
+            else _missing(f"{unit}^2", "no slope of the command is too steep for the robot in this log")
         )
         result[f"driven.{channel}"] = _stated(driven, unit, "largest command of the log times the gain")
     return result
@@ -273,10 +285,13 @@ def _variances(data: LogData) -> dict[str, Quantity]:
     for name, (signal, column) in sources.items():
         unit = "(m/s)^2" if name == "v" else "(rad/s)^2"
         blocks = scatter_by_block(data.train, signal, column)
-        if len(blocks) < identification_settings().stack.fewest_blocks:
-            result[f"variance.{name}"] = _untold(unit, f"the log has too few readings of {name} to tell its noise")
+        if len(blocks) < identification_settings().stack.min_blocks:
+            result[f"variance.{name}"] = _missing(unit, f"the log has too few readings of {name} to tell its noise")
             continue
         mean, error = float(blocks.mean()), float(blocks.std(ddof=1) / math.sqrt(len(blocks)))
+        if not math.isfinite(mean + error):
+            result[f"variance.{name}"] = _missing(unit, f"the scatter of the readings of {name} is not finite")
+            continue
         reason = f"scatter of the readings about their neighbours, {len(blocks)} blocks; slip is not in it"
         result[f"variance.{name}"] = Quantity(mean, (max(0.0, mean - 2 * error), mean + 2 * error), unit, reason)
     return result
@@ -297,7 +312,11 @@ def look_ahead_factor(phase_margin: float) -> float:
 def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Quantity]:
     """Look-ahead of regulated pure pursuit from how late omega answers; the controller's half period is added."""
     late = quantities["delay.omega"]
-    assert late.value is not None
+    frequency = _stated(settings.controller_frequency, "Hz", "Nav2's default: the look-ahead holds for it")
+    if late.value is None:
+        words = f"the delay of omega is not known: {late.reason}"
+        units = {"look_ahead_time": "s", "look_ahead": "m", "min_look_ahead": "m", "max_look_ahead": "m"}
+        return {**{name: _missing(unit, words) for name, unit in units.items()}, "controller_frequency": frequency}
     factor, wait = look_ahead_factor(math.radians(settings.phase_margin)), 0.5 / settings.controller_frequency
     reason = (
         f"{factor:.3g} times the delay of omega and half a period at {settings.controller_frequency:g} Hz: phase "
@@ -317,4 +336,5 @@ def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Qu
         "look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
         "min_look_ahead": at(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
         "max_look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+        "controller_frequency": frequency,
     }

@@ -1,4 +1,4 @@
-"""The study: what is told of drawn robots, beside the truth."""
+"""The study: what is estimated of drawn robots, beside the truth."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ FIRST, EVERY = 1000, 2
 _TUNING = 1
 
 
-def told(seed: int) -> list[Row]:
-    """A row for each quantity of one robot: truth, value, interval; NaN where it is not told."""
+def estimated(seed: int) -> list[Row]:
+    """A row for each quantity of one robot: truth, value, interval; NaN where it is missing."""
     log, began = drawn_log(seed), time.process_time()
     quantities = estimate_stack(log.data)
     seconds = time.process_time() - began
@@ -38,7 +38,10 @@ def told(seed: int) -> list[Row]:
 
 
 class StackStudy(Study[list[int], list[Row]]):
-    """Logs of drawn robots, each estimated from as `identify --for` does.
+    """Logs of drawn robots, each estimated from by `estimate_stack` alone.
+
+    `identify --for` also gives it the limits of the identified model, and with `--effects` that model's effects. Both
+    are left out here.
 
     Parameters
     ----------
@@ -62,10 +65,12 @@ class StackStudy(Study[list[int], list[Row]]):
     def run(self, plan: list[int], jobs: int, bar: ProgressBar) -> list[Row]:
         """Estimate from every log."""
         bar.begin("estimating", len(plan))
-        return [row for rows in run_tasks([partial(told, seed) for seed in plan], jobs, bar.advance) for row in rows]
+        return [
+            row for rows in run_tasks([partial(estimated, seed) for seed in plan], jobs, bar.advance) for row in rows
+        ]
 
     def report(self, results: list[Row], seconds: float) -> Report:
-        """How many are told, how many lie within the tolerance, and how many intervals hold the truth."""
+        """How many are estimated, how many lie within the tolerance, and how many intervals hold the truth."""
         seeds = {row["seed"] for row in results}
         return Report(
             counted=f"{len(seeds)} robots",
@@ -107,8 +112,8 @@ def coverage_table(rows: list[Row]) -> Table:
         )
     columns = (
         "quantity",
-        "told",
-        "told falsely",
+        "estimated",
+        "estimated falsely",
         "tolerance",
         "within it [%]",
         "largest error",

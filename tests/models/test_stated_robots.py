@@ -54,6 +54,12 @@ def test_the_values_make_a_configuration(name):
     assert config.limits.predicted_v > config.limits.v
 
 
+def test_the_turtlebot_keeps_its_safety_limit():
+    """Its firmware lets it drive faster only where its safety features are off."""
+    words = "\n".join(load_stated_robot("turtlebot4").lines())
+    assert "v 0.306 m/s (stated: safety)" in words
+
+
 def test_an_unknown_name_is_one_line_with_the_names():
     with pytest.raises(ConfigError, match="dingo_d, husky, jackal, turtlebot4, warthog") as refused:
         load_stated_robot("husk")

@@ -2,8 +2,10 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -12,6 +14,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification.stack import chosen_packages, package_text, packages
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.stack import estimate_stack, look_ahead_factor
 from studies.stack.population import drawn_log
 from studies.stack.study import StackStudy, coverage_table
@@ -59,7 +62,7 @@ def test_without_wheel_speeds_multipliers_are_a_note():
     for name in ("left_radius_multiplier", "wheel_radius", "separation_multiplier"):
         assert quantities[name].value is None
     text = package_text("ros2_control", quantities)
-    assert "# wheel_separation_multiplier: not told: " in text
+    assert "# wheel_separation_multiplier: not known: " in text
     assert "multiply the one" in text
     assert "wheel_radius" not in loaded(text)["/**"]["ros__parameters"]
 
@@ -84,12 +87,31 @@ def test_without_gyro_and_pose_nothing_tells_the_multiplier():
     assert quantities["delay.v"].value is not None
 
 
+def test_without_finite_intervals_there_is_no_value(monkeypatch):
+    """A singular covariance: a note in place of each estimate, and of what follows from it."""
+    unknown = "diffdrive_mpc.models.identification.stack.covariance"
+    monkeypatch.setattr(unknown, lambda fit, _: np.full((len(fit.free), len(fit.free)), math.nan))
+    quantities = estimate_stack(drawn_log(SEED, noise=CLEAN, seconds=30.0, limit=0.7, pose=False).data)
+    for name in ("delay.v", "delay.omega", "separation_multiplier", "max.v", "rate.omega", "look_ahead_time"):
+        assert quantities[name].value is None, name
+    assert all("not finite" in quantities[name].reason for name in ("max.v", "look_ahead"))
+    texts = [package_text(package, quantities) for package in packages()]
+    assert not any(re.search(r"\b(nan|inf)\b", text) for text in texts)
+    content = loaded(texts[list(packages()).index("nav2")])["controller_server"]["ros__parameters"]
+    assert "FollowPath.lookahead_time" not in content
+
+
+def test_the_controllers_frequency_is_that_of_the_settings(exact):
+    content = loaded(package_text("nav2", exact[1]))["controller_server"]["ros__parameters"]
+    assert content["controller_frequency"] == identification_settings().stack.controller_frequency
+
+
 def test_limits_that_are_not_reached_are_a_note():
     quantities = estimate_stack(drawn_log(SEED, seconds=60.0, limit=1.5).data)
     assert quantities["max.v"].value is None
     content = loaded(package_text("nav2", quantities))["velocity_smoother"]["ros__parameters"] or {}
     assert "max_velocity" not in content
-    assert "# max_velocity: not told: max.v: not reached in this log" in package_text("nav2", quantities)
+    assert "# max_velocity: not known: max.v: not reached in this log" in package_text("nav2", quantities)
 
 
 def test_look_ahead_keeps_the_phase_margin():
@@ -109,7 +131,7 @@ def test_an_unknown_package_is_one_line_with_the_remedy(tmp_path):
     assert "--for moveit: unknown package" in str(result.output) + str(result.exception)
 
 
-def test_the_study_counts_what_is_told(tmp_path, monkeypatch):
+def test_the_study_counts_what_is_estimated(tmp_path, monkeypatch):
     """Two robots: one table row for each quantity, and rows with truth and interval in the file."""
     rows = [
         {"seed": seed, "quantity": "max.v", "truth": 1.0, "value": value, "low": value - 0.02, "high": value + 0.02}
@@ -119,6 +141,6 @@ def test_the_study_counts_what_is_told(tmp_path, monkeypatch):
     (row,) = coverage_table(rows).rows
     assert row[1:3] == ("2 of 3", "1 of 1")
     assert row[4].startswith("50.0 [")
-    monkeypatch.setattr("studies.stack.study.told", lambda seed: rows[:1])
+    monkeypatch.setattr("studies.stack.study.estimated", lambda seed: rows[:1])
     carry_out(StackStudy(1, tuning=True), tmp_path / "out", 1)
     assert json.loads((tmp_path / "out" / "stack.json").read_text())["rows"][0]["quantity"] == "max.v"
