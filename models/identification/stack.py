@@ -65,7 +65,7 @@ Quantities = Mapping[str, Quantity]
 def estimate_stack(
     data: LogData, limits: Mapping[str, float] | None = None, base: IdentifiedBase | None = None
 ) -> dict[str, Quantity]:
-    """Estimate what ros2_control, Nav2 and robot_localization have to be told of a robot.
+    """Estimate what ros2_control, Nav2 and robot_localization need to know of a robot.
 
     Names: wheel_separation, wheel_radius [m]; separation_multiplier, left_radius_multiplier, right_radius_multiplier
     [-]; delay.v, delay.omega [s]; max.v, max.omega, rate.v, rate.omega, driven.v [SI units]; look_ahead_time [s],
