@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.table import Table, millis
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.predicted_error.calibration import Direction
-from diffdrive_mpc.mpc.predicted_error.predicted_error import PredictedError
+from diffdrive_mpc.mpc.predicted_error.predicted_error import PredictedError, check_origin
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
 _DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
@@ -22,11 +22,13 @@ _GREYS = ("0.85", "0.6")
 def predict_into(config: str, trajectory: str, population: str, out: Path) -> PredictedError:
     """Predict, print the widths and where they are largest, and write figure and rows into `out`.
 
-    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, or the trajectory cannot be driven with
-    the configuration; OSError if `out` cannot be written to.
+    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, the trajectory cannot be driven with
+    the configuration, or tubes were not calibrated for its model; OSError if `out` cannot be written to.
     """
     loaded = load_config(config)
-    predicted = Controller(loaded).predict_error(load_trajectory(trajectory, loaded), population)
+    controller = Controller(loaded)
+    check_origin(controller.model)
+    predicted = controller.predict_error(load_trajectory(trajectory, loaded), population)
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / ROWS) as draft:
         write_rows(predicted, draft)
@@ -35,6 +37,8 @@ def predict_into(config: str, trajectory: str, population: str, out: Path) -> Pr
     console.print(table(predicted).rich())
     for direction in _DIRECTIONS:
         console.print(predicted.widest(direction).sentence, highlight=False, markup=False, soft_wrap=True)
+    if predicted.warnings:
+        console.print(f"warning: {'; '.join(predicted.warnings)}", highlight=False, markup=False, soft_wrap=True)
     console.print(f"figure: {out / FIGURE}; rows: {out / ROWS}", highlight=False, markup=False, soft_wrap=True)
     return predicted
 

@@ -300,12 +300,14 @@ class Controller:
         Returns
         -------
         PredictedError
-            Tubes in which 95 % of the drives stay at each place, and all the way.
+            Tubes in which 95 % of the drives stay at each place, and all the way; with `warnings` where the path is
+            faster than those of the calibration.
 
         Raises
         ------
         ArgumentError, ConfigError, ValueError
-            As `start`, and where there is no such population, or the reference lasts no time or over two hours.
+            As `start`, and where there is no such population, the model's lag is outside of what was calibrated, or
+            the reference lasts no time or over two hours.
         """
         from diffdrive_mpc.mpc.predicted_error.predicted_error import predict_error  # noqa: PLC0415 - rarely needed
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
@@ -16,6 +16,15 @@ from diffdrive_mpc.mpc.predicted_error.features import FEATURES
 
 Direction = Literal["lateral", "along"]
 _FILE = Path(__file__).with_name("calibration.yaml")
+
+
+def _sorted(values: tuple[float, float]) -> tuple[float, float]:
+    if values[0] >= values[1]:
+        raise ValueError("give the smaller value before the larger one")
+    return values
+
+
+CalibratedRange = Annotated[tuple[Positive, Positive], AfterValidator(_sorted)]
 
 
 class ErrorScale(StrictModel):
@@ -50,11 +59,21 @@ class ErrorPopulation(StrictModel):
     along: ErrorScale = Field(description="ahead of the reference or behind it, along the path")
 
 
+class CalibratedRanges(StrictModel):
+    """For which paths and models the tubes were calibrated, from the least to the largest value."""
+
+    v: CalibratedRange = Field(description="top speed of a path; a warning is given above it, not below [m/s]")
+    omega: CalibratedRange = Field(description="top yaw rate of a path; a warning is given above it, not below [rad/s]")
+    lag_v: CalibratedRange = Field(description="lag of v of the model, dead time included; else refused [s]")
+    lag_omega: CalibratedRange = Field(description="lag of omega of the model, dead time included; else refused [s]")
+
+
 class ErrorCalibration(StrictModel):
     """What the predicted error is made of."""
 
     level: Annotated[float, Field(gt=0.5, lt=1.0)] = Field(description="share of drives inside a tube [-]")
     provenance: str = Field(min_length=1, description="how it was made")
+    calibrated: CalibratedRanges = Field(description="for which paths and models it holds")
     populations: dict[str, ErrorPopulation] = Field(min_length=1, description="by name")
 
     def population(self, name: str) -> ErrorPopulation:

@@ -18,7 +18,9 @@ FEATURES = {
     "wheel_speed": "wheels near their top speed",
     "pose_age_at_speed": "late or rare poses at speed",
 }
-"""By name what a report calls them; lag is that of the model with its dead time. The error grows with each."""
+"""By name what a report calls them; lag is that of the model with its dead time. The error grows with each.
+
+Turns driven before a place make `first_turns` smaller there: slip is learned from them."""
 _BEFORE, _AFTER = 1.0, 0.3
 """Features are means from so long before a place to after it [s]: an error outlasts its cause; look-ahead is early."""
 _LEARNED = 1.0

@@ -8,12 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.predicted_error.calibration import Direction, ErrorCalibration, ErrorScale, load_calibration
+from diffdrive_mpc.mpc.predicted_error.calibration import (
+    CalibratedRanges,
+    Direction,
+    ErrorCalibration,
+    ErrorScale,
+    load_calibration,
+)
 from diffdrive_mpc.mpc.predicted_error.features import FEATURES, path_features
 
 _LONGEST = 7200.0
 """Of a longer reference nothing is predicted [s]: memory grows by 20 kB for each second."""
+_ROUNDING = 5e-3
+"""Between samples the speed of a path that is timed at the bound swings a little beyond it [-]."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +82,9 @@ class PredictedError:
         (n, 3) x [m], y [m], theta [rad]; (n, 2) v [m/s], omega [rad/s] of the reference.
     lateral, along
         Distance from the path; ahead of the reference or behind it along the path.
+    warnings
+        Why the tubes may be too narrow, a sentence each: speeds of the path above those of the calibration. Empty if
+        nothing speaks against them.
     """
 
     reference: str
@@ -83,6 +96,7 @@ class PredictedError:
     twist: FloatArray
     lateral: ErrorTube
     along: ErrorTube
+    warnings: tuple[str, ...] = ()
 
     def widest(self, direction: Direction = "lateral") -> WidestPlace:
         """Where the tube of a direction is widest, and why."""
@@ -97,6 +111,15 @@ class PredictedError:
         place = f"after {self.arc_length[index]:.2f} m ({self.time[index]:.2f} s; x {x:.2f} m, y {y:.2f} m)"
         width = f"{1e3 * tube.at_each_place[index]:.1f} mm there, {1e3 * tube.everywhere[index]:.1f} mm everywhere"
         return WidestPlace(index, reasons, f"{direction}: worst {place}: {width}; made of {why}")
+
+
+def check_origin(model: VelocityModel | NonlinearModel) -> None:
+    """Raise ValueError for a model whose numbers nobody measured; one that does not say counts as identified."""
+    if model.provenance.get("origin") == "assumed":
+        raise ValueError(
+            f"model '{model.name}': its provenance.origin is assumed, and errors are predicted for published or "
+            "identified; identify the model on this robot, or take a configuration whose model was identified"
+        )
 
 
 def predict_error(
@@ -120,7 +143,8 @@ def predict_error(
     Raises
     ------
     ConfigError, ValueError
-        If there is no such population, or the reference lasts no time or longer than two hours.
+        If there is no such population, the lag is outside the calibrated range, or the reference lasts no time or
+        longer than two hours.
     """
     calibration = calibration or load_calibration()
     drives = calibration.population(population)
@@ -129,6 +153,7 @@ def predict_error(
             f"reference '{reference.name}': it lasts {reference.duration:g} s; an error is predicted for more than 0 "
             f"and at most {_LONGEST:g} s, so give it in parts"
         )
+    _check_lag(lag, calibration.calibrated)
     dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(np.ceil(reference.duration / dt)) + 1)) * dt, dtype=np.float64)
     sample = reference.sample(time)
@@ -143,6 +168,27 @@ def predict_error(
         sample.twist,
         _tube(features, drives.lateral),
         _tube(features, drives.along),
+        _warnings(sample.twist, calibration.calibrated),
+    )
+
+
+def _check_lag(lag: FloatArray, calibrated: CalibratedRanges) -> None:
+    for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True):
+        if not low <= value <= high:
+            raise ValueError(
+                f"the model's lag of {channel} is {value:.3g} s; errors are predicted for {low:g} to {high:g} s. "
+                "Identify the model on this robot, or calibrate on drives with such a lag"
+            )
+
+
+def _warnings(twist: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:
+    tops = np.abs(twist).max(axis=0)
+    rows = (("speed", tops[0], calibrated.v, "m/s"), ("yaw rate", tops[1], calibrated.omega, "rad/s"))
+    return tuple(
+        f"the path's {name} reaches {top:.3g} {unit}, paths of the calibration {low:g} to {high:g} {unit}: the tubes "
+        "may be too narrow"
+        for name, top, (low, high), unit in rows
+        if top > high * (1.0 + _ROUNDING)
     )
 
 

@@ -13,10 +13,12 @@ from pydantic import Field
 from diffdrive_mpc.bench.campaign.campaign_file import Campaign
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.drive import built
+from diffdrive_mpc.bench.runner import StudyFailedError
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc import Controller, Trajectory, load_trajectory
+from diffdrive_mpc.mpc.predicted_error.calibration import CalibratedRange, CalibratedRanges
 from diffdrive_mpc.mpc.predicted_error.features import FEATURES, path_features
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim import simulate
@@ -68,12 +70,19 @@ class PredictedErrorFile(StrictModel):
     """What the study drives."""
 
     level: float = Field(gt=0.5, lt=1.0, description="share of drives inside a tube [-]")
-    speed: Span = Field(description="top speed of a path [m/s]")
-    yaw_rate: Span = Field(description="top yaw rate of a path [rad/s]")
+    speed: CalibratedRange = Field(description="top speed of a path [m/s]")
+    yaw_rate: CalibratedRange = Field(description="top yaw rate of a path [rad/s]")
     acceleration: Span = Field(description="over the usual accelerations of references [-]")
+    lag_v: CalibratedRange = Field(description="lag of v of the models, dead time included [s]")
+    lag_omega: CalibratedRange = Field(description="lag of omega of the models, dead time included [s]")
     populations: dict[str, PopulationDrives] = Field(description="what is calibrated")
     others: dict[str, DriveSet] = Field(description="what nothing was calibrated on")
     oracle: Oracle = Field(description="what an oracle drives")
+
+    @property
+    def calibrated(self) -> CalibratedRanges:
+        """For which paths and models the tubes are to hold."""
+        return CalibratedRanges(v=self.speed, omega=self.yaw_rate, lag_v=self.lag_v, lag_omega=self.lag_omega)
 
     def path(self, seed: int) -> Trajectory:
         """The random path of a seed, timed with limits drawn from it."""
@@ -177,6 +186,10 @@ def drive(study: PredictedErrorFile, one: PlannedDrive) -> DrivenPath:
     """Drive, and keep errors and features."""
     with built(one.definition) as (controller, plant, reference):
         assert isinstance(controller, Controller)
+        lags = controller.model.lag
+        for value, (low, high) in zip(lags, (study.lag_v, study.lag_omega), strict=True):
+            if not low <= value <= high:
+                raise StudyFailedError(f"lags of a model: {lags} s; let lag_v and lag_omega of the study hold them")
         if one.path is not None:
             reference = study.path(one.path)  # noqa: PLW2901 - the path of the run is not driven
         run = simulate(controller, plant, reference)

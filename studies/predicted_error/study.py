@@ -38,6 +38,8 @@ _HEAD = """\
 # A scale of |error| is the sum of features (mpc/predicted_error/features.py) with these coefficients [m for each unit],
 # fitted as the quantile `level`; a tube is a multiple of it. Multiples are conformal quantiles on robots, paths and
 # seeds that played no part in the fit: at_each_place weighs drives alike, everywhere counts whole drives.
+# `calibrated` says for which paths and models: top speed v [m/s] and yaw rate omega [rad/s] of a path, as the study
+# timed them, and lag of the model with its dead time [s], as the models of the populations had it, with some margin.
 """
 _COLUMNS = (
     "drives",
@@ -107,6 +109,7 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         calibration = ErrorCalibration(
             level=level,
             provenance="studies/predicted_error on the mujoco plant, controller ssm",
+            calibrated=self._study.calibrated,
             populations=populations,
         )
         tables = [

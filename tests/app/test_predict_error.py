@@ -23,9 +23,20 @@ def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
     assert f"{1e3 * rows['lateral_everywhere'].max():.1f}" in result.output
 
 
+def test_a_path_faster_than_the_calibration_gets_one_line_of_warning(tmp_path):
+    result = invoke("--trajectory", "figure8", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in result.output.splitlines() if line.startswith("warning:")]
+    assert "speed reaches 1.2 m/s" in line
+    assert "yaw rate reaches 1.1 rad/s" in line
+    assert "warning:" not in invoke("--trajectory", "s", "--out", tmp_path).output
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
+        (["--trajectory", "s", "--config", "kinematic"], "provenance.origin is assumed"),
+        (["--trajectory", "s", "--config", "p2_physical"], "lag of v is 0.0613 s; errors are predicted for 0.108"),
         (["--trajectory", "nowhere"], "unknown trajectory 'nowhere'"),
         (["--trajectory", "s", "--population", "mine"], "unknown population 'mine': give drawn or own"),
         (["--trajectory", "s", "--config", "nothing"], "unknown configuration 'nothing'"),

@@ -1,16 +1,22 @@
 """The predicted tracking error: what it grows with, where it is narrow, and what is refused."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
-from diffdrive_mpc import Controller, Trajectory, load_config
+from diffdrive_mpc import Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc.mpc.predicted_error.calibration import ErrorScale, load_calibration
+from diffdrive_mpc.mpc.predicted_error.calibration import CalibratedRanges, ErrorScale, load_calibration
 from diffdrive_mpc.mpc.predicted_error.features import FEATURES, path_features
+from diffdrive_mpc.mpc.predicted_error.predicted_error import check_origin
 
 POPULATIONS = tuple(load_calibration().populations)
 DIRECTIONS = ("lateral", "along")
+STUDY = Path(__file__).parents[2] / "studies" / "predicted_error" / "study.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +61,8 @@ def test_dead_time_widens_the_tube(population):
 
 
 @pytest.mark.parametrize("population", POPULATIONS)
-def test_no_feature_makes_the_tube_narrower(population):
-    """Coefficients and features are not negative, so the width is monotone in each."""
+def test_features_and_coefficients_are_not_negative(population):
+    """So the width is monotone in each feature."""
     twist = np.random.default_rng(3).uniform(-1.5, 1.5, (500, 2))
     features = path_features(twist, 0.02, load_config("ssm"), np.array([0.14, 0.08]))
     assert features.shape == (500, len(FEATURES))
@@ -65,6 +71,128 @@ def test_no_feature_makes_the_tube_narrower(population):
         scale = getattr(load_calibration().population(population), direction)
         assert (scale.row >= 0.0).all()
         assert scale.everywhere > scale.at_each_place
+
+
+def along_path(predicted, direction, places):
+    """Widths at places of a path [m], each as a share of the whole path."""
+    share = predicted.arc_length / predicted.arc_length[-1]
+    return np.interp(places, share, getattr(predicted, direction).everywhere)
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_more_speed_everywhere_is_nowhere_narrower(controller, population, direction):
+    """The same circle or straight of 4 m, each time driven faster."""
+    for bend in (0.0, 0.3, 1.0):
+        widths = [
+            along_path(
+                controller.predict_error(drive(speed=v, bend=bend, seconds=4.0 / v), population),
+                direction,
+                np.linspace(0, 1, 50),
+            )
+            for v in (0.2, 0.4, 0.6, 0.8)
+        ]
+        assert (np.diff(widths, axis=0) >= -1e-9).all()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("name", ["square", "s", "cane"])
+def test_a_shipped_path_driven_faster_is_nowhere_narrower(controller, name, population, direction):
+    path = load_trajectory(name, controller.config)
+    t = np.linspace(0.0, path.duration, 1500)
+    sample = path.sample(t)
+    widths = []
+    for slower in (2.0, 1.5, 1.0):
+        timed = Trajectory.from_arrays(slower * t, *sample.pose.T, *(sample.twist / slower).T, name=name)
+        widths.append(along_path(controller.predict_error(timed, population), direction, np.linspace(0, 1, 80)))
+    assert (np.diff(widths, axis=0) >= -1e-9).all()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("speed", [0.2, 0.5, 0.8])
+def test_more_curvature_of_the_same_path_is_nowhere_narrower(controller, population, direction, speed):
+    widths = [
+        getattr(controller.predict_error(drive(speed=speed, bend=bend), population), direction).everywhere
+        for bend in (0.0, 0.2, 0.5, 1.0, 1.25)
+    ]
+    assert (np.diff(widths, axis=0) >= -1e-9).all()
+
+
+def test_turns_driven_before_make_a_later_turn_narrower(controller):
+    """The exception: slip was learned from them."""
+    t = np.linspace(0.0, 20.0, 2000)
+    last = []
+    for before in (0.0, 1.0):
+        omega = 0.4 * np.where(t > 15.0, 1.0, np.where(t < 8.0, before, 0.0))
+        theta = np.cumsum(omega) * (t[1] - t[0])
+        x, y = (np.cumsum(0.4 * f(theta)) * (t[1] - t[0]) for f in (np.cos, np.sin))
+        path = Trajectory.from_arrays(t, x, y, theta, np.full_like(t, 0.4), omega, name="turns")
+        last.append(controller.predict_error(path, "own").lateral.everywhere[-200:])
+    assert (last[1] < last[0]).all()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
+def test_shipped_linear_models_are_predicted_for_without_warning(name, population):
+    assert Controller(name).predict_error("circle", population).warnings == ()
+
+
+def test_a_model_without_lag_gets_no_narrow_tube():
+    with pytest.raises(ValueError, match=r"lag of v is 0.00222 s; errors are predicted for 0.108 to 0.368 s") as error:
+        Controller("kinematic").predict_error("circle")
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_with_more_lag_than_calibrated_is_refused():
+    config = load_config("ssm", {"extra_dead_time.omega": 0.25})
+    with pytest.raises(ValueError, match=r"lag of omega is 0.325 s; .* Identify the model"):
+        Controller(config).predict_error("circle")
+
+
+def test_assumed_numbers_are_refused_and_unknown_ones_count_as_identified(controller):
+    for provenance in ({}, {"origin": "identified"}, {"origin": "published"}):
+        check_origin(replace(controller.model, provenance=provenance))
+    with pytest.raises(ValueError, match="provenance.origin is assumed") as error:
+        check_origin(replace(controller.model, provenance={"origin": "assumed"}))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ({"speed": 1.2}, ["speed reaches 1.2 m/s"]),
+        ({"speed": 0.8, "bend": 1.5}, ["yaw rate reaches 1.2 rad/s"]),
+        ({"speed": 1.0, "bend": 1.2}, ["speed", "yaw rate"]),
+        ({"speed": 0.8, "bend": 1.25}, []),
+        ({"speed": 0.05}, []),
+    ],
+    ids=["speed", "yaw rate", "both", "at the bounds", "slow"],
+)
+def test_a_path_faster_than_the_calibration_is_predicted_with_a_warning(controller, path, words):
+    predicted = controller.predict_error(drive(**path))
+    assert len(predicted.warnings) == len(words)
+    for word, warning in zip(words, predicted.warnings, strict=True):
+        assert word in warning
+    assert np.isfinite(predicted.lateral.everywhere).all()
+
+
+def test_ranges_are_those_of_the_study():
+    data = yaml.safe_load(STUDY.read_text(encoding="utf-8"))
+    ranges = load_calibration().calibrated.model_dump()
+    assert {name: list(values) for name, values in ranges.items()} == {
+        "v": data["speed"],
+        "omega": data["yaw_rate"],
+        "lag_v": data["lag_v"],
+        "lag_omega": data["lag_omega"],
+    }
+
+
+def test_a_range_that_is_upside_down_is_refused():
+    ranges = load_calibration().calibrated.model_dump()
+    with pytest.raises(ValueError, match="smaller value before the larger"):
+        CalibratedRanges(**(ranges | {"v": (0.8, 0.2)}))
 
 
 def test_a_straight_slow_path_has_a_narrow_tube(controller):
