@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.table import Table, millis
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.predicted_error.calibration import Direction
-from diffdrive_mpc.mpc.predicted_error.predicted_error import PredictedError, check_origin
+from diffdrive_mpc.mpc.predicted_error.predicted_error import PredictedError
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
 _DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
@@ -27,7 +27,6 @@ def predict_into(config: str, trajectory: str, population: str, out: Path) -> Pr
     """
     loaded = load_config(config)
     controller = Controller(loaded)
-    check_origin(controller.model)
     predicted = controller.predict_error(load_trajectory(trajectory, loaded), population)
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / ROWS) as draft:

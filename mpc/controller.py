@@ -309,11 +309,12 @@ class Controller:
             As `start`, and where there is no such population, the model's lag is outside of what was calibrated, or
             the reference lasts no time or over two hours.
         """
-        from diffdrive_mpc.mpc.predicted_error.predicted_error import predict_error  # noqa: PLC0415 - rarely needed
+        from diffdrive_mpc.mpc.predicted_error import predicted_error  # noqa: PLC0415 - rarely needed
 
+        predicted_error.check_origin(self.model)
         reference = self._named(reference)
         self._check(reference, 0.0)
-        return predict_error(reference, self._config, self.model.lag, population)
+        return predicted_error.predict_error(reference, self._config, self.model.lag, population)
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
         """Replace the last K commands by those actually sent, for instance by another controller.
