@@ -306,8 +306,8 @@ class Controller:
         Raises
         ------
         ArgumentError, ConfigError, ValueError
-            As `start`, and where there is no such population, the model's lag is outside of what was calibrated, or
-            the reference lasts no time or over two hours.
+            As `start`, and where there is no such population, the model's numbers are assumed or its lag is outside
+            of what was calibrated, or the reference lasts no time or over two hours.
         """
         from diffdrive_mpc.mpc.predicted_error import predicted_error  # noqa: PLC0415 - rarely needed
 

@@ -139,9 +139,16 @@ def test_shipped_linear_models_are_predicted_for_without_warning(name, populatio
     assert Controller(name).predict_error("circle", population).warnings == ()
 
 
-def test_a_model_without_lag_gets_no_narrow_tube():
-    with pytest.raises(ValueError, match=r"lag of v is 0.00222 s; errors are predicted for 0.108 to 0.368 s") as error:
-        Controller("kinematic").predict_error("circle")
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("kinematic", "provenance.origin is assumed"),
+        ("p2_physical", r"lag of v is [\d.]+ s; errors are predicted for 0.108 to 0.368 s"),
+    ],
+)
+def test_a_model_without_its_lag_gets_no_narrow_tube(name, words):
+    with pytest.raises(ValueError, match=words) as error:
+        Controller(name).predict_error("circle")
     assert "\n" not in str(error.value)
 
 
