@@ -65,7 +65,7 @@ def ros_page(guide: str) -> str:
     """Topics, services, frames and states, as the guide of the node has them."""
     shown = [section(guide, title) for title in ("Topics, services, frames", "States", "The safety ladder")]
     # They have links of the guide, which lies one folder further up.
-    return "\n".join([_ROS, *(part.replace("](", "](../") for part in shown), ""])
+    return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in shown), ""])
 
 
 def section(page: str, title: str) -> str:
