@@ -77,7 +77,7 @@ class ConstantTrack:
         radius, track, side_slip = coefficients
         v, difference = _at_the_rim(radius, wheels)
         omega = difference / track
-        return np.stack([v, -side_slip * v * omega, omega], axis=-1)
+        return _slid(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class TwoRadii:
         *radii, track, side_slip = coefficients
         v, difference = _at_the_rim(1.0, wheels * np.array(radii))
         omega = difference / track
-        return np.stack([v, -side_slip * v * omega, omega], axis=-1)
+        return _slid(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class GrowingTrack:
         radius, p0, p1, side_slip = coefficients
         v, difference = _at_the_rim(radius, wheels)
         omega = virtual_track_yaw_rate(difference, p0, p1)
-        return np.stack([v, -side_slip * v * omega, omega], axis=-1)
+        return _slid(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,11 @@ class SlipPolynomial:
         """(..., 3); see `SlipLaw`."""
         v, difference = _at_the_rim(self.wheel_radius, wheels)
         return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
+
+
+def _slid(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
+    """(..., 3) twist of a body that slides outward in a curve, by `side_slip` [s] times v omega."""
+    return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
 def _at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
