@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
-from ros_parts import CONFIG, DT, stack
+from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import Float64MultiArray
 
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds, pose_message, time_message, yaw_of
 from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_reference
 from diffdrive_mpc.mpc.step_result import Mode
@@ -67,13 +66,7 @@ def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
             at = nanoseconds(point.header.stamp) - 10**12
             made.time_from_start.sec, made.time_from_start.nanosec = divmod(at, 10**9)
             message.points.append(made)
-        publisher = s.publisher(kind, "set_timed_trajectory")
-        s.base.silent(5)
-        publisher.publish(message)
-        s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
-        s.base.run(60)
-        assert s.loop.last.mode == Mode.TRACKING
-        assert s.base.plant.true_pose[0] > 0.05
+        drive_along(s, message, "set_timed_trajectory")
 
 
 def test_the_estimate_is_odometry_with_frames_and_covariance():

@@ -11,7 +11,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_parts import CONFIG, DT, stack
+from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker
@@ -242,13 +242,7 @@ def test_a_trajectory_message_is_driven():
             at = pose.header.stamp.sec - 1000, pose.header.stamp.nanosec
             point.time_from_start.sec, point.time_from_start.nanosec = at
             message.points.append(point)
-        publisher = s.publisher(MultiDOFJointTrajectory, "set_trajectory")
-        s.base.silent(5)
-        publisher.publish(message)
-        s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
-        s.base.run(60)
-        assert s.loop.last.mode == Mode.TRACKING
-        assert s.base.plant.true_pose[0] > 0.05
+        drive_along(s, message, "set_trajectory")
 
 
 def unsorted():
