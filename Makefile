@@ -160,6 +160,7 @@ gallery: $(READY) ## the films of docs/gallery.md: some minutes
 	$(BIN)/python -m studies.gallery.build docs
 
 site: $(READY) ## the documents as a site: out/site
+	$(BIN)/python -m studies.site.staging out/site-pages
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(SITE_OUT)
 	@echo "$(SITE_OUT)/index.html"
 

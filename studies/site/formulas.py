@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import html
 import re
 
 from latex2mathml.converter import convert
 
-# What pymdownx.arithmatex makes of $...$ and $$...$$ in its generic form.
-_MARKED = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+_CODE_OR_FORMULA = re.compile(
+    r"(?P<code>^```.*?^```$|`[^`\n]+`)|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^\s$](?:[^$\n]*[^\s$])?)\$",
+    re.MULTILINE | re.DOTALL,
+)
 
 
-def with_mathml(page: str) -> str:
-    """The HTML of a page with its formulas as MathML; raises what `convert` does where it does not understand one."""
-    return _MARKED.sub(_mathml, page)
+def with_mathml(markdown: str) -> str:
+    """The Markdown of a page with its formulas as MathML; raises what `convert` does for bad TeX."""
+    return _CODE_OR_FORMULA.sub(_mathml, markdown)
 
 
 def _mathml(match: re.Match[str]) -> str:
-    _, bracket, tex = match.groups()
-    return str(convert(html.unescape(tex).strip(), display="block" if bracket == "[" else "inline"))
+    if match["code"]:
+        return match[0]
+    block = match["block"] is not None
+    made = str(convert((match["block"] or match["inline"]).strip(), display="block" if block else "inline"))
+    # Markdown reads on inside of tags: a star or an underscore would begin an emphasis.
+    return made.replace("*", "&#42;").replace("_", "&#95;")

@@ -29,7 +29,7 @@ from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from studies.documents.browser import opened_browser
-from studies.site.mkdocs_hook import laboratory_page
+from studies.site.staging import laboratory_page
 
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")

@@ -18,6 +18,7 @@ from studies.site.command_line import command_line_page
 from studies.site.formulas import with_mathml
 from studies.site.reference import api_page, reference_pages, section
 from studies.site.repository_links import linked_files, pages_outside, with_site_links
+from studies.site.staging import stage
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}
@@ -53,12 +54,14 @@ def test_files_that_a_page_names_are_pages_of_their_own():
     assert linked_files(pages["index.md"], "docs/index.md") >= {"docs/models.md", "docs/changelog.md"}
 
 
-def test_formulas_become_mathml():
-    marked = r'<p>with <span class="arithmatex">\(a &lt; b_{k+1}\)</span></p><div class="arithmatex">\[\sqrt{2}\]</div>'
-    page = ElementTree.fromstring(f"<body>{with_mathml(marked)}</body>")
-    kinds = [one.get("display") for one in page.iter("{http://www.w3.org/1998/Math/MathML}math")]
-    assert kinds == ["inline", "block"]
-    assert "".join(page.itertext()) == "with a<bk+12"
+def test_formulas_become_mathml_and_code_stays():
+    marked = "with $a < b_{k+1}$, `$HOME` and `a$b`\n\n$$\n\\sqrt{2}\n$$\n\n```sh\necho $A $B\n```\n"
+    page = with_mathml(marked)
+    assert "`$HOME` and `a$b`" in page
+    assert page.endswith("```sh\necho $A $B\n```\n")
+    formulas = [ElementTree.fromstring(formula) for formula in re.findall(r"<math.*?</math>", page, re.DOTALL)]
+    assert [formula.get("display") for formula in formulas] == ["inline", "block"]
+    assert ["".join(formula.itertext()) for formula in formulas] == ["a<bk+1", "2"]
 
 
 def test_every_command_and_option_is_in_the_reference():
@@ -115,6 +118,7 @@ def test_a_dead_link_a_dead_anchor_and_a_lost_page_fail_the_build(tmp_path):
         (tmp_path / name).symlink_to(ROOT / name)
     lost = tmp_path / "docs" / "lost.md"
     lost.write_text("# Where?\n\n[a](nowhere.md) [b](why.md#nowhere) [c](../examples/nothing.py)\n", encoding="utf-8")
+    stage(tmp_path, tmp_path / "out" / "site-pages")
     built = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
