@@ -46,7 +46,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full results edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -152,6 +152,14 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
 	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(STUDY_OUT)/tracking $(STUDY_OUT)/reproduce $(STUDY_OUT)/speed $(STUDY_OUT)/peers $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(STUDY_OUT)/torque $(STUDY_OUT)/saving)
+
+STUDIES_SHOWN = tracking reproduce speed loop-speed peers torque saving energy-front predicted-error
+
+results: $(READY) ## every report of the documents anew, and into the documents: some hours on a quiet machine
+	$(MAKE) bench-full edge robustness market prove tune
+	for name in $(STUDIES_SHOWN); do $(MAKE) study NAME=$$name || exit 1; done
+	$(BIN)/python -m studies.documents.documents $(OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(MARKET_OUT) $(PROVE_OUT) $(TUNE_OUT) \
+		$(addprefix $(STUDY_OUT)/,$(STUDIES_SHOWN))
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.app.schemas.generate

@@ -1,5 +1,6 @@
 """The documents tell the truth: every command in them runs, every link leads somewhere, every figure is the bench's."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from quick_settings import quick_settings
 from studies.cli import app as studies_app
+from studies.documents import twelve_drives
 from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
@@ -184,6 +186,16 @@ def test_a_page_shows_the_committed_report(shown):
     assert f"<!-- {shown.name}" in page
     report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
     assert with_report(shown, page, report) == page
+
+
+def test_reports_are_of_todays_commands_or_say_that_they_are_older():
+    known = json.loads((ROOT / twelve_drives.RECORD).read_text(encoding="utf-8"))
+    assert twelve_drives.alike(known["drives"], twelve_drives.drives()), (
+        "the controller's commands have changed: make results, or python -m studies.documents.documents"
+    )
+    for shown in SHOWN:
+        report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
+        assert (twelve_drives.OLDER in report) == (shown.name not in known["reports"]), shown.name
 
 
 def test_the_readme_is_read_in_one_go():

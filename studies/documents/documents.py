@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.documents import twelve_drives
 
 _NOT_RUN = "This part was not run."
 _OWN_TARGETS = {"bench": "bench-full", "edge": "edge", "robustness": "robustness", "market": "market", "prove": "prove"}
@@ -176,8 +177,8 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
     return document
 
 
-def update(out: Path) -> None:
-    """Update docs/NAME and the page of the report in `out`; raises ConfigError if there is none."""
+def update(out: Path) -> str:
+    """Update docs/NAME and the page of the report in `out`; returns NAME. Raises ConfigError if there is none."""
     present = [one for one in SHOWN if (out / one.file).is_file()]
     if not present:
         raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
@@ -187,8 +188,9 @@ def update(out: Path) -> None:
     copy_report(shown, out, folder)
     report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page
     page.write_text(with_report(shown, page.read_text(encoding="utf-8"), report), encoding="utf-8")
+    return shown.name
 
 
 if __name__ == "__main__":
-    for argument in sys.argv[1:]:
-        update(Path(argument))
+    made = [update(Path(argument)) for argument in sys.argv[1:]]
+    twelve_drives.record(Path("docs"), made, [shown.name for shown in SHOWN])
