@@ -104,7 +104,7 @@ def main(site: Path) -> None:
         watched(page, home, faults)
         count, title, notebooks = open_all(page, home, site, faults), search(page, home), download(page, home)
         file = browser.new_page()
-        file.goto((site / "failure.html").absolute().as_uri())
+        file.goto((site / "safety.html").absolute().as_uri())
         assert "BRAKING" in file.locator("article").inner_text()
         background = file.locator("header.md-header").evaluate("one => getComputedStyle(one).backgroundColor")
         assert background != "rgba(0, 0, 0, 0)", "a page opened as a file has no style"
