@@ -1,6 +1,6 @@
 """Count unsafe commands of a run, from the outside.
 
-It shares no code with the controller: limits come from plain YAML, the rules from docs/failure.md, and nothing but
+It shares no code with the controller: limits come from plain YAML, the rules from docs/safety.md, and nothing but
 NumPy and a YAML parser is imported.
 """
 

@@ -226,5 +226,5 @@ def test_error_lines_are_as_documented(words, line):
     result = subprocess.run([str(COMMAND), *words], capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert line in result.stderr
-    documented = (ROOT / "docs" / "failure.md").read_text(encoding="utf-8")
+    documented = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
     assert line.removeprefix("error: ") in documented

@@ -296,7 +296,7 @@ def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[Trial
         f"On the floor, {room:.2g} m free all round, a hand on the emergency stop: `diffdrive-mpc node --config "
         f"config.yaml --trajectory {FIRST_CIRCLE}{arguments}` with the topics of the robot (docs/robot.md, step 5).",
         "Look at the mode, which stays TRACKING, at the lateral error, a few centimetres and not growing, and at "
-        "the message, which is empty or says what is wrong (docs/failure.md).",
+        "the message, which is empty or says what is wrong (docs/safety.md).",
         f"Stop it if it weaves more and more, turns the wrong way, or is further than {config.reentry.band:.2g} m "
         "beside the circle for longer than a second.",
         "Then faster, a little at a time; then paths with corners. New floor or load: a new log.",

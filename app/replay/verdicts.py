@@ -103,7 +103,7 @@ def _modes(of: Evidence, _: ReplaySettings) -> Iterator[Diagnosis]:
     why = f"; it says most often: “{counts.most_common(1)[0][0]}”" if counts else ""
     yield Diagnosis(
         f"The controller would not drive all the way: {shown}, first at {first:.2f} s{why}.",
-        "docs/failure.md says what each message means; replay.csv has it tick by tick",
+        "docs/safety.md says what each message means; replay.csv has it tick by tick",
     )
 
 

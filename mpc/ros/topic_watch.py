@@ -1,6 +1,6 @@
 """What is known of one incoming topic: how old its last good message is, and why messages were refused.
 
-What the node does about a fault stands in `ControlLoop` (`control_loop.py`), and in words in docs/robot.md.
+What the node does about a fault stands in `ControlLoop` (`control_loop.py`), and in words in docs/safety.md.
 """
 
 from __future__ import annotations

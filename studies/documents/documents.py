@@ -11,6 +11,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.documents import twelve_drives
 
@@ -167,6 +168,13 @@ def insert(document: str, text: str, name: str) -> str:
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     before, rest = document.split(begin, 1)
     return f"{before}{begin}\n{text}\n{end}{rest.split(end, 1)[1]}"
+
+
+def measured_on() -> str:
+    """Revision, date and machine of this run, as the end of a sentence below a table."""
+    run = describe_run(0.0)
+    machine = run["machine"]
+    return f"revision {run['revision']}, {run['date']}, {machine['cores']} cores of {machine['cpu']}."
 
 
 def with_report(shown: ShownReport, document: str, report: str) -> str:

@@ -16,11 +16,10 @@ from pathlib import Path
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.bench.machine import describe_machine
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.sim import Run, simulate
-from studies.documents.documents import insert
+from studies.documents.documents import insert, measured_on
 from studies.ros.recorded_drive import LoopTiming, loop_timing, read_drive
 from studies.ros.two_processes import drive_over_dds
 
@@ -139,11 +138,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _write(tables: Sequence[Table], marker: str, chosen: argparse.Namespace) -> None:
-    """Put the tables between the markers of that name, with the machine they were measured on."""
-    machine = describe_machine()
+    """Put the tables between the markers of that name, with what they were measured on."""
     parts = ["\n".join(table.markdown().splitlines()[2:]) for table in tables]
-    where = f"{machine['cores']} cores of {machine['cpu']}"
-    facts = f"Model {chosen.model}, seed {chosen.seed}, sensors {chosen.sensors}; {where}."
+    facts = f"Model {chosen.model}, seed {chosen.seed}, sensors {chosen.sensors}; {measured_on()}"
     text = "\n\n".join([*parts, facts])
     PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), text, marker), encoding="utf-8")
 

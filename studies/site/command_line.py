@@ -13,7 +13,7 @@ from diffdrive_mpc.app.cli import app
 _HEAD = """# Which commands and options are there?
 
 `diffdrive-mpc COMMAND --help` says the same as this page, which is made from the commands. Bad input ends in one line
-on stderr and exit code 2; see [what can go wrong](../failure.md#on-the-command-line).
+on stderr and exit code 2; see [what can go wrong](../safety.md#on-the-command-line).
 """
 _EXAMPLE = re.compile(r"^Examples?:\s*", re.MULTILINE)
 

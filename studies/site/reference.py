@@ -22,8 +22,8 @@ in brackets. Each group begins with the lines that import it.
 """
 _ROS = """# Which topics, services and states does the ROS 2 node have?
 
-The ones of this page. How to bring the node onto a robot is in [the guide](../robot.md); its parameters are in
-[tables of their own](../parameters.md).
+The ones of this page. How to bring the node onto a robot is in [the guide](../robot.md), what it does when something
+fails in [safety](../safety.md#what-can-go-wrong); its parameters are in [tables of their own](../parameters.md).
 """
 
 
@@ -63,7 +63,7 @@ def public_names() -> dict[str, list[str]]:
 
 def ros_page(guide: str) -> str:
     """Topics, services, frames and states, as the guide of the node has them."""
-    shown = [section(guide, title) for title in ("Topics, services, frames", "States", "The safety ladder")]
+    shown = [section(guide, title) for title in ("Topics, services, frames", "States")]
     # They have links of the guide, which lies one folder further up.
     return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in shown), ""])
 

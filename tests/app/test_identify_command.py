@@ -146,7 +146,7 @@ def test_the_report_ends_with_the_first_drive_on_the_robot(mine, monkeypatch):
     assert 0.0 < turn.v < 0.4 * load_config("config.yaml").limits.v
     assert turn.omega * turn.duration == pytest.approx(2 * np.pi, rel=1e-4)
     named = set(re.findall(r"docs/\w+\.md", recipe))
-    assert named == {"docs/robot.md", "docs/failure.md"}
+    assert named == {"docs/robot.md", "docs/safety.md"}
     assert all((ROOT / page).is_file() for page in named)
 
 

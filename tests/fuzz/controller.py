@@ -1,4 +1,4 @@
-"""The controller, with whatever may happen to it in whatever order: the promises of docs/failure.md at every step."""
+"""The controller, with whatever may happen to it in whatever order: the promises of docs/safety.md at every step."""
 
 from __future__ import annotations
 
@@ -328,7 +328,7 @@ def stamp_of(change: dict[str, Any], t: float) -> Any:
 
 
 def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> None:
-    """What docs/failure.md promises of one step after the command `last` (2,)."""
+    """What docs/safety.md promises of one step after the command `last` (2,)."""
     command, limits, dt = np.asarray(result.command), config.limits, config.sample_time
     said = f"{command.tolist()} after {last.tolist()} in {result.mode} ({result.message[:200]})"
     if command.shape != (2,) or not np.isfinite(command).all():

@@ -10,7 +10,7 @@
 #define DDMON_EXPORT
 #endif
 
-/* Limits of the rules; docs/monitor.md says what each rule is for. A rule that is broken for longer than its limit allows
+/* Limits of the rules; docs/safety.md says what each rule is for. A rule that is broken for longer than its limit allows
    stops the robot. */
 typedef struct {
     double commands_v;               /* largest |v| [m/s] */
