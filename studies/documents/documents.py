@@ -85,7 +85,6 @@ TORQUE = ShownReport(
     "torque",
     ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
     (),
-    "energy.md",
 )
 SAVING = ShownReport(
     "saving",
@@ -99,9 +98,8 @@ SAVING = ShownReport(
         "scenario-4.png",
     ),
     (),
-    "saving.md",
 )
-ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+ENERGY_FRONT = ShownReport("energy-front", ("front.png",), ())
 PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
 SHOWN = (
     BENCH,
