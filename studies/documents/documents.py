@@ -80,7 +80,7 @@ PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
 TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tune.md")
-LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
+LOOP_SPEED = ShownReport("loop-speed", (), ())
 TORQUE = ShownReport(
     "torque",
     ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
