@@ -206,18 +206,24 @@ def json_text(meta: Meta, content: Mapping[str, object]) -> str:
 
 def markdown(title: str, report: Report, meta: Meta) -> str:
     """The report: what was run on what, the tables, and the figures by their relative paths."""
-    machine = meta["machine"]
-    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
-    revision = f", revision {meta['revision']}" if meta["revision"] else ""
-    project = f"diffdrive-mpc {meta['version']}{revision}, {meta['date']}."
-    host = f"{machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}."
     images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.drawings]
     first = len(images[: report.figures_first])
-    parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, project, host, *report.notes)), ""]
+    parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, *run_facts(meta), *report.notes)), ""]
     parts += [f"{image}\n" for image in images[:first]]
     parts += [table.markdown() for table in report.tables]
     parts += ["## Figures", "", *images[first:]] if images[first:] else []
     return "\n".join(parts).rstrip() + "\n"
+
+
+def run_facts(meta: Meta) -> list[str]:
+    """Version, revision and date of `meta`, as `describe_run` returns it; then machine and packages."""
+    machine = meta["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    revision = f", revision {meta['revision']}" if meta["revision"] else ""
+    return [
+        f"diffdrive-mpc {meta['version']}{revision}, {meta['date']}.",
+        f"{machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}.",
+    ]
 
 
 def _draw_charts(charts: Charts, path: Path) -> None:

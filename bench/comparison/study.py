@@ -33,7 +33,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
     """What `settings` ask for."""
 
     name = "bench"
-    title = "Bench"
+    title = "Controllers compared: tracking error and step time"
 
     def __init__(self, settings: ComparisonSettings) -> None:
         self.settings = settings

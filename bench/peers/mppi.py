@@ -18,7 +18,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 
 Floats32 = NDArray[np.float32]
 SAMPLES, STEPS = 1000, 25
-"""Plans of so many ticks; docs/performance.md says what they take."""
+"""Plans of so many ticks; docs/edge/edge.md says how long they take."""
 _SEED = 0
 
 

@@ -1,4 +1,4 @@
-"""Copy tables and figures of reports into the documents, so that they show what was produced.
+"""Copy reports into the documents, and tables of some into pages, so that they show what was produced.
 
 Run as ``python -m studies.documents.documents OUT ...``, from the top of the repository.
 """
@@ -31,7 +31,7 @@ class ShownReport:
     figures, records
         Names of figures, and of files that are committed beside them.
     page
-        The document with tables between markers, below the folder `docs`.
+        The document with tables between markers, below the folder `docs`; empty where pages only link to the report.
     brief
         Whether it has the first table and the facts between markers of the study's own name, beside what others name.
     study
@@ -41,7 +41,7 @@ class ShownReport:
     name: str
     figures: tuple[str, ...]
     records: tuple[str, ...]
-    page: str
+    page: str = ""
     brief: bool = False
     study: str = ""
 
@@ -63,7 +63,7 @@ BENCH = ShownReport(
     "../README.md",
     brief=True,
 )
-TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
+TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), ())
 REPRODUCE = ShownReport(
     "reproduce",
     (
@@ -74,20 +74,19 @@ REPRODUCE = ShownReport(
     "reproduce.md",
 )
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
-PEERS = ShownReport("peers", (), (), "peers.md")
-EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
-ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
-MARKET = ShownReport("market", (), (), "robustness.md", study="robustness")
+PEERS = ShownReport("peers", (), ())
+EDGE = ShownReport("edge", ("overview.png",), (), study="bench")
+ROBUSTNESS = ShownReport("robustness", ("ratios.png",), ())
+MARKET = ShownReport("market", (), (), study="robustness")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
 TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tune.md")
-LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
+LOOP_SPEED = ShownReport("loop-speed", (), ())
 TORQUE = ShownReport(
     "torque",
     ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
     (),
-    "energy.md",
 )
 SAVING = ShownReport(
     "saving",
@@ -101,9 +100,8 @@ SAVING = ShownReport(
         "scenario-4.png",
     ),
     (),
-    "saving.md",
 )
-ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+ENERGY_FRONT = ShownReport("energy-front", ("front.png",), ())
 PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
 SHOWN = (
     BENCH,
@@ -186,7 +184,10 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
 
 
 def update(out: Path) -> str:
-    """Update docs/NAME and the page of the report in `out`; returns NAME. Raises ConfigError if there is none."""
+    """Update docs/NAME and the page with tables of the report in `out`; returns NAME.
+
+    Raises ConfigError if there is no report.
+    """
     present = [one for one in SHOWN if (out / one.file).is_file()]
     if not present:
         raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
@@ -194,6 +195,8 @@ def update(out: Path) -> str:
     shown = next((one for one in present if one.name == out.name), present[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
+    if not shown.page:
+        return shown.name
     report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page
     page.write_text(with_report(shown, page.read_text(encoding="utf-8"), report), encoding="utf-8")
     return shown.name

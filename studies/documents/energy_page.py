@@ -9,10 +9,13 @@ import dataclasses
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.study import run_facts
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.extras.costs_from_log.costs_from_log import learn_log
 from diffdrive_mpc.extras.energy import identify_constants
@@ -73,24 +76,22 @@ def told(
 def constants_table(seeds: Sequence[int] = SEEDS, sets: int = SETS) -> str:
     """RMS over the logs of each robot on each floor, and of all."""
     lines = [
-        "| robot | floor | currents | logs | refused | torque constant [%] | resistance [%] | idle power [%] "
+        "| robot, floor | currents | logs | refused | torque constant [%] | resistance [%] | idle power [%] "
         "| over stated deviations |",
-        "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for all_motors, currents in ((True, "four"), (False, "the sides'")):
         estimates = [told(*place, seeds, sets, all_motors=all_motors) for place in PLACES]
-        rows = [(f"`{robot}`", floor, each) for (robot, floor), each in zip(PLACES, estimates, strict=True)]
+        rows = [(f"`{robot}`, {floor}", each) for (robot, floor), each in zip(PLACES, estimates, strict=True)]
         every = EnergyConstants(
             np.concatenate([each.off for each in estimates]),
             np.concatenate([each.normalised for each in estimates]),
             sum(each.refused for each in estimates),
         )
-        for robot, floor, each in [*rows, ("all", "", every)]:
+        for place, each in [*rows, ("all", every)]:
             cells = [number(100 * value, 1) for value in np.sqrt(np.mean(each.off**2, axis=0))]
             over = number(float(np.sqrt(np.mean(each.normalised**2))), 2)
-            lines.append(
-                f"| {robot} | {floor} | {currents} | {len(each.off)} | {each.refused} | {' | '.join(cells)} | {over} |"
-            )
+            lines.append(f"| {place} | {currents} | {len(each.off)} | {each.refused} | {' | '.join(cells)} | {over} |")
     return "\n".join(lines)
 
 
@@ -125,9 +126,14 @@ def learned_table(floors: Sequence[str] = FLOORS) -> str:
 
 
 def main() -> None:
-    """Write both tables."""
-    page = insert(PAGE.read_text(encoding="utf-8"), learned_table(), "log-learned")
-    PAGE.write_text(insert(page, constants_table(), "log-constants"), encoding="utf-8")
+    """Write both tables, and of when they are."""
+    start = perf_counter()
+    parts = {"log-learned": learned_table(), "log-constants": constants_table()}
+    parts["log-runs"] = "\n".join(f"* {fact}" for fact in run_facts(describe_run(perf_counter() - start)))
+    page = PAGE.read_text(encoding="utf-8")
+    for name, text in parts.items():
+        page = insert(page, text, name)
+    PAGE.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -165,7 +165,7 @@ class EnergyFrontStudy(Study[list[Case], list[FrontRun]]):
     """
 
     name = "energy-front"
-    title = "What a cost of energy saves, and what it costs"
+    title = "Energy saved by the controller's energy weight, and the tracking error it costs"
 
     def __init__(self, settings: FrontSettings, folder: Path = HERE) -> None:
         self._settings, self._folder = settings, folder

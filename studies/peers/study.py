@@ -191,7 +191,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         Names of peers; by default all whose law has ranges.
     """
 
-    name, title = "peers", "Tuning of the peers"
+    name, title = "peers", "How the peers were tuned, and the effect of each gain"
 
     def __init__(self, settings: PeersSettings, only: Sequence[str] | None = None) -> None:
         self._settings, self._only = settings, only

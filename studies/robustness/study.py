@@ -57,7 +57,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
     """
 
     name = "robustness"
-    title = "Robustness"
+    title = "Tracking error on other robots, floors, loads and sensors"
 
     def __init__(
         self,
@@ -72,6 +72,8 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         tuning: bool = False,
         rates: Sequence[float] = (),
     ) -> None:
+        if robots and not conditions:
+            self.title = "Tracking error of robots drawn at random"  # type: ignore[misc]
         self._robots, self._tuning, self._rates = robots, tuning, rates
         self._conditions, self._settled = conditions, settled
         self._controllers, self._models = controllers, models

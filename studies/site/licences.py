@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 
 from studies.documents.documents import insert
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "licences.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "install.md"
 MARKER = "licences"
 _OURS = "diffdrive-mpc"
 _LONGEST = 60

@@ -30,7 +30,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
     """
 
     name = "speed"
-    title = "Speed"
+    title = "Step time of the controller and of other solvers of the same problem"
 
     def __init__(self, settings: SpeedSettings, peer_folder: Path | None = None) -> None:
         self.settings = settings

@@ -49,7 +49,7 @@ class TorqueStudy(Study[TorqueStudySettings, TorqueResults]):
     """
 
     name = "torque"
-    title = "What a turn costs"
+    title = "Torque, least turn radius and energy of turns"
 
     def __init__(self, settings: TorqueStudySettings) -> None:
         self._settings = settings

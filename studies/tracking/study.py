@@ -34,7 +34,7 @@ from diffdrive_mpc.bench.table import Table, millis, number
 from studies.tracking.measured import BOUND, BOUND_NAME, load_targets, measured, run_or_bound, worst_arc
 
 _FOLDER = Path(__file__).parent
-_MISSED = "docs/tracking.md says what limits each figure; the ablation shows which part of the estimator it hangs on"
+_MISSED = "docs/results.md says what limits each error; the ablation shows which part of the estimator matters"
 
 
 def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:

@@ -30,7 +30,7 @@ DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (
         ("README.md", "docs/models.md#a-b", "models.md#a-b"),
         ("README.md", "CONTRIBUTING.md", "contributing.md"),
         ("docs/why.md", "../README.md#how-well-it-tracks", "index.md#how-well-it-tracks"),
-        ("docs/why.md", "peers.md", "peers.md"),
+        ("docs/why.md", "results.md", "results.md"),
         ("docs/tutorials/own-plant.md", "../simulated-robot.md", "../simulated-robot.md"),
         ("docs/tutorials/own-cost.md", "../../examples/own_cost.py", "../files/examples/own_cost.py.md"),
         ("docs/bench.md", "bench/speed.png", "bench/speed.png"),
