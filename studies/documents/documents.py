@@ -79,7 +79,7 @@ MARKET = ShownReport("market", (), (), "robustness.md", study="robustness")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
-TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tune.md")
+TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tuning.md")
 LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
 TORQUE = ShownReport(
     "torque",
