@@ -101,7 +101,7 @@ prove: $(READY) ## how often the controller fails on many plants, paths and faul
 tune: $(READY) ## search for a better configuration, and hold it against the shipped one on other seeds: out/tune
 	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
 
-screenshots: $(READY) ## reports of small real runs, and their pictures for docs/reports.md, in a real browser
+screenshots: $(READY) ## reports of small real runs, and their pictures for docs/see.md, in a real browser
 	$(BIN)/diffdrive-mpc simulate --trajectory s --out $(REPORTS_OUT)/simulate --log $(REPORTS_OUT)/s.csv
 	$(BIN)/diffdrive-mpc simulate --trajectory square --log $(REPORTS_OUT)/square.csv
 	$(BIN)/diffdrive-mpc simulate --trajectory cane --log $(REPORTS_OUT)/cane.csv
@@ -164,7 +164,7 @@ results: $(READY) ## every report of the documents anew, and into the documents:
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
 
-gallery: $(READY) ## the films of docs/gallery.md: some minutes
+gallery: $(READY) ## the films of docs/see.md: some minutes
 	$(BIN)/python -m studies.gallery.build docs
 
 site: $(READY) ## the documents as a site: out/site

@@ -168,7 +168,7 @@ class CampaignRun:
     key
         The hash under which it is stored.
     row
-        Metrics, counts and times by column; see docs/scale.md.
+        Metrics, counts and times by column; see docs/prove.md.
     """
 
     definition: Definition

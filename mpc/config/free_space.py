@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
 
 
 class FreeSpace(Group):
-    """Obstacles and corridors that `Controller.set_obstacles` is told of; see docs/narrow-places.md."""
+    """Obstacles and corridors that `Controller.set_obstacles` is told of; see docs/worlds.md."""
 
     enabled: bool = Field(False, description="keep clear of what the controller sees; false: it sees nothing [-]")
     footprint: str = Field(

@@ -10,7 +10,7 @@ from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
 
 
 class Rehearsal(Group):
-    """What laps teach when the same reference is started again; see docs/rehearsal.md."""
+    """What laps teach when the same reference is started again; see docs/tuning.md."""
 
     enabled: bool = Field(False, description="correct a reference driven again by what its last laps taught [-]")
     by: Literal["laps", "floor"] = Field(

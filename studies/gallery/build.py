@@ -1,4 +1,4 @@
-"""Makes docs/gallery and docs/gallery.md: `python -m studies.gallery.build docs`, or `make gallery`."""
+"""Makes docs/gallery and its part of docs/see.md: `python -m studies.gallery.build docs`, or `make gallery`."""
 
 from __future__ import annotations
 
@@ -15,15 +15,10 @@ from pydantic import Field
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.whole_file import whole_file
+from studies.documents.documents import insert
 
 FOLDER = "gallery"
-_HEADING = """\
-# What does it look like?
-
-Each picture was made by the command below it, on the simulated robot with its usual noise; `make gallery` makes them
-all again. Films run 2.5 times as fast as the robot. [How do I see what the robot did?](see.md) says what is in them,
-and how to make your own.
-"""
+PAGE = "see.md"
 
 
 class GalleryPicture(StrictModel):
@@ -52,14 +47,14 @@ class Gallery(StrictModel):
         film = [] if picture.file.endswith(".png") else shlex.split(self.film)
         return ["diffdrive-mpc", "simulate", *shlex.split(picture.arguments), *film]
 
-    def page(self) -> str:
-        """The page of the documents."""
-        return "\n".join([_HEADING, *(self._section(picture) for picture in self.pictures)])
+    def page(self, document: str) -> str:
+        """`document` with all pictures between its markers."""
+        return insert(document, "\n\n".join(map(self._section, self.pictures)), FOLDER)
 
     def _section(self, picture: GalleryPicture) -> str:
         words = " ".join(picture.words.split())
         show = f"![{picture.title}]({FOLDER}/{picture.file})"
-        return f"## {picture.title}\n\n{words}\n\n{show}\n\n    {shlex.join(self.command(picture))}\n"
+        return f"### {picture.title}\n\n{words}\n\n{show}\n\n    {shlex.join(self.command(picture))}"
 
 
 @cache
@@ -69,7 +64,7 @@ def load_gallery() -> Gallery:
 
 
 def build(documents: Path) -> None:
-    """Make every picture and the page in this folder.
+    """Make every picture, and show it in the page, in this folder.
 
     Raises
     ------
@@ -83,8 +78,8 @@ def build(documents: Path) -> None:
             words = ["-c", "from diffdrive_mpc.app.cli import main; main()", *gallery.command(picture)[1:]]
             subprocess.run([sys.executable, *words], cwd=apart, check=True, stdout=subprocess.DEVNULL, env=os.environ)
             Path(apart, picture.file).replace(folder / picture.file)
-    with whole_file(documents / f"{FOLDER}.md") as draft:
-        draft.write_text(gallery.page(), encoding="utf-8")
+    with whole_file(documents / PAGE) as draft:
+        draft.write_text(gallery.page((documents / PAGE).read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":
