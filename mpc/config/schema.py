@@ -236,8 +236,8 @@ class Failure(Group):
     max_pose_age: Positive = Field(0.5, description="without an accepted pose for longer, the robot brakes [s]")
     dead_reckoning: NotNegative = Field(
         1.5,
-        description="so long wheels and gyro stand in for poses beyond max_pose_age, while three standard deviations "
-        "of the position are inside reentry.band; 0: never [s]",
+        description="wheels and gyro stand in for poses until the last accepted one is this old, while three standard "
+        "deviations of the position are inside reentry.band; 0: never [s]",
     )
     max_position_error: Positive = Field(
         1.0, description="further than this from where the reference is, the robot brakes and says so [m]"

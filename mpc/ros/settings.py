@@ -61,7 +61,7 @@ class NodeSettings(StrictModel, strict=True):
         "message is whose is not known; false: only warn [-]",
     )
     discovery_wait: NotNegative = Field(
-        1.0, description="a node is as old at least before it is activated: it looks who else is there [s]"
+        1.0, description="time before activation in which the node looks for other nodes [s]"
     )
     pose_source: Literal["odometry", "topic", "tf"] = Field(
         "odometry",
