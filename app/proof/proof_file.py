@@ -12,6 +12,7 @@ from diffdrive_mpc.bench.campaign.definition import check_factor
 from diffdrive_mpc.bench.case import check_count
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 PROOFS = Path(__file__).parent
 DEFAULT = PROOFS / "default.yaml"
@@ -72,6 +73,10 @@ class Proof(Campaign):
     """A campaign file that may have maps and boundaries beside its runs."""
 
     probe: Probe = Probe(seeds=(0,))
+    band: Annotated[float, Field(gt=0)] = Field(
+        default_factory=lambda: metric_settings().band,
+        description="a run holds where it is never further from its path [m]; by default that of sim/metrics",
+    )
     maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
         default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
     )
