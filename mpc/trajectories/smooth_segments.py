@@ -167,8 +167,7 @@ def _driven(
     steps, bent = np.diff(arc_lengths), np.abs(curvature)
     most, change = np.maximum(bent[:-1], bent[1:]), np.abs(np.diff(curvature)) / steps
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
-    cruise = np.concatenate(cruises)
-    if caps is not None:
-        cruise = np.minimum(cruise, caps.at(most))
-    square = squared_speeds(steps, most, change, limits, cruise, lateral=True)
+    wanted = np.concatenate(cruises)
+    fastest = wanted if caps is None else np.minimum(wanted, caps.at(most))
+    square = squared_speeds(steps, most, change, limits, fastest, lateral=True)
     return *timed(path, square, limits, sense), np.concatenate(drawn)
