@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_a_speed_that_passes_is_wrong_no_more_often_than_it_says() -> None:
     assert none < 0.1 * repeats
 
 
-PLAN = {
+PLAN: dict[str, Any] = {
     "share": 0.7,
     "confidence": 0.8,
     "search_runs": 5,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.trust import UntrustedFileError, only_trusted
 from diffdrive_mpc.mpc.trajectories import load_trajectory
 
-PASSPORT = {
+PASSPORT: dict[str, Any] = {
     "description": "made up",
     "share": 0.95,
     "confidence": 0.95,
