@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import betaincinv
 from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -38,6 +39,10 @@ class Rate:
     def share(self) -> float:
         """What was seen."""
         return self.count / self.of
+
+    def at_least(self, confidence: float) -> float:
+        """No smaller, with this confidence on this one side."""
+        return float(betaincinv(self.count, self.of - self.count + 1, 1.0 - confidence)) if self.count else 0.0
 
     @property
     def bound(self) -> float:

@@ -44,9 +44,10 @@ RUN_IN_TESTS = {
     "diffdrive-mpc simulate --config my_robot/robot/config.yaml --plant mujoco:heavy --trajectory square": (
         "app/test_commission.py"
     ),
+    "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "app/test_speed_passport.py",
     "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "models/test_model_comparison.py",
 }
-PLACES = {"front", "saved", "turn", "my_robot"}
+PLACES = {"front", "saved", "turn", "my_robot", "passport"}
 """Folders of results in `RUN_IN_TESTS`."""
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.

@@ -343,6 +343,14 @@ def prove(
     ] = None,
     runs: Runs = None,
     worst: Annotated[int, typer.Option(min=0, max=99, help="Worst runs to keep as files.")] = 10,
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            metavar="M,M,...",
+            help="Measure a speed passport in place of all this: the greatest speeds within these lateral errors [m].",
+            show_default=False,
+        ),
+    ] = "",
     jobs: Jobs = None,
     scheduler: Scheduler = "",
 ) -> None:
@@ -356,8 +364,16 @@ def prove(
     from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
-    study = ProofStudy(config, load_proof(campaign), CampaignPlace(out, jobs, scheduler), runs, worst)
-    proven = carry_out(study, out, jobs)
+    proof, place = load_proof(campaign), CampaignPlace(out, jobs, scheduler)
+    if tolerance:
+        from diffdrive_mpc.app.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
+
+        measured = carry_out(PassportStudy(config, proof, place, read_tolerances(tolerance)), out, jobs)
+        if complaint := failed(measured.driven):
+            echo(f"error: {complaint}", err=True)
+            raise typer.Exit(FAILED)
+        return
+    proven = carry_out(ProofStudy(config, proof, place, runs, worst), out, jobs)
     keep(proven, out)
     unsafe = sum(map(is_unsafe, proven.driven))
     complaint = f"{unsafe} runs had an unsafe command" if unsafe else failed(proven.driven)

@@ -135,12 +135,11 @@ def twin(folder: Path, logs: Logs, robot: str | None, jobs: int | None, seconds:
 def prove(folder: Path, config: Path, plant: Path, runs: int, jobs: int | None, *, scaled: bool) -> Gate:
     """Drive the configuration on twins around the fitted one: no unsafe command, and all runs without faults arrive."""
     settings = commission_settings().proof
-    study = ProofStudy(
-        str(config), twin_proof(plant, runs, scaled=scaled), CampaignPlace(folder, jobs), runs, settings.worst
-    )
+    proof = twin_proof(plant, runs, scaled=scaled)
+    study = ProofStudy(str(config), proof, CampaignPlace(folder, jobs), runs, settings.worst)
     proven = carry_out(study, folder, jobs)
     keep(proven, folder)
-    of = Outcomes.of(proven.driven)
+    of = Outcomes.of(proven.driven, proof.band)
     calm = [run for run in proven.driven if run.definition.case.scenario == "none"]
     arrived = sum(one.row["completed"] is True for one in calm)
     words = (

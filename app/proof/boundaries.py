@@ -12,7 +12,6 @@ from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 Drive = Callable[[list[Definition]], list[CampaignRun]]
 """Drives runs and gives them in order; each is another one."""
@@ -63,15 +62,15 @@ class Boundary:
             self.failed = value
 
 
-def holds(driven: CampaignRun) -> bool:
-    """Whether a run came to its end and never left the band (`band` of sim/metrics/metrics.yaml)."""
-    return driven.row["completed"] is True and driven.number("lateral_max_m") <= metric_settings().band
+def holds(driven: CampaignRun, band: float) -> bool:
+    """Whether a run came to its end and was never further than `band` [m] from its path."""
+    return driven.row["completed"] is True and driven.number("lateral_max_m") <= band
 
 
 def find_boundaries(
-    searches: Mapping[str, BoundarySearch], probe: Definition, seeds: Sequence[int], drive: Drive
+    searches: Mapping[str, BoundarySearch], probe: Definition, seeds: Sequence[int], drive: Drive, band: float
 ) -> list[Boundary]:
-    """Search for the boundaries of several factors at once, each by itself from `probe`.
+    """Search for the boundaries of several factors at once, each by itself from `probe`; `band` [m] as in `holds`.
 
     Between what held and what did not everything is taken to be monotone; what lies beyond is not looked at.
     """
@@ -81,7 +80,7 @@ def find_boundaries(
         driven = {one.definition: one for one in drive(runs)}
         for index, (boundary, value) in enumerate(queries):
             mine = runs[index * len(seeds) : (index + 1) * len(seeds)]
-            boundary.take(value, sum(holds(driven[run]) for run in mine), len(seeds))
+            boundary.take(value, sum(holds(driven[run], band) for run in mine), len(seeds))
     return boundaries
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +11,9 @@ from pydantic import Field, model_validator
 from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, Campaign, files_beside, whole_paths
 from diffdrive_mpc.bench.campaign.definition import check_factor
 from diffdrive_mpc.bench.case import check_count
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked, read_yaml
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 PROOFS = Path(__file__).parent
 DEFAULT = PROOFS / "default.yaml"
@@ -68,10 +70,49 @@ class Probe(StrictModel):
     seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="each value is driven with all of them")
 
 
+class PassportPlan(StrictModel):
+    """How a speed passport is measured: classes of curvature, speeds, floors, and how many robots drive each."""
+
+    share: Annotated[float, Field(gt=0, lt=1)] = Field(description="of the robots that have to stay inside [-]")
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(description="that at least that share does [-]")
+    search_runs: Annotated[int, Field(ge=1)] = Field(description="robots that drive each speed of the search")
+    proof_runs: Annotated[int, Field(ge=1)] = Field(description="fresh ones that drive the speed that it gives")
+    tries: Annotated[int, Field(ge=1)] = Field(description="speeds that may be driven so, each slower than the last")
+    draw_seed: Annotated[int, Field(ge=0)] = Field(description="of the robots")
+    curvatures: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(min_length=1)] = Field(
+        description="of the arcs, rising, 0 for a straight line: the upper ends of the classes [1/m]"
+    )
+    speeds: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = Field(
+        description="that are tried, rising, over the greatest that the limits allow there [-]"
+    )
+    straight: Annotated[float, Field(gt=0)] = Field(description="before and after the arcs [s]")
+    arc: Annotated[float, Field(gt=0)] = Field(description="an arc to the left, and as long a one to the right [s]")
+    surfaces: Annotated[dict[str, dict[str, object]], Field(min_length=1)] = Field(
+        description="floors by name: factors in place of those of the campaign"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> PassportPlan:
+        if any(low >= high for values in (self.curvatures, self.speeds) for low, high in pairwise(values)):
+            raise ValueError("curvatures and speeds have to rise")
+        most = self.share**self.proof_runs
+        if most > (1.0 - self.confidence) / self.tries:
+            raise ValueError(f"proof_runs: {self.proof_runs} cannot show a share of {self.share:g}; give more")
+        return self
+
+
 class Proof(Campaign):
     """A campaign file that may have maps and boundaries beside its runs."""
 
     probe: Probe = Probe(seeds=(0,))
+    band: Annotated[float, Field(gt=0)] = Field(
+        default_factory=lambda: metric_settings().band,
+        description="a run holds where it is never further from its path [m]; by default that of sim/metrics",
+    )
+    passport: PassportPlan = Field(
+        default_factory=lambda: check(PassportPlan, read_yaml(DEFAULT)["passport"], str(DEFAULT)),
+        description="for --tolerance; by default as in the default proof",
+    )
     maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
         default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
     )

@@ -33,7 +33,6 @@ from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
-from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
@@ -61,12 +60,12 @@ class Outcomes:
     unsafe: Rate
 
     @classmethod
-    def of(cls, driven: Sequence[CampaignRun]) -> Outcomes:
-        """Count them."""
+    def of(cls, driven: Sequence[CampaignRun], band: float) -> Outcomes:
+        """Count them; the band [m] is that of `boundaries.holds`."""
         count = len(driven)
         return cls(
             Rate.of_runs(sum(run.row["completed"] is True for run in driven), count),
-            Rate.of_runs(sum(map(holds, driven)), count),
+            Rate.of_runs(sum(holds(run, band) for run in driven), count),
             Rate.of_runs(sum(map(_stopped, driven)), count),
             Rate.of_runs(sum(map(is_unsafe, driven)), count),
         )
@@ -108,7 +107,7 @@ def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
     times = np.array([run.number(f"{TIME}processor_s") for run in driven])
     ticks = sum(run.number("steps") for run in driven if math.isfinite(run.number("steps")))
     failures = sum(run.row["error"] != "" for run in driven)
-    unsafe = Outcomes.of(driven).unsafe
+    unsafe = Rate.of_runs(sum(map(is_unsafe, driven)), len(driven))
     return [
         f"{len(driven)} runs drawn, {others} more for maps and boundaries; {ticks:.0f} ticks were checked.",
         f"Processor time of a run: mean {np.mean(times):.2f} s, 95th percentile {np.percentile(times, 95):.2f} s.",
@@ -119,10 +118,14 @@ def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
 
 
 def tables(
-    driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], files: Mapping[str, CampaignRun], seeds: int
+    driven: Sequence[CampaignRun],
+    boundaries: Sequence[Boundary],
+    files: Mapping[str, CampaignRun],
+    seeds: int,
+    band: float,
 ) -> list[Table]:
-    """All tables of a proof; `files` are the worst runs by the name of their file."""
-    made = [_rates(driven), _errors(driven), _unsafe(driven), *_by_factor(driven)]
+    """All tables of a proof; `files` are the worst runs by the name of their file, `band` [m] is that of `holds`."""
+    made = [_rates(driven, band), _errors(driven), _unsafe(driven), *_by_factor(driven, band)]
     return [*made, *([_boundaries(boundaries, seeds)] if boundaries else []), _worst(files)]
 
 
@@ -131,15 +134,14 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.1f}"
 
 
-def _rates(driven: Sequence[CampaignRun]) -> Table:
-    of = Outcomes.of(driven)
+def _rates(driven: Sequence[CampaignRun], band: float) -> Table:
+    of = Outcomes.of(driven, band)
     named = {
         "completed": of.completed,
         "completed and never outside the band": of.in_band,
         "not completed: it stopped by itself": of.stopped,
         "with an unsafe command": of.unsafe,
     }
-    band = f"{number(1e3 * metric_settings().band, 0)} mm"
     return Table.of(
         "How often",
         ("runs",),
@@ -149,7 +151,7 @@ def _rates(driven: Sequence[CampaignRun]) -> Table:
             "95 % interval [%]": lambda rate: f"{100 * rate.low:.2f} to {100 * rate.high:.2f}",
         },
         [((name,), rate) for name, rate in named.items()],
-        f"Intervals by Clopper and Pearson. The band is {band} to either side of the path.",
+        f"Intervals by Clopper and Pearson. The band is {1e3 * band:g} mm to either side of the path.",
     )
 
 
@@ -188,7 +190,7 @@ def _unsafe(driven: Sequence[CampaignRun]) -> Table:
     )
 
 
-def _by_factor(driven: Sequence[CampaignRun]) -> list[Table]:
+def _by_factor(driven: Sequence[CampaignRun], band: float) -> list[Table]:
     """A table for each factor with a few named values, such as scenarios and paths."""
     made = []
     for factor in ("scenario", "trajectory", "plant", "surface", "sensors"):
@@ -199,7 +201,7 @@ def _by_factor(driven: Sequence[CampaignRun]) -> list[Table]:
             columns = {
                 "runs": lambda runs: str(len(runs)),
                 "completed": lambda runs: str(sum(run.row["completed"] is True for run in runs)),
-                "in the band": lambda runs: str(sum(map(holds, runs))),
+                "in the band": lambda runs: str(sum(holds(run, band) for run in runs)),
                 "braked": lambda runs: str(sum(run.row.get("stopped") is True for run in runs)),
                 "time behind [s]": lambda runs: number(_mean(runs, "behind_max_s"), 2),
                 "position RMSE, mean [mm]": lambda runs: millis(_or_nan(np.mean, errors(runs))),
@@ -287,7 +289,7 @@ _MOST_POINTS = 4000
 _WORDS_AGAIN = "drive the worst again with `simulate --from-run worst/01.yaml --out worst/01`, and read its report"
 
 
-def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], seeds: int) -> Shown:
+def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], seeds: int, band: float) -> Shown:
     """Everything that the page shows beside tables, tail and maps.
 
     Parameters
@@ -298,9 +300,11 @@ def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Bound
         What was found.
     seeds
         How many seeds a boundary was tried with.
+    band
+        That of `boundaries.holds` [m].
     """
     scenarios = tuple(dict.fromkeys(str(run.definition.columns["scenario"]) for run in driven))
-    of = Outcomes.of(driven)
+    of = Outcomes.of(driven, band)
     toggles = [Toggle("scenario", scenarios, scenarios, styled=True)] if len(scenarios) > 1 else []
     views = [_by_path(driven, scenarios), *(_boundary(boundary, seeds) for boundary in boundaries)]
     return Shown(
@@ -308,16 +312,16 @@ def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Bound
             f"{of.completed.count} of {of.completed.of} runs came to their end, {of.in_band.count} of them never "
             f"outside the band; {of.unsafe.count or 'none'} had an unsafe command."
         ],
-        key_figures=_key_figures(driven),
+        key_figures=_key_figures(driven, of),
         toggles=toggles,
         views=views,
-        warnings=_warnings(driven, boundaries),
+        warnings=_warnings(driven, of, boundaries, band),
         configurations=[ConfigurationView("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
     )
 
 
-def _key_figures(driven: Sequence[CampaignRun]) -> list[KeyFigure]:
-    of, tail = Outcomes.of(driven), error_estimates(driven)[f"{CVAR}, completed runs"]
+def _key_figures(driven: Sequence[CampaignRun], of: Outcomes) -> list[KeyFigure]:
+    tail = error_estimates(driven)[f"{CVAR}, completed runs"]
     bound = f"with 95 % confidence fewer than {percent(of.unsafe.bound)} %"
     return [
         KeyFigure("completed", f"{100 * of.completed.share:.1f} %", _interval(of.completed)),
@@ -385,10 +389,9 @@ def _boundary(boundary: Boundary, seeds: int) -> Chart:
     return Chart(f"Where it stops to hold: {boundary.factor}", *axes, [series], note, height=280)
 
 
-def _warnings(driven: Sequence[CampaignRun], boundaries: Sequence[Boundary]) -> list[Warned]:
-    of, warnings = Outcomes.of(driven), []
+def _warnings(driven: Sequence[CampaignRun], of: Outcomes, boundaries: Sequence[Boundary], band: float) -> list[Warned]:
+    warnings = []
     failed = sum(run.row["error"] != "" for run in driven)
-    band = f"{1e3 * metric_settings().band:g} mm"
     if of.unsafe.count:
         words = f"{of.unsafe.count} runs had an unsafe command: not finite, or beyond what the configuration allows."
         warnings.append(Warned(words, f"do not drive with it; {_WORDS_AGAIN}, and send it to the authors"))
@@ -399,7 +402,7 @@ def _warnings(driven: Sequence[CampaignRun], boundaries: Sequence[Boundary]) -> 
         warnings.append(Warned(words, f"look in the tables which scenario that is; {remedies().waited}"))
     beyond = of.completed.count - of.in_band.count
     if beyond:
-        words = f"{beyond} completed runs were further than {band} from the path at some time."
+        words = f"{beyond} completed runs were further than {1e3 * band:g} mm from the path at some time."
         warnings.append(Warned(words, f"leave that much room beside the path, or drive slower; {_WORDS_AGAIN}"))
     for boundary in boundaries:
         if boundary.held is None:

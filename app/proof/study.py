@@ -123,7 +123,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             tried.update((outcome.key, outcome) for outcome in outcomes)
             return outcomes
 
-        boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive)
+        boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive, proof.band)
         listed = worst(driven, self._kept)
         files = {f"{k:02d}.yaml": one for k, one in enumerate(listed, start=1)}
         return Proven(driven, maps, boundaries, len(tried), files)
@@ -134,20 +134,21 @@ class ProofStudy(Study[ProofPlan, Proven]):
         figures = ({"errors.png": tail} if tail else {}) | {
             f"map-{one.name}.png": [map_chart(one)] for one in results.maps
         }
-        seeds = len(self._proof.probe.seeds)
+        seeds, band = len(self._proof.probe.seeds), self._proof.band
         return Report(
             counted=f"{len(results.driven) + results.others} runs",
             meta={"statistics": STATISTICS, "controller": Path(self._config).name, "campaign": self._proof.description},
             content={
-                "rates": plain(Outcomes.of(results.driven)),
+                "rates": plain(Outcomes.of(results.driven, band)),
+                "band_m": band,
                 "position_rmse_m": plain(estimates),
                 "boundaries": [_boundary_row(boundary) for boundary in results.boundaries],
             },
             facts=[f"{Path(self._config).name}: {self._proof.description}.", *facts(results.driven, results.others)],
             notes=[f"Errors: {STATISTICS}."],
-            tables=tables(results.driven, results.boundaries, results.worst, seeds),
+            tables=tables(results.driven, results.boundaries, results.worst, seeds, band),
             figures=figures,
-            shown=shown(self._config, results.driven, results.boundaries, seeds),
+            shown=shown(self._config, results.driven, results.boundaries, seeds, band),
         )
 
 

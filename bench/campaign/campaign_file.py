@@ -30,8 +30,9 @@ class Campaign(StrictModel):
 
     description: str = Field(min_length=1, description="what it is for, in one line")
     runs: Annotated[int, Field(ge=1, le=MOST_RUNS)] = Field(description="how many runs")
-    sampler: Literal["sobol", "latin_hypercube"] = Field(
-        "sobol", description="how points are spread; with sobol more runs contain those of fewer"
+    sampler: Literal["sobol", "latin_hypercube", "random"] = Field(
+        "sobol",
+        description="how points are spread, random: independently; only with latin_hypercube other runs for fewer",
     )
     draw_seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the points, not of a run's noise")
     conditions: str | None = Field(None, description="file of conditions in place of the shipped one")
@@ -89,6 +90,8 @@ def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> Float
         # A whole power of two is balanced, and its beginning is that of every larger one.
         power = max(count - 1, 1).bit_length()
         points = qmc.Sobol(dimensions, scramble=True, seed=seed).random_base2(power)[:count]
+    elif sampler == "random":
+        points = np.random.default_rng(seed).random((count, dimensions))
     else:
         points = qmc.LatinHypercube(dimensions, seed=seed).random(count)
     # A normal distribution has no quantile at the ends.

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_commanded, lay_segments
+from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse, SpeedCaps, load_speed_caps
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
@@ -109,13 +110,23 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
 
         route = check(WaypointFile, data, where)
         name, way = route.name or path.stem, timing or route.timing
-        return lay_waypoints(route.waypoints, limits, name=name, speed=route.speed, where=where, timing=way)
+        caps = _caps(route.speed_passport, way, path)
+        return lay_waypoints(route.waypoints, limits, name=name, speed=route.speed, where=where, timing=way, caps=caps)
     sequence = check(SegmentFile, data, where)
     segments, start, way = sequence.segments, sequence.start, timing or sequence.timing
-    name = sequence.name or path.stem
+    name, caps = sequence.name or path.stem, _caps(sequence.speed_passport, way, path)
     if way == "smooth":
         from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth  # noqa: PLC0415
 
-        return lay_smooth(segments, limits, name=name, start=start, where=where, smoothing=sequence.smoothing)
+        return lay_smooth(
+            segments, limits, name=name, start=start, where=where, smoothing=sequence.smoothing, caps=caps
+        )
     lay = lay_commanded if way == "commanded" else lay_segments
     return lay(segments, limits, name=name, start=start, where=where)
+
+
+def _caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:
+    """The speeds of the passport that the trajectory file at `path` names, if it names one."""
+    if use is not None and timing != "smooth":
+        raise ConfigError(f"{path}: speed_passport: timing '{timing}' takes none; time it with 'smooth'")
+    return None if use is None else load_speed_caps(use, path.parent)

@@ -23,6 +23,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, PathStretch
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
+from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse
 from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
 # A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
@@ -57,6 +58,9 @@ class SegmentFile(StrictModel):
     timing: Timing = Field(default="stop", description="how speed is laid over the path")
     smoothing: float | None = Field(
         default=None, gt=0, description="timing: smooth keeps within this distance of the path [m]; default: settings"
+    )
+    speed_passport: PassportUse | None = Field(
+        default=None, description="timing: smooth is no faster than this passport allows for a tolerance"
     )
 
 

@@ -21,6 +21,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_setting
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, timed_run
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
+from diffdrive_mpc.mpc.trajectories.speed_passport import SpeedCaps
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 # Of a turn on the spot that is not quite one, between two nodes.
@@ -40,6 +41,7 @@ def lay_smooth(
     start: Sequence[float] = (0.0, 0.0, 0.0),
     where: str = "trajectory",
     smoothing: float | None = None,
+    caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
     """Turn `segments` into a trajectory of continuous curvature, from rest to rest, that stops only where it must.
 
@@ -49,11 +51,14 @@ def lay_smooth(
         As of `segments.lay_segments`; the lateral acceleration is limited too.
     smoothing
         Largest distance from the drawn path [m]; by default that of the settings.
+    caps
+        Greatest speeds by curvature; turns on the spot have none.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no segment, or too many, or one is faster than `limits`, or the path is too long to be cut.
+        If there is no segment, or too many, or one is faster than `limits`, or the path is too long to be cut, or
+        `caps` know no speed for a turn.
     """
     check_segments(segments, limits, where)
     distance = load_settings().smoothing if smoothing is None else smoothing
@@ -62,7 +67,7 @@ def lay_smooth(
     laid: list[Nodes] = [(np.zeros(1), pose[None], np.zeros((1, 3)), np.zeros(1))]
     for sense, group in groupby(segments, _sense):
         run = list(group)
-        pieces = (_driven(run, sense, pose, limits, distance),) if sense else turned(run, pose, limits)
+        pieces = (_driven(run, sense, pose, limits, distance, caps),) if sense else turned(run, pose, limits)
         for times, poses, rates, drawn in pieces:
             if time + float(times[-1]) == time:  # a phase that rounding has left over
                 continue
@@ -113,7 +118,14 @@ def turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits)
         pose = integrate_pose(pose, stretch.forward, stretch.turn, stretch.length)
 
 
-def _driven(run: Sequence[Segment], sense: int, pose: FloatArray, limits: TrajectoryLimits, distance: float) -> Nodes:
+def _driven(
+    run: Sequence[Segment],
+    sense: int,
+    pose: FloatArray,
+    limits: TrajectoryLimits,
+    distance: float,
+    caps: SpeedCaps | None,
+) -> Nodes:
     """Nodes of segments that are driven in one direction, from rest to rest."""
     bends = [segment.omega / abs(segment.v) for segment in run]
     lengths = [abs(segment.v) * segment.duration for segment in run]
@@ -155,5 +167,7 @@ def _driven(run: Sequence[Segment], sense: int, pose: FloatArray, limits: Trajec
     steps, bent = np.diff(arc_lengths), np.abs(curvature)
     most, change = np.maximum(bent[:-1], bent[1:]), np.abs(np.diff(curvature)) / steps
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
-    square = squared_speeds(steps, most, change, limits, np.concatenate(cruises), lateral=True)
+    wanted = np.concatenate(cruises)
+    fastest = wanted if caps is None else np.minimum(wanted, caps.at(most))
+    square = squared_speeds(steps, most, change, limits, fastest, lateral=True)
     return *timed(path, square, limits, sense), np.concatenate(drawn)

@@ -13,6 +13,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
+from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse, SpeedCaps
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Timing
 
@@ -30,6 +31,9 @@ class WaypointFile(StrictModel):
     waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in the order of passing")
     speed: float | None = Field(default=None, gt=0, description="cruise speed [m/s]; default: the speed limit")
     timing: Timing = Field(default="stop", description="how speed is laid over the path")
+    speed_passport: PassportUse | None = Field(
+        default=None, description="timing: smooth is no faster than this passport allows for a tolerance"
+    )
 
 
 def lay_waypoints(
@@ -40,19 +44,20 @@ def lay_waypoints(
     speed: float | None = None,
     where: str = "trajectory",
     timing: Timing = "stop",
+    caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
     """Lay a smooth path through `waypoints` (x, y [m]) and time it.
 
     The path is a natural cubic spline over chord length, so its curvature is continuous. It is driven forwards, from
     rest to rest and as fast as `speed` [m/s] and `limits` allow; with `timing` "smooth" the lateral acceleration is
     limited too. With "commanded" the speed is constant but for the ramps at both ends. `where` names the source of the
-    waypoints in error messages.
+    waypoints in error messages; `caps` are greatest speeds by curvature.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If there are fewer than two waypoints, two that follow each other coincide, the path turns too tightly, or
-        `speed` is beyond the limit.
+        `speed` is beyond the limit, or `caps` know no speed for a turn.
     """
     if len(waypoints) < 2:
         raise ConfigError(f"{where}: {len(waypoints)} waypoints; give at least two [x, y]")
@@ -61,8 +66,14 @@ def lay_waypoints(
     path = smooth_path(np.asarray(waypoints, dtype=float), where)
     if timing == "commanded":
         limits = _unlimited_yaw_acceleration(path, speed or limits.v, limits, where)
+    cruise = speed or limits.v
     square = squared_speeds(
-        path.lengths, path.bend, path.bend_change, limits, speed or limits.v, lateral=timing == "smooth"
+        path.lengths,
+        path.bend,
+        path.bend_change,
+        limits,
+        np.minimum(cruise, caps.at(path.bend)) if caps else cruise,
+        lateral=timing == "smooth",
     )
     return SplineTrajectory.through(name, *timed(path, square, limits))
 

@@ -126,3 +126,8 @@ def test_points_do_not_touch_the_ends() -> None:
     assert 0.999 < points.max() < 1.0
     assert spread_points("sobol", 5, 0, 0).shape == (5, 0)
     assert np.array_equal(spread_points("latin_hypercube", 9, 2, 5), spread_points("latin_hypercube", 9, 2, 5))
+    # Independent points: more of them begin with the same, and none is balanced against another.
+    random = spread_points("random", 4096, 3, 0)
+    assert np.array_equal(random[:9], spread_points("random", 9, 3, 0))
+    halves = (random[:, 0].reshape(-1, 64) < 0.5).sum(axis=1)
+    assert 3.0 < halves.std() < 5.0  # 4 of 64 by the binomial distribution

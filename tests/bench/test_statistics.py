@@ -1,4 +1,4 @@
-"""Conformal quantiles: coverage on exchangeable data is what the theorem says."""
+"""Conformal quantiles: coverage on exchangeable data is what the theorem says. Exact bounds of a share."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from diffdrive_mpc.bench.statistics import conformal_quantile
+from diffdrive_mpc.bench.statistics import Rate, conformal_quantile
 
 TRIALS = 1500
 UNLIKELY = 1e-4
@@ -45,3 +45,15 @@ def test_too_few_groups_and_lost_drives_give_no_bound():
     assert conformal_quantile([np.array([1.0])] * 18, 0.95) == math.inf
     assert conformal_quantile([np.array([1.0])] * 19, 0.95) == 1.0
     assert conformal_quantile([np.array([1.0])] * 18 + [np.array([math.nan])], 0.95) == math.inf
+
+
+@pytest.mark.parametrize(("count", "of"), [(0, 9), (59, 59), (117, 119), (20, 40)])
+def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, of):
+    bound = Rate.of_runs(count, of).at_least(0.95)
+    assert 0.0 <= bound < count / of or count == bound == 0
+    # With the bound as the true share so many or more happen with the probability that is left.
+    assert count == 0 or binom.sf(count - 1, of, bound) == pytest.approx(0.05)
+
+
+def test_59_of_59_show_95_percent_and_58_do_not():
+    assert Rate.of_runs(59, 59).at_least(0.95) > 0.95 > Rate.of_runs(58, 58).at_least(0.95)
