@@ -19,7 +19,9 @@ _GREYS = ("0.85", "0.6")
 """Of both tubes: told apart in print."""
 
 
-def predict_into(config: str, trajectory: str, population: str, out: Path) -> PredictedError:
+def predict_into(
+    config: str, trajectory: str, population: str, out: Path, calibration: Path | None = None
+) -> PredictedError:
     """Predict, print the widths and where they are largest, and write figure and rows into `out`.
 
     Raises ConfigError or ValueError if a name is unknown, a file has a mistake, the trajectory cannot be driven with
@@ -27,7 +29,7 @@ def predict_into(config: str, trajectory: str, population: str, out: Path) -> Pr
     """
     loaded = load_config(config)
     controller = Controller(loaded)
-    predicted = controller.predict_error(load_trajectory(trajectory, loaded), population)
+    predicted = controller.predict_error(load_trajectory(trajectory, loaded), population, calibration)
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / ROWS) as draft:
         write_rows(predicted, draft)

@@ -286,7 +286,9 @@ class Controller:
         mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, line)
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
 
-    def predict_error(self, reference: Reference | str | Path, population: str = "drawn") -> PredictedError:
+    def predict_error(
+        self, reference: Reference | str | Path, population: str = "drawn", calibration: str | Path | None = None
+    ) -> PredictedError:
         """Predict the tracking error of a reference before it is driven; nothing of the controller changes.
 
         Parameters
@@ -296,6 +298,8 @@ class Controller:
         population
             Which drives count: "drawn", robots of the market of which this configuration says what their users know;
             "own", the robot that it was made for, with what is uncertain of load, link, floor and poses.
+        calibration
+            Calibration file that has the population; by default the shipped one.
 
         Returns
         -------
@@ -310,11 +314,14 @@ class Controller:
             of what was calibrated, or the reference lasts no time or over two hours.
         """
         from diffdrive_mpc.mpc.predicted_error import predicted_error  # noqa: PLC0415 - rarely needed
+        from diffdrive_mpc.mpc.predicted_error.calibration import load_calibration  # noqa: PLC0415
 
         predicted_error.check_origin(self.model)
         reference = self._named(reference)
         self._check(reference, 0.0)
-        return predicted_error.predict_error(reference, self._config, self.model.lag, population)
+        return predicted_error.predict_error(
+            reference, self._config, self.model.lag, population, load_calibration(calibration)
+        )
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
         """Replace the last K commands by those actually sent, for instance by another controller.

@@ -400,12 +400,15 @@ def predict_error(
     population: Annotated[
         str, typer.Option(metavar="drawn|own", help="Any robot of the market, or the configuration's own.")
     ] = "drawn",
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Calibration of your own robot's twin; else the shipped one.")
+    ] = None,
     out: Annotated[Path, out_option("predicted-error.png and predicted-error.csv")],
 ) -> None:
     """Predict the tracking error of a trajectory before it is driven: tubes in which 95 % of drives stay, and why."""
     from diffdrive_mpc.app.predicted_error import predict_into  # noqa: PLC0415 - --help does without it
 
-    predict_into(config, trajectory, population, out)
+    predict_into(config, trajectory, population, out, calibration)
 
 
 # `diffdrive-mpc commission`: from an unknown robot to a proven controller.

@@ -83,7 +83,11 @@ class ErrorCalibration(StrictModel):
         return self.populations[name]
 
 
-@cache
-def load_calibration(path: Path = _FILE) -> ErrorCalibration:
+def load_calibration(path: str | Path | None = None) -> ErrorCalibration:
     """Read a calibration, by default the shipped one; raises ConfigError when the file has a mistake."""
-    return load_checked(ErrorCalibration, path)
+    return _shipped() if path is None else load_checked(ErrorCalibration, Path(path))
+
+
+@cache
+def _shipped() -> ErrorCalibration:
+    return load_checked(ErrorCalibration, _FILE)

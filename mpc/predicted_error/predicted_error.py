@@ -122,6 +122,16 @@ def check_origin(model: VelocityModel | NonlinearModel) -> None:
         )
 
 
+def check_lag(lag: FloatArray, calibrated: CalibratedRanges) -> None:
+    """Raise ValueError for a model whose lag (2,) [s] is outside of that of the drives."""
+    for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True):
+        if not low <= value <= high:
+            raise ValueError(
+                f"the model's lag of {channel} is {value:.3g} s; errors are predicted for {low:g} to {high:g} s. "
+                "Identify the model on this robot, or calibrate on drives with such a lag"
+            )
+
+
 def predict_error(
     reference: Reference,
     config: ControllerConfig,
@@ -153,7 +163,7 @@ def predict_error(
             f"reference '{reference.name}': it lasts {reference.duration:g} s; an error is predicted for more than 0 "
             f"and at most {_LONGEST:g} s, so give it in parts"
         )
-    _check_lag(lag, calibration.calibrated)
+    check_lag(lag, calibration.calibrated)
     dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(np.ceil(reference.duration / dt)) + 1)) * dt, dtype=np.float64)
     sample = reference.sample(time)
@@ -170,15 +180,6 @@ def predict_error(
         _tube(features, drives.along),
         _warnings(sample.twist, calibration.calibrated),
     )
-
-
-def _check_lag(lag: FloatArray, calibrated: CalibratedRanges) -> None:
-    for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True):
-        if not low <= value <= high:
-            raise ValueError(
-                f"the model's lag of {channel} is {value:.3g} s; errors are predicted for {low:g} to {high:g} s. "
-                "Identify the model on this robot, or calibrate on drives with such a lag"
-            )
 
 
 def _warnings(twist: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:

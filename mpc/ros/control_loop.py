@@ -186,6 +186,11 @@ class ControlLoop:
         self.last: LoopTick | None = None
 
     @property
+    def reference(self) -> Reference | None:
+        """Reference that is driven, or that the next start drives along; None where there is none."""
+        return self._reference
+
+    @property
     def speed_limit(self) -> float | None:
         """Limit of the speed from outside [m/s]; None where there is none."""
         return self._controller.speed_limit

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState, LoopTick
+from diffdrive_mpc.mpc.ros.path_error import ErrorPredictor, lay_within_limit
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
@@ -123,22 +124,28 @@ def lay_for_robot(
     twist: tuple[float, float],
     limits: TrajectoryLimits,
     settings: NodeSettings,
-    beside: float,
+    config: ControllerConfig,
+    predictor: ErrorPredictor | None = None,
 ) -> Laid | None:
     """What is done beside the loop, see `lay_poses`; None where the robot is at the goal, and too short a rest to lay.
 
-    Raises ConfigError for any other path that cannot be laid.
+    With a `predictor`, the path keeps to `follow_error_limit`. Raises ConfigError for any other path that cannot be
+    laid.
     """
-    try:
+
+    def lay(limits: TrajectoryLimits) -> Laid:
         return lay_poses(
             poses,
             limits,
             robot=robot,
             twist=twist,
             deviation=settings.follow_deviation,
-            beside=beside,
+            beside=config.reentry.band,
             backwards=settings.follow_backwards,
         )
+
+    try:
+        return lay(limits) if predictor is None else lay_within_limit(lay, limits, settings, predictor, config)
     except ConfigError:
         left = poses_left(poses, robot)
         length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())
@@ -194,6 +201,8 @@ class Following:
         Lays a path beside the loop.
     transform
         Brings poses (n, 3) from a frame, at a time [ns], into that of control; FrameError says why it cannot.
+    predictor
+        Predicts errors of paths that have to keep to `follow_error_limit`; None where there is no limit.
     """
 
     def __init__(
@@ -204,9 +213,10 @@ class Following:
         gain: Callable[[], FloatArray],
         lay: Lay,
         transform: Callable[[FloatArray, str, int], FloatArray],
+        predictor: ErrorPredictor | None = None,
     ) -> None:
         self._loop, self._settings, self._config, self._gain = loop, settings, config, gain
-        self._lay, self._transform = lay, transform
+        self._lay, self._transform, self._predictor = lay, transform, predictor
         self._coming: FollowGoal | None = None
         self._driven: FollowGoal | None = None
 
@@ -270,7 +280,7 @@ class Following:
         goal.asked_at = loop.inbox.now
         limits = path_limits(config, self._gain(), self._settings)
         self._lay(
-            (goal.poses, robot, twist, limits, self._settings, config.reentry.band),
+            (goal.poses, robot, twist, limits, self._settings, config, self._predictor),
             lambda laid: self._begin(goal, laid, twist[0]),
             lambda why: self._refuse(goal, _not_laid(why), why),
         )
@@ -375,7 +385,10 @@ class Following:
         gap = _gap(estimate.pose, goal.poses[-1])
         words = f"{gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
         if _within(gap, settings):
-            return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}")
+            assert goal.laid is not None
+            share = goal.laid.speed_share
+            slowed = f"; driven at {100 * share:g} % of its speed for follow_error_limit" if share < 1.0 else ""
+            return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}{slowed}")
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
     def _code(self, tick: LoopTick) -> Code:

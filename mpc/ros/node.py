@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from sensor_msgs.msg import BatteryState, Imu, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.config.config_file import load_config
@@ -39,6 +42,7 @@ from diffdrive_mpc.mpc.ros.parameters import (
     read,
     refuse_what_is_not_allowed,
 )
+from diffdrive_mpc.mpc.ros.path_error import ErrorPredictor
 from diffdrive_mpc.mpc.ros.publishers import Publishers, deaf_to_commands, publishers_of
 from diffdrive_mpc.mpc.ros.recording import ActivationRecording, TickRecords
 from diffdrive_mpc.mpc.ros.reference_input import (
@@ -133,6 +137,13 @@ class TrackingNode(LifecycleNode):
         # A limit of a zone, too, outlasts the node's being inactive: the zone does.
         self._speed_limit: SpeedLimit | None = None
         self.create_service(SetBool, "~/hold", self._hold)
+        self._predictor: ErrorPredictor | None = None
+        # Why there is none.
+        self._unpredictable = ""
+        self._awaited: set[Future] = set()
+        # A group of its own: while its answer is awaited, the tick is not.
+        group = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/predict_error", self._predict_error, callback_group=group)
 
     def bring_up(self) -> None:
         """Configure and activate, if the parameter autostart says so; raises ValueError with the reason if it fails."""
@@ -264,7 +275,9 @@ class TrackingNode(LifecycleNode):
         if settings.trajectory:
             trajectory = load_trajectory(settings.trajectory, config)
             check_speeds(trajectory, config.limits, config.sample_time)
-        self._controller = Controller(config)
+        controller = Controller(config)
+        self._predictor = self._error_predictor(controller, settings)
+        self._controller = controller
         self._settings, self._trajectory, self._changes.pending = settings, trajectory, False
         self._frames: Frames | None = None
         hears: list[Subscription] = []
@@ -272,7 +285,6 @@ class TrackingNode(LifecycleNode):
             self._frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
             hears = listen(self, self._frames)
         self._inbox = Inbox(settings, self._now, self._now(), self._frames)
-        controller = self._controller
         self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
         self._rivals = Rivals(self, command_topic(settings))
         sensors, inbox = qos_profile_sensor_data, self._inbox
@@ -368,7 +380,10 @@ class TrackingNode(LifecycleNode):
 
         self._aside.prepare(nothing)
         settings, config = self._settings, lambda: controller.config
-        return Following(loop, settings, config, lambda: controller.model.dc_gain, lay, self._in_control_frame)
+        predictor = self._predictor if settings.follow_error_limit else None
+        return Following(
+            loop, settings, config, lambda: controller.model.dc_gain, lay, self._in_control_frame, predictor
+        )
 
     def _in_control_frame(self, poses: FloatArray, frame: str, stamp: int) -> FloatArray:
         """Poses (n, 3) in the frame of control, as they lie now; raises FrameError where they cannot be brought there.
@@ -491,6 +506,8 @@ class TrackingNode(LifecycleNode):
         self._outgoing.destroy()
         self.destroy_timer(self._diagnostics_timer)
         self._aside.close()
+        for answer in self._awaited:
+            answer.set_result((False, "the node was deactivated and cleaned up"))
         self.destroy_guard_condition(self._read)
         self.destroy_guard_condition(self._due)
 
@@ -575,6 +592,45 @@ class TrackingNode(LifecycleNode):
             return response
 
         return answer
+
+    def _error_predictor(self, controller: Controller, settings: NodeSettings) -> ErrorPredictor | None:
+        """Predicts errors; None for a model that none is predicted for, unless paths have to keep to a limit."""
+        try:
+            self._unpredictable = ""
+            return ErrorPredictor.of(controller, settings)
+        except ConfigError:
+            raise
+        except ValueError as error:
+            if settings.follow_error_limit:
+                raise RefusedError(f"follow_error_limit is set, and {error}") from error
+            self._unpredictable = str(error)
+            return None
+
+    async def _predict_error(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Predict the error of the reference that is driven, or would be, beside the loop."""
+        try:
+            if self._loop is None or self._controller is None:
+                raise RefusedError(f"the node is {self._label}; activate it first")
+            if self._predictor is None:
+                raise RefusedError(self._unpredictable)
+            if self._loop.reference is None:
+                raise RefusedError("there is no reference yet; send one, or set the parameter trajectory")
+        except ValueError as error:
+            response.success, response.message = False, str(error)
+            return response
+        answer = Future()
+        self._awaited.add(answer)
+        arguments = self._predictor, self._loop.reference, self._controller.config
+        self._aside.submit(
+            "predict_error",
+            ErrorPredictor.summary,
+            arguments,
+            lambda words: answer.set_result((True, words)),
+            lambda why: answer.set_result((False, why)),
+        )
+        response.success, response.message = await answer
+        self._awaited.discard(answer)
+        return response
 
     def _hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Kept here, too: whoever stopped the robot did not mean until the next activation."""

@@ -168,6 +168,23 @@ class NodeSettings(StrictModel, strict=True):
         10_000, description="a path of more poses is refused [-]"
     )
 
+    follow_error_limit: NotNegative = Field(
+        0.0,
+        description="a path beside which fewer than 95 % of drives stay this near all the way, as predicted, is slowed "
+        "or refused; 0: none is [m]",
+    )
+    follow_error_response: Literal["slow", "refuse"] = Field(
+        "slow",
+        description="what is done with such a path; slow: driven slower, and refused where a fifth of its speed is "
+        "still too much [-]",
+    )
+    error_population: str = Field(
+        "drawn", min_length=1, description="whose drives a predicted error is for: drawn or own [-]"
+    )
+    error_calibration: str = Field(
+        "", description="calibration file of predicted errors, for a twin of your own; empty: the shipped one [-]"
+    )
+
     @model_validator(mode="after")
     def _one_source_of_poses(self) -> NodeSettings:
         if self.use_pose_topic and self.pose_source == "tf":

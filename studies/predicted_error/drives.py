@@ -76,8 +76,8 @@ class PredictedErrorFile(StrictModel):
     lag_v: CalibratedRange = Field(description="lag of v of the models, dead time included [s]")
     lag_omega: CalibratedRange = Field(description="lag of omega of the models, dead time included [s]")
     populations: dict[str, PopulationDrives] = Field(description="what is calibrated")
-    others: dict[str, DriveSet] = Field(description="what nothing was calibrated on")
-    oracle: Oracle = Field(description="what an oracle drives")
+    others: dict[str, DriveSet] = Field(default_factory=dict, description="what nothing was calibrated on")
+    oracle: Oracle = Field(Oracle(drives=1, paths=()), description="what an oracle drives")
 
     @property
     def calibrated(self) -> CalibratedRanges:

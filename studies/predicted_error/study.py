@@ -108,7 +108,7 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         }
         calibration = ErrorCalibration(
             level=level,
-            provenance="studies/predicted_error on the mujoco plant, controller ssm",
+            provenance="studies/predicted_error; plants and configurations are those of its file",
             calibrated=self._study.calibrated,
             populations=populations,
         )
@@ -132,7 +132,7 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
                 "the way, with the exact interval. Widths are to either side.",
                 f"A path of a minute is predicted in {1e3 * _seconds(calibration):.2f} ms, the median of {_REPEATS}.",
             ],
-            tables=tables,
+            tables=[table for table in tables if table.rows],
             files={CALIBRATION: text},
         )
 

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.mpc.predicted_error.calibration import load_calibration
 
 
 def invoke(*words):
@@ -23,6 +25,18 @@ def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
     assert f"{1e3 * rows['lateral_everywhere'].max():.1f}" in result.output
 
 
+def test_a_calibration_of_ones_own_counts(tmp_path):
+    shipped = load_calibration()
+    mine = shipped.populations["own"].model_copy(update={"description": "drives of my twin"})
+    data = shipped.model_copy(update={"populations": {"mine": mine}}).model_dump(mode="json")
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(data))
+    words = ["--trajectory", "s", "--calibration", tmp_path / "mine.yaml", "--out", tmp_path]
+    result = invoke(*words, "--population", "mine")
+    assert result.exit_code == 0, result.output
+    assert "drives of my twin" in result.output
+    assert "unknown population 'drawn': give mine" in invoke(*words).output
+
+
 def test_a_path_faster_than_the_calibration_gets_one_line_of_warning(tmp_path):
     result = invoke("--trajectory", "figure8", "--out", tmp_path)
     assert result.exit_code == 0, result.output
@@ -39,6 +53,8 @@ def test_a_path_faster_than_the_calibration_gets_one_line_of_warning(tmp_path):
         (["--trajectory", "s", "--config", "p2_physical"], "lag of v is 0.0613 s; errors are predicted for 0.108"),
         (["--trajectory", "nowhere"], "unknown trajectory 'nowhere'"),
         (["--trajectory", "s", "--population", "mine"], "unknown population 'mine': give drawn or own"),
+        (["--trajectory", "s", "--calibration", "nan.csv"], "nan.csv"),
+        (["--trajectory", "s", "--calibration", "nowhere.yaml"], "nowhere.yaml"),
         (["--trajectory", "s", "--config", "nothing"], "unknown configuration 'nothing'"),
         (["--trajectory", "empty.csv"], "empty.csv"),
         (["--trajectory", "nan.csv"], "nan.csv"),

@@ -304,6 +304,32 @@ def test_a_hold_and_a_pause_keep_the_goal_and_deactivation_ends_it(parts):
         follow.base.until(lambda: follow.client.of("b", "rejected"), "no")
 
 
+BEND = np.column_stack([X, 0.3 * np.sin(3 * X), np.arctan(0.9 * np.cos(3 * X))])
+
+
+@pytest.mark.parametrize("response", ["refuse", "slow"])
+def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slower(parts, response):
+    """The limit is three quarters of the error that is predicted for the path at full speed."""
+    from diffdrive_mpc import Controller
+    from diffdrive_mpc.mpc.ros.follow_goal import lay_for_robot, path_limits
+    from diffdrive_mpc.mpc.ros.settings import NodeSettings
+
+    controller, settings = Controller("ssm"), NodeSettings()
+    limits = path_limits(controller.config, controller.model.dc_gain, settings)
+    laid = lay_for_robot(BEND, BEND[0], (0.0, 0.0), limits, settings, controller.config)
+    limit = 0.75 * float(controller.predict_error(laid.reference, "own").lateral.everywhere.max())
+    with parts.following(follow_error_limit=limit, follow_error_response=response, error_population="own") as follow:
+        follow.client.send("a", BEND)
+        result = follow.ended("a", pace=0.2 * parts.DT)
+        if response == "refuse":
+            assert (result["status"], result["code"]) == (parts.ABORTED, 103)
+            assert f"follow_error_limit is {1e3 * limit:.1f} mm (lateral: worst after" in result["words"]
+            assert not np.any(follow.base.commands)
+        else:
+            assert (result["status"], result["code"]) == (parts.SUCCEEDED, 0)
+            assert 0.2 * limits.v < commanded(follow, 0)[:, 0].max() < 0.85 * limits.v
+
+
 def test_goals_in_a_row_leave_nothing_behind(parts):
     rng = np.random.default_rng(7)
     with parts.following(follow_feedback_rate=20.0) as follow:

@@ -1,13 +1,17 @@
 """The study of the predicted error: from drives to a calibration that covers others, and drives that repeat."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
 
+from diffdrive_mpc import Controller
 from diffdrive_mpc.bench.runner import StudyFailedError
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.mpc.predicted_error.calibration import ErrorCalibration, load_calibration
 from diffdrive_mpc.mpc.predicted_error.features import FEATURES
+from studies.predicted_error import drives
 from studies.predicted_error.calibrate import calibrated, coverage, oracle_widths
 from studies.predicted_error.drives import DrivenPath, drive, keep, load_study, planned, planned_sets, read_kept
 from studies.predicted_error.study import PredictedErrorStudy
@@ -75,6 +79,22 @@ def test_a_report_says_coverage_and_writes_a_calibration_that_is_read():
     assert [len(table.rows) > 0 for table in report.tables] == [True] * 4
     written = check(ErrorCalibration, yaml.safe_load(report.files["calibration.yaml"]), "calibration.yaml")
     assert written.populations.keys() == load_calibration().populations.keys()
+
+
+def test_a_study_of_ones_own_twin_needs_no_more_than_its_population(tmp_path):
+    file = tmp_path / "mine.yaml"
+    shipped = yaml.safe_load(Path(drives.__file__).with_name("study.yaml").read_text(encoding="utf-8"))
+    mine = shipped["populations"]["own"] | {"factors": {"plant": "mujoco:heavy", "config": "sm"}}
+    ranges = ("level", "speed", "yaw_rate", "acceleration", "lag_v", "lag_omega")
+    file.write_text(yaml.safe_dump({name: shipped[name] for name in ranges} | {"populations": {"mine": mine}}))
+    study = load_study(file)
+    case = planned_sets(study)["mine-test"][0].definition.case
+    assert (case.plant, case.config) == ("mujoco:heavy", "sm")
+    sets = {name: made_up(30, k) for k, name in enumerate(planned_names(study))}
+    report = PredictedErrorStudy(study).report(sets, 1.0)
+    (tmp_path / "calibration.yaml").write_text(report.files["calibration.yaml"])
+    predicted = Controller("sm").predict_error("circle", "mine", tmp_path / "calibration.yaml")
+    assert predicted.drives == mine["description"]
 
 
 def planned_names(study):
