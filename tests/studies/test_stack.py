@@ -109,6 +109,12 @@ def test_the_controllers_frequency_is_that_of_the_settings(exact):
     assert content["controller_frequency"] == identification_settings().stack.controller_frequency
 
 
+def test_the_least_look_ahead_is_that_of_the_slowest_speed(exact):
+    slow, quantities = identification_settings().stack.slow_speed, exact[1]
+    assert slow < quantities["driven.v"].value
+    assert quantities["min_look_ahead"].value == pytest.approx(slow * quantities["look_ahead_time"].value)
+
+
 def test_limits_that_are_not_reached_are_a_note():
     quantities = estimate_stack(drawn_log(SEED, seconds=60.0, limit=1.5).data)
     assert quantities["max.v"].value is None
