@@ -2,16 +2,21 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from diffdrive_mpc import load_config, load_trajectory
+from studies.ros.recorded_drive import read_drive
+from studies.ros.two_processes import own_domain
 from studies.site.notebooks import executed, notebook_text, pictures
 
 FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"
+JACKAL = "from-bag-to-robot"
 TUTORIALS = sorted(path for path in FOLDER.glob("*.md") if path.stem != "index")
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_the_notebook_is_that_of_the_page_and_draws_what_it_shows(page, tmp_path):
+def test_the_notebook_is_that_of_the_page_and_draws_what_it_shows(page, tmp_path, monkeypatch):
     markdown = page.read_text(encoding="utf-8")
     notebook = page.with_suffix(".ipynb").read_text(encoding="utf-8")
     assert notebook == notebook_text(markdown), "run `make notebooks`"
@@ -19,7 +24,26 @@ def test_the_notebook_is_that_of_the_page_and_draws_what_it_shows(page, tmp_path
     shown = pictures(markdown)
     assert shown
     assert all((FOLDER / name).is_file() for name in shown)
+    for name, value in own_domain(tmp_path).items():
+        monkeypatch.setenv(name, value)
     assert len(executed(notebook, tmp_path)) == len(shown)
+    if page.stem == JACKAL:
+        check_jackal(tmp_path)
+
+
+def check_jackal(folder):
+    """It may be driven, and over DDS it arrives and stays inside the tube that was predicted."""
+    assert "May I drive? Yes" in (folder / "my_jackal" / "report.md").read_text(encoding="utf-8")
+    config = load_config(folder / "my_jackal" / "config.yaml")
+    reference = load_trajectory(folder / "my_jackal" / "first_circle.yaml", config)
+    drive = read_drive(folder / "driven", reference, config.sample_time)
+    tube = np.genfromtxt(folder / "predicted" / "predicted-error.csv", delimiter=",", names=True)
+    assert drive.metrics.completed
+    assert 0.001 < drive.metrics.lateral_max_m < np.min(tube["lateral_everywhere"])
+
+
+def test_the_jackal_takes_ten_minutes():
+    assert len((FOLDER / f"{JACKAL}.md").read_text(encoding="utf-8").split()) <= 800
 
 
 def test_every_tutorial_is_listed_and_names_its_notebook():

@@ -287,7 +287,7 @@ def identify_data(
     if predictor:
         announce(f"{predictor} (a minute or more)")
         fitted = with_predictor(data, fitted, finders()[predictor]())
-    report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
+    report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today(), robot)
     configuration = configure(
         name,
         fitted.identified,

@@ -330,7 +330,7 @@ def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Qu
         return Quantity(value, (low, high), unit, words)
 
     fast = quantities["driven.v"].value or 0.0
-    slow = settings.slow_share * fast
+    slow = min(settings.slow_speed, fast)
     return {
         "look_ahead_time": at(1.0, "s", reason),
         "look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),

@@ -322,15 +322,21 @@ def monitor(
 def stack(
     *,
     out: Annotated[Path, out_option("report.html, stack.json and stack.md")],
+    only: Annotated[str | None, parts_option("robots, peers")] = None,
     robots: Annotated[int, typer.Option(min=1, help="How many drawn robots.")] = 200,
     tuning_robots: Annotated[bool, typer.Option("--tuning-robots", help="Robots to tune on.")] = False,
+    drives: Annotated[Path | None, file_option("Drives of the peers", "--drives")] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Hold parameters for other packages, and their intervals, against drawn robots: half an hour on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does without it
+    """Hold parameters for other packages against drawn robots, and drive peers with them: half an hour on two cores."""
+    from diffdrive_mpc.bench.study import carry_out, check_parts  # noqa: PLC0415 - --help does without it
+    from studies.stack.peers import load_peer_drives  # noqa: PLC0415
     from studies.stack.study import StackStudy  # noqa: PLC0415
 
-    carry_out(StackStudy(robots, tuning=tuning_robots), out, jobs)
+    parts = ("robots", "peers") if only is None else split_names(only, "--only")
+    check_parts(parts, ("robots", "peers"))
+    peers = load_peer_drives(drives) if "peers" in parts else None
+    carry_out(StackStudy(robots if "robots" in parts else 0, tuning=tuning_robots, peers=peers), out, jobs)
 
 
 def real_logs(

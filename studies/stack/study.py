@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,13 +15,25 @@ from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.identification.stack import estimate_stack
+from diffdrive_mpc.models.identification.stack import Quantities, estimate_stack
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim import make_plant
+from studies.stack.peers import PeerDrives, all_drives, driven, error_table, identified, parameter_table
 from studies.stack.population import drawn_log, load_population
 
 Row = dict[str, object]
 FIRST, EVERY = 1000, 2
 """Seeds of the robots: even ones are reserved, and these are of no other study."""
 _TUNING = 1
+
+
+@dataclass(frozen=True)
+class StackResults:
+    """Rows of the drawn robots, and what is told of the peers' robots with the rows of the drives."""
+
+    rows: list[Row]
+    logs: Mapping[str, Quantities]
+    drives: list[Row]
 
 
 def estimated(seed: int) -> list[Row]:
@@ -37,8 +51,8 @@ def estimated(seed: int) -> list[Row]:
     return rows
 
 
-class StackStudy(Study[list[int], list[Row]]):
-    """Logs of drawn robots, each estimated from by `estimate_stack` alone.
+class StackStudy(Study[list[int], StackResults]):
+    """Logs of drawn robots, each estimated from by `estimate_stack` alone; and peers that drive with what a log tells.
 
     `identify --for` also gives it the limits of the identified model, and with `--effects` that model's effects. Both
     are left out here.
@@ -46,43 +60,66 @@ class StackStudy(Study[list[int], list[Row]]):
     Parameters
     ----------
     robots
-        How many.
+        How many are drawn; 0 for none.
     tuning
         Whether their seeds are those to tune on.
+    peers
+        What the peers drive; None for nothing.
     """
 
     name = "stack"
     title = "Parameters for other packages"
 
-    def __init__(self, robots: int, *, tuning: bool = False) -> None:
-        self._robots, self._tuning = robots, tuning
+    def __init__(self, robots: int, *, tuning: bool = False, peers: PeerDrives | None = None) -> None:
+        self._robots, self._tuning, self._peers = robots, tuning, peers
 
     def plan(self) -> list[int]:
-        """The seeds."""
+        """The seeds; raises ConfigError or ValueError if a robot or a path of the peers cannot be used."""
+        if self._peers is not None:
+            for robot in self._peers.robots:
+                make_plant(robot)
+            for trajectory in self._peers.trajectories:
+                load_trajectory(trajectory)
         first = _TUNING if self._tuning else FIRST
         return list(range(first, first + EVERY * self._robots, EVERY))
 
-    def run(self, plan: list[int], jobs: int, bar: ProgressBar) -> list[Row]:
-        """Estimate from every log."""
+    def run(self, plan: list[int], jobs: int, bar: ProgressBar) -> StackResults:
+        """Estimate from every log, then let the peers drive."""
         bar.begin("estimating", len(plan))
-        return [
+        rows = [
             row for rows in run_tasks([partial(estimated, seed) for seed in plan], jobs, bar.advance) for row in rows
         ]
+        peers = self._peers
+        if peers is None:
+            return StackResults(rows, {}, [])
+        bar.begin("estimating for the peers", len(peers.robots))
+        estimates = run_tasks([partial(identified, robot, peers) for robot in peers.robots], jobs, bar.advance)
+        logs = dict(zip(peers.robots, estimates, strict=True))
+        drives = all_drives(peers, logs)
+        bar.begin("driving", len(drives))
+        return StackResults(rows, logs, run_tasks([partial(driven, drive) for drive in drives], jobs, bar.advance))
 
-    def report(self, results: list[Row], seconds: float) -> Report:
-        """How many are estimated, how many lie within the tolerance, and how many intervals hold the truth."""
-        seeds = {row["seed"] for row in results}
+    def report(self, results: StackResults, seconds: float) -> Report:
+        """How many are estimated, how many intervals hold the truth, and what the parameters do to the peers."""
+        seeds = {row["seed"] for row in results.rows}
+        facts, tables = [], []
+        if seeds:
+            facts.append(f"Logs of {len(seeds)} drawn robots with {'tuning' if self._tuning else 'reserved'} seeds.")
+            tables.append(coverage_table(results.rows))
+        if self._peers is not None:
+            facts.append(f"{len(results.drives)} drives of the peers.")
+            tables += [error_table(results.drives, self._peers), parameter_table(results.logs)]
         return Report(
-            counted=f"{len(seeds)} robots",
-            meta={"population": load_population().model_dump()},
-            content={"rows": results},
-            facts=[f"Logs of {len(seeds)} drawn robots with {'tuning' if self._tuning else 'reserved'} seeds."],
-            tables=[coverage_table(results)],
+            counted=f"{len(seeds)} robots and {len(results.drives)} drives",
+            meta={"population": load_population().model_dump(), "peers": self._peers},
+            content={"rows": results.rows, "drives": results.drives},
+            facts=facts,
+            tables=tables,
             notes=[f"{seconds:.0f} s in all."],
         )
 
 
-def coverage_table(rows: list[Row]) -> Table:
+def coverage_table(rows: Sequence[Row]) -> Table:
     """One row for each quantity."""
     settings = load_population()
     lines = []

@@ -15,7 +15,10 @@ from diffdrive_mpc.app.identification.stack import chosen_packages, package_text
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.identification.stack import estimate_stack, look_ahead_factor
+from diffdrive_mpc.models.identification.stack import Quantity, estimate_stack, look_ahead_factor
+from diffdrive_mpc.mpc import Controller, load_config
+from studies.cli import app as studies_app
+from studies.stack.peers import LIMITS, PURSUIT, known, later, limited
 from studies.stack.population import drawn_log
 from studies.stack.study import StackStudy, coverage_table
 
@@ -106,6 +109,12 @@ def test_the_controllers_frequency_is_that_of_the_settings(exact):
     assert content["controller_frequency"] == identification_settings().stack.controller_frequency
 
 
+def test_the_least_look_ahead_is_that_of_the_slowest_speed(exact):
+    slow, quantities = identification_settings().stack.slow_speed, exact[1]
+    assert slow < quantities["driven.v"].value
+    assert quantities["min_look_ahead"].value == pytest.approx(slow * quantities["look_ahead_time"].value)
+
+
 def test_limits_that_are_not_reached_are_a_note():
     quantities = estimate_stack(drawn_log(SEED, seconds=60.0, limit=1.5).data)
     assert quantities["max.v"].value is None
@@ -144,3 +153,40 @@ def test_the_study_counts_what_is_estimated(tmp_path, monkeypatch):
     monkeypatch.setattr("studies.stack.study.estimated", lambda seed: rows[:1])
     carry_out(StackStudy(1, tuning=True), tmp_path / "out", 1)
     assert json.loads((tmp_path / "out" / "stack.json").read_text())["rows"][0]["quantity"] == "max.v"
+
+
+def test_peers_take_the_parameters_that_nav2_gets():
+    """Names of the study are those of the template; what a log does not tell keeps its default."""
+    template = packages()["nav2"]["controller_server"]
+    assert {name: template[f"FollowPath.{name}"] for name in PURSUIT} == PURSUIT
+    quantities = told({"delay.v": 0.3, "delay.omega": 0.25, "look_ahead_time": 1.2, "max.v": 0.7})
+    assert limited(quantities).limits.v == 0.7
+    assert limited(quantities).limits.omega == load_config("sm").limits.omega
+    assert later(quantities) == pytest.approx([0.3, 0.25] - Controller(load_config("sm")).model.lag)
+    assert known(PURSUIT, quantities) == {"lookahead_time": 1.2}
+
+
+def told(values):
+    """Quantities of which the log tells only some."""
+    names = {*PURSUIT.values(), *LIMITS.values(), "delay.v", "delay.omega"}
+    return {name: Quantity(values.get(name), (math.nan, math.nan), "", "") for name in names}
+
+
+def test_peers_drive_with_what_a_log_tells(tmp_path):
+    """Of a robot that is 120 ms later than its model, `mppi` is better off with the delay that the log tells."""
+    file = tmp_path / "drives.yaml"
+    file.write_text(
+        "{robots: ['mujoco:dead_time_160'], trajectories: [cane], seeds: [1, 3], log: {seconds: 25.0, seed: 5}}\n",
+        encoding="utf-8",
+    )
+    words = ["stack", "--only", "peers", "--drives", str(file), "--jobs", "1", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(studies_app, words)
+    assert result.exit_code == 0, f"{result.output}\n{result.exception!r}"
+    content = json.loads((tmp_path / "out" / "stack.json").read_text())
+    assert content["rows"] == []
+    errors = {(row["peer"], row["variant"], row["seed"]): row["error_m"] for row in content["drives"]}
+    assert len(errors) == 8
+    assert all(errors["mppi", "identified", seed] < 0.5 * errors["mppi", "default", seed] for seed in (1, 3))
+    table = (tmp_path / "out" / "stack.md").read_text()
+    assert "| mujoco:dead_time_160 | mppi | all |" in table
+    assert "| mujoco:dead_time_160 | mppi: model_delay.v | " in table

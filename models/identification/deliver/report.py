@@ -32,6 +32,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.stated_robot import MakersRobot
 from diffdrive_mpc.models.table import TextTable, plain_line
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -48,6 +49,8 @@ class IdentificationReport:
         What it was made from, the model with its scores, and what poses added.
     day
         Of the identification.
+    robot
+        Whose maker states what the logs do not tell; None where nobody does.
     """
 
     name: str
@@ -55,6 +58,7 @@ class IdentificationReport:
     fitted: Fitted
     poses: PoseResults
     day: date
+    robot: MakersRobot | None = None
 
     def __repr__(self) -> str:
         """A word: the arrays behind it fill pages."""
@@ -74,7 +78,7 @@ class IdentificationReport:
         if self.data.yaw == "encoders":
             words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
             verdicts.append(Doubt("no gyro", words))
-        if self.fitted.geometry is None and self.data.stated_track is None:
+        if self.fitted.geometry is None and self.data.stated_track is None and self.robot is None:
             words = (
                 "wheels: neither log nor mapping (wheels.track) tells the track: in config.yaml set wheels.track, "
                 "wheels.encoder_track and limits.wheel_speed"
