@@ -358,7 +358,7 @@ def _words(curvature: float) -> str:
 
 
 def _speed(speed: float | None) -> str:
-    return "-" if speed is None else f"{speed:.2f}"
+    return "-" if speed is None else f"{speed:.3f}"
 
 
 def _count(rate: Rate | None) -> str:

@@ -55,7 +55,7 @@ PLAN: dict[str, Any] = {
     "share": 0.7,
     "confidence": 0.8,
     "search_runs": 5,
-    "proof_runs": 11,
+    "proof_runs": 8,
     "tries": 2,
     "draw_seed": 5,
     "curvatures": [0.0, 2.0],
@@ -142,8 +142,8 @@ def drawn(name: str) -> dict[str, object]:
 
 
 def test_a_path_timed_by_a_passport_stays_inside_and_one_that_is_not_does_not(measured: Path, tmp_path: Path) -> None:
-    assert held_out(tmp_path, measured / PASSPORT, "firm", 0.01, ["bends"], 15).high >= PLAN["share"]
-    assert held_out(tmp_path, None, "firm", 0.01, ["bends"], 15).high < PLAN["share"]
+    assert held_out(tmp_path, measured / PASSPORT, "firm", 0.01, ["bends"], 10).high >= PLAN["share"]
+    assert held_out(tmp_path, None, "firm", 0.01, ["bends"], 10).high < PLAN["share"]
 
 
 LONG_PATHS = ["slalom", "figure8", "cane", "s", "spline-340001", "spline-340002", "spline-340003"]
