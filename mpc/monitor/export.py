@@ -12,8 +12,8 @@ from diffdrive_mpc.mpc.monitor.rules import Rules
 
 _SOURCES = Path(__file__).parent / "sources"
 _BOARD = Path(__file__).parents[1] / "export" / "sources" / "project" / "stm32f4"
-"""Start-up and memory of the board are the same for every program."""
-_BOARD_FILES = ("startup.c", "stm32f4.ld", "toolchain.cmake")
+"""Start-up, memory and serial line of the board are the same for every program."""
+_BOARD_FILES = ("board.h", "startup.c", "stm32f4.ld", "toolchain.cmake")
 
 
 def export_judge(rules: Rules, folder: Path) -> list[Path]:
