@@ -115,15 +115,6 @@ class WheelCommand(StrictModel):
         held = self._held(self.sides(twist))
         return np.asarray((held == 0.0) & (held[..., ::-1] != 0.0), dtype=np.bool_)
 
-    def invert(self, twist: ArrayLike) -> FloatArray:
-        """Commands (..., 2) for which the motors are asked for `twist`, to half a step on each side.
-
-        A twist made of whole steps is met exactly. Speeds above `top_speed` become it; coasting cannot be inverted.
-        """
-        sides = self._cut(self.sides(twist))
-        # The middle of the step whose cut value is nearest.
-        return self.twist(sides + 0.5 * self.resolution * np.sign(sides))
-
     def slope(self, twist: ArrayLike) -> FloatArray:
         """(..., 2, 2) derivative of `apply` with the steps smoothed out, for a linearisation at `twist`."""
         speeds = self.sides(twist)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -21,8 +20,6 @@ from diffdrive_mpc.models.interface import FloatArray
 # sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-18 there, and the derivative
 # of sin(x)/x beyond it has lost no more than one digit, in single precision too.
 _SERIES_LIMIT, _SERIES_TERMS = 0.2, 6
-# The same for the shorter series of `linearised_arc`.
-_SHORT_SERIES_LIMIT = 1e-2
 
 
 class _Functions(NamedTuple):
@@ -105,55 +102,6 @@ def integrate_pose(
     v, omega, dt, side_slip = (np.asarray(argument, dtype=float) for argument in (v, omega, dt, side_slip))
     dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, -side_slip * v * omega)
     return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)
-
-
-def linearised_arc(
-    pose: FloatArray, v: float, omega: float, dt: float, side_slip: float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One arc with its gradient, for a single pose: quicker than `integrate_pose`, and the same numbers.
-
-    Returns
-    -------
-    tuple
-        The pose (3,) after `dt`, its gradient (3, 3) with respect to the pose before, and its gradient (3, 3) with
-        respect to (v, omega, side_slip).
-    """
-    x, y, theta = pose
-    half = 0.5 * omega * dt
-    if abs(half) < _SHORT_SERIES_LIMIT:
-        square = half * half
-        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-        slope = -half / 3 * (1 - square / 10 * (1 - square / 28))
-    else:
-        sinc = math.sin(half) / half
-        slope = (math.cos(half) - sinc) / half
-    c, s, chord, crab = math.cos(theta + half), math.sin(theta + half), v * dt * sinc, side_slip * omega
-    # Along and across the mean heading the body moves by (chord, -chord crab).
-    along, across = c + crab * s, s - crab * c
-    turn, stretch = 0.5 * dt * chord, 0.5 * dt * v * dt * slope
-    after = np.array([x + chord * along, y + chord * across, theta + omega * dt])
-    by_pose = np.array([[1.0, 0.0, -chord * across], [0.0, 1.0, chord * along], [0.0, 0.0, 1.0]])
-    by_twist = np.array(
-        [
-            [dt * sinc * along, stretch * along - turn * across + chord * side_slip * s, chord * omega * s],
-            [dt * sinc * across, stretch * across + turn * along - chord * side_slip * c, -chord * omega * c],
-            [0.0, dt, 0.0],
-        ]
-    )
-    return after, by_pose, by_twist
-
-
-@cache
-def arc_function() -> ca.Function:
-    """CasADi function of one arc, differentiable through omega = 0.
-
-    Maps `(pose (3), v, omega, dt, side_slip)` to `pose_next (3)`; a side_slip that is left out counts as zero.
-    """
-    pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
-    side_slip = ca.SX.sym("side_slip")
-    after = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
-    names = ["pose", "v", "omega", "dt", "side_slip"]
-    return ca.Function("arc", [pose, v, omega, dt, side_slip], [after], names, ["pose_next"])
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, laid_over
+from diffdrive_mpc.models.checked_yaml import ConfigError, laid_over
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -142,18 +142,6 @@ def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str
             stated[plain] = f"{prefix}{key}"
     if "solver.method" in stated and stated.keys() & {"solver.strategy", "solver.backend"}:
         raise ConfigError(f"{where}: solver.method has taken the place of strategy and backend; leave these out")
-
-
-def in_rooms(config: StrictModel) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keys and values of a configuration by room, in the order of the schema."""
-    rooms: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
-    for key, value in _leaves(config.model_dump()):
-        room = rooms[not is_for_users(key)]
-        *groups, name = key.split(".")
-        for group in groups:
-            room = room.setdefault(group, {})
-        room[name] = value
-    return rooms
 
 
 def with_present_names(data: dict[str, Any]) -> dict[str, Any]:

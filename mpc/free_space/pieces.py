@@ -306,26 +306,6 @@ def address(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: AN
     return load_core()[0].cast(kind, array.ctypes.data)
 
 
-def gap_to(
-    footprint: PlacedFootprint, pieces: Pieces, piece: int, pose: ArrayLike, time: float = 0.0
-) -> tuple[float, FloatArray]:
-    """Signed distance to one piece [m], and the direction (2,) in which the gap lies, from the footprint.
-
-    Parameters
-    ----------
-    footprint, pieces, piece
-        Between which: of the pieces the one with this index.
-    pose
-        (3,) of the footprint.
-    time
-        Since the pieces were where they are said to be [s].
-    """
-    placed, normal = np.array(pose, dtype=float), np.empty(2)
-    lib = load_core()[1]
-    gap = lib.ddmpc_gap(footprint.struct, pieces.struct, piece, address(placed), time, address(normal, "real *"))
-    return float(gap), normal
-
-
 def least_gaps(
     footprint: PlacedFootprint, pieces: Pieces, poses: FloatArray, times: FloatArray, enough: float
 ) -> tuple[FloatArray, NDArray[np.intc]]:

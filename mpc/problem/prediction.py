@@ -36,10 +36,6 @@ class Prediction:
     mean_from_plan: FloatArray
     heading_from_plan: FloatArray
 
-    def free_twists(self, state: FloatArray, past: FloatArray) -> FloatArray:
-        """(2 (N + 1),) twists at the samples for a plan of zeros, without offset; `past` (memory, 2), oldest first."""
-        return np.asarray(self.from_state @ state + self.from_past @ past.ravel())
-
 
 def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
     """Roll the model out over `horizon` steps.

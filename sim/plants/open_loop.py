@@ -1,4 +1,4 @@
-"""Driving a plant open loop: rows of commands (the papers' steps, random set-points), the drive, how it slipped."""
+"""Driving a plant open loop: rows of commands (the papers' steps, random set-points), and the drive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
 
@@ -174,26 +173,3 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
         plant.advance(command)
         work.append(motor_work(plant))
     return OpenLoopDrive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist, *stacked(work))
-
-
-def measure_slip(drive: OpenLoopDrive, on_default: OpenLoopDrive) -> BodySlip:
-    """Slip of a drive, each coefficient by least squares through the origin.
-
-    Parameters
-    ----------
-    drive
-        On the surface in question, with exact wheel speeds.
-    on_default
-        The same commands on the default surface, on which velocity models are identified.
-    """
-    v, lateral, yaw_rate = drive.true_twist.T
-    return BodySlip(
-        yaw_gain=_slope(on_default.true_twist[:, 2], yaw_rate),
-        wheel_yaw_gain=_slope(drive.wheel_twist[:, 1], yaw_rate),
-        longitudinal_gain=_slope(drive.wheel_twist[:, 0], v),
-        side_slip=max(0.0, -_slope(v * yaw_rate, lateral)),
-    )
-
-
-def _slope(x: FloatArray, y: FloatArray) -> float:
-    return float(np.dot(x, y) / np.dot(x, x))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
 from diffdrive_mpc.sim.worlds.world import World
 
@@ -58,8 +58,3 @@ def _with_movers(data: Any, seed: int, where: str) -> World:  # noqa: ANN401 - w
         check(World, {**data, "movers": values}, where)
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
     return check(World, {**data, "movers": drawn(movers, stream)}, where)
-
-
-def world_names() -> tuple[str, ...]:
-    """Names of the worlds that ship."""
-    return shipped_names(SHIPPED)

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from diffdrive_mpc.models import integrate_pose
-from diffdrive_mpc.models.pose import arc_function, linearised_arc, wrap_angle
+from diffdrive_mpc.models.pose import arc_displacement, wrap_angle
+from oracle.arc import linearised_arc
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
 speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)
@@ -25,6 +26,14 @@ def test_matches_an_ode_solver(pose, v, omega, dt, slip):
 
     expected = solve_ivp(motion, (0, dt), pose, rtol=1e-11, atol=1e-12).y[:, -1]
     assert integrate_pose(pose, v, omega, dt, slip) == pytest.approx(expected, abs=1e-9)
+
+
+def arc_function():
+    """CasADi function of one arc."""
+    pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
+    side_slip = ca.SX.sym("side_slip")
+    after = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
+    return ca.Function("arc", [pose, v, omega, dt, side_slip], [after])
 
 
 @given(poses, speeds, rates, times, slips)

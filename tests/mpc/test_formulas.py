@@ -12,7 +12,6 @@ from hypothesis.extra.numpy import arrays
 
 from diffdrive_mpc.models import integrate_pose
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.pose import linearised_arc
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
@@ -20,6 +19,7 @@ from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from oracle.arc import linearised_arc
 from oracle.motion import slid
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}

@@ -14,11 +14,19 @@ from diffdrive_mpc.mpc.free_space import (
     Surroundings,
     SurroundingsError,
 )
-from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, address, gap_to, least_gaps, pieces_of, rectangles
+from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, address, least_gaps, pieces_of, rectangles
 from diffdrive_mpc.mpc.problem.terms import half_space_formula, half_space_function
 from diffdrive_mpc.mpc.trajectories import load_trajectory
 
 CONFIG = FreeSpace()
+
+
+def gap_to(footprint, pieces, piece, pose, time=0.0):
+    """Signed distance to one piece [m], and the direction (2,) in which the gap lies, from the footprint."""
+    pose, normal = np.array(pose, dtype=float), np.empty(2)
+    to = address(normal, "real *")
+    gap = load_core()[1].ddmpc_gap(footprint.struct, pieces.struct, piece, address(pose), time, to)
+    return gap, normal
 
 
 def placed(corners, pose):

@@ -17,7 +17,9 @@ def test_matches_simulation(dead_time, horizon, seed):
     prediction = build_prediction(model, horizon)
     rng = np.random.default_rng(seed)
     state, past, plan = rng.normal(size=model.order), rng.normal(size=(model.memory, 2)), rng.normal(size=(horizon, 2))
-    predicted = prediction.free_twists(state, past) + prediction.from_plan @ plan.ravel()
+    predicted = (
+        prediction.from_state @ state + prediction.from_past @ past.ravel() + prediction.from_plan @ plan.ravel()
+    )
     simulated = model.simulate(np.vstack([plan, plan[-1:]]), state, past)
     assert predicted.reshape(-1, 2) == pytest.approx(simulated, abs=1e-10)
 

@@ -20,7 +20,7 @@ from diffdrive_mpc.sim.worlds.passage import outline_points
 from diffdrive_mpc.sim.worlds.shapes import Box, Mover, Polygon, Shapes, Wall, distance_to_polygon
 from diffdrive_mpc.sim.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
 from diffdrive_mpc.sim.worlds.world import World
-from diffdrive_mpc.sim.worlds.world_file import load_world, world_names
+from diffdrive_mpc.sim.worlds.world_file import SHIPPED, load_world
 
 WIDTH, LENGTH = 0.38, 0.30
 """Of the robot of the papers: over its tyres, and of its body [m]."""
@@ -263,7 +263,7 @@ def filled(world: World, radius: float) -> bool:
 
 
 def test_shipped_worlds_are_what_they_say() -> None:
-    assert set(world_names()) == {"blocked", "crossing", "crowd", "doorway", "opening", "slalom"}
+    assert {path.stem for path in SHIPPED.glob("*.yaml")} == {"blocked", "crossing", "crowd", "doorway", "opening", "slalom"}
     left, right = load_world("doorway").walls
     opening = left.corners[:, 1].min() - right.corners[:, 1].max()
     assert opening == pytest.approx(WIDTH + 0.10)
