@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,8 +12,6 @@ from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.peers import LAWS, PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative
-from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
-from diffdrive_mpc.sim.plants.make import DRAWN
 
 
 class Condition(StrictModel):
@@ -41,31 +39,6 @@ class Condition(StrictModel):
             seed=seed,
             overrides=tuple(self.settings.items()) if controller in LAWS or not peer else (),
         )
-
-
-MARKET = "market"
-"""Name of the condition of drawn robots: one condition, another robot in each run."""
-
-
-def market_cases(
-    robots: int,
-    controller: str,
-    model: str,
-    trajectory: str,
-    spot_turns: bool,
-    *,
-    tuning: bool = False,
-    settings: Mapping[str, bool | int | float | str] | None = None,
-) -> list[Case]:
-    """Runs of the first `robots` reserved robots of the market that can drive a path; see `drawn_robot.driving_seeds`.
-
-    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
-    `settings`, configuration values by dotted key.
-    """
-    return [
-        Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
-        for seed in driving_seeds(robots, spot_turns=spot_turns, tuning=tuning)
-    ]
 
 
 class Conditions(StrictModel):

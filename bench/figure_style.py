@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patches import Polygon as Patch
-from numpy.typing import ArrayLike
 
 from diffdrive_mpc.sim.worlds.world import World
 
@@ -63,15 +61,6 @@ def line_style(index: int) -> str:
 def boxed_legend(axes: Axes) -> None:
     """Legend in one row that stays readable where it lies on lines."""
     axes.legend(ncols=4, loc="upper right", frameon=True, framealpha=0.8, edgecolor="none", borderpad=0.2)
-
-
-def draw_tail(axes: Axes, times: ArrayLike, name: str, shade: str, line: str) -> None:
-    """Draw the share of steps that took longer than a given time [s], both axes logarithmic so that the tail shows."""
-    times = 1e3 * np.sort(np.asarray(times, dtype=float))
-    longer = 1.0 - np.arange(times.size) / times.size
-    label = f"{name}, p99 {np.percentile(times, 99):.2f} ms"
-    axes.step(times, longer, where="pre", color=shade, linestyle=line, label=label)
-    axes.set(xscale="log", yscale="log", ylabel="share of longer steps")
 
 
 def file_name(text: str) -> str:

@@ -60,9 +60,3 @@ def _taken(step: object, path: tuple[str | int, ...]) -> float:
         if value is None:
             return math.nan
     return float(value)
-
-
-def scalars_table() -> str:
-    """The declarations as a table in Markdown."""
-    rows = [f"| `{name}` | {scalar.unit} | {scalar.help} |" for name, scalar in step_scalars().items()]
-    return "\n".join(("| column | unit | meaning |", "| --- | --- | --- |", *rows))

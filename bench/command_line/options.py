@@ -54,11 +54,6 @@ def out_option(what: str, usual: str | None = None) -> Any:  # noqa: ANN401 - ty
     return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {what}.", show_default=shown)
 
 
-def parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that chooses some parts of a study."""
-    return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
-
-
 def file_option(what: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
     """The option that takes a YAML file in place of a shipped one."""
     return typer.Option(name, help=f"{what} (YAML) in place of the shipped one.", show_default=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
-from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option, parts_option
+from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
 
 _QUICK = 2
 """Runs of each part of `worlds --quick`."""
@@ -31,12 +31,17 @@ EXAMPLES = {
 }
 
 
+def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that chooses some parts of a study."""
+    return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
+
+
 def tracking(
     *,
     out: Annotated[Path, out_option("report.html, tracking.json, tracking.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    only: Annotated[str | None, parts_option("targets, ablation, cross, surfaces, scenarios, bound")] = None,
+    only: Annotated[str | None, _parts_option("targets, ablation, cross, surfaces, scenarios, bound")] = None,
     jobs: Jobs = None,
 ) -> None:
     """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
@@ -53,7 +58,7 @@ def reproduce(
     *,
     out: Annotated[Path, out_option("report.html, reproduce.json, reproduce.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
-    only: Annotated[str | None, parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
+    only: Annotated[str | None, _parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
     data: Annotated[
         Path | None,
         typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the real logs.", show_default="without them"),
@@ -152,7 +157,7 @@ def worlds(
     *,
     out: Annotated[Path, out_option("report.html, worlds.json, worlds.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="Two runs of each part.")] = False,
-    only: Annotated[str | None, parts_option("drawn, doorway, crossing, named")] = None,
+    only: Annotated[str | None, _parts_option("drawn, doorway, crossing, named")] = None,
     controllers: Annotated[str, typer.Option(metavar="NAMES", help="mpc, or peers.")] = "mpc,mppi+grid,rpp+stop",
     model: Annotated[str, typer.Option(metavar="NAME", help="Model of mpc.")] = "ssm",
     runs: Annotated[int | None, typer.Option(min=1, help="Drawn worlds.", show_default="1000")] = None,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
-from diffdrive_mpc.models.step_scalars import scalars_table
+from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.mpc.config.described import FieldRow, schema_rows
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -94,6 +94,12 @@ def _line(row: FieldRow, advice: dict[str, str]) -> str:
     default = "0 (none)" if row.default == "null" else row.default
     cells = (f"`{row.key}`", row.unit, default, row.range, row.help, when)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def scalars_table() -> str:
+    """The declared numbers of a step as a table in Markdown."""
+    rows = [f"| `{name}` | {scalar.unit} | {scalar.help} |" for name, scalar in step_scalars().items()]
+    return "\n".join(("| column | unit | meaning |", "| --- | --- | --- |", *rows))
 
 
 PAGES: Mapping[str, tuple[str, Callable[[], str]]] = {

@@ -12,12 +12,12 @@ from scipy.stats import binomtest, poisson
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cells import Cell, load_tables
-from diffdrive_mpc.bench.conditions import MARKET
 from diffdrive_mpc.bench.experiment import by, mean, total
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim.run import Run
+from studies.robustness.market import MARKET
 
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
 """Key of the rate of false alarms that the controller is configured for [1/h]."""

@@ -30,7 +30,6 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
-from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.named_file import kept_editor_line
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
@@ -44,6 +43,7 @@ from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, r
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
 from studies.reproduce.drives import RobotLogs
 from studies.reproduce.published import load_study
+from studies.shipped_models.tracks import identify_track, side_difference
 
 _SOURCE = (
     "digital twin of this project: mujoco plant, surface default, sensors default. Not from the paper, not from a robot"

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
+from numpy.typing import ArrayLike
 
-from diffdrive_mpc.bench.figure_style import MARKERS, colour, draw_tail, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import MARKERS, colour, line_style, new_figure
 from studies.speed.results import ACADOS, SpeedResults
 
 
@@ -47,8 +49,17 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
         shown = [record for record in results.records if (record.model, record.horizon) == (model, horizon)]
         for one in shown:
             i = results.solvers.index(one.solver)
-            draw_tail(axes, one.whole[np.isfinite(one.whole)], one.solver, colour(i), line_style(i // 7))
+            _draw_tail(axes, one.whole[np.isfinite(one.whole)], one.solver, colour(i), line_style(i // 7))
         axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
         axes.set_xlabel("whole step [ms]")
         axes.set_title(f"{model.upper()}, N = {horizon}")
         figure.legend(loc="outside right center")
+
+
+def _draw_tail(axes: Axes, times: ArrayLike, name: str, shade: str, line: str) -> None:
+    """Draw the share of steps that took longer than a given time [s], both axes logarithmic so that the tail shows."""
+    times = 1e3 * np.sort(np.asarray(times, dtype=float))
+    longer = 1.0 - np.arange(times.size) / times.size
+    label = f"{name}, p99 {np.percentile(times, 99):.2f} ms"
+    axes.step(times, longer, where="pre", color=shade, linestyle=line, label=label)
+    axes.set(xscale="log", yscale="log", ylabel="share of longer steps")

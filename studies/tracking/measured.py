@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.sim import Run, make_plant, simulate
-from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
+from studies.tracking.steady_arcs import steady_arc_lateral, steady_arcs
 
 BOUND = "clairvoyant"
 """Name of the controller that is the bound; it is no peer to choose on the command line."""

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from identification_parts import DT, system, two_channels
 
-from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.validation import fit_percent, pooled_fit_percent, simulate_experiment
 from diffdrive_mpc.models.structures.channel import identify_channel
 from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.wheels import WheelKinematics
+from studies.shipped_models.tracks import identify_track, side_difference
 
 
 def steps(level):

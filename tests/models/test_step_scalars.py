@@ -8,7 +8,7 @@ import pytest
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models.logs.drive_log.tick import decided_cells, tick_schema
-from diffdrive_mpc.models.step_scalars import scalar_row, scalars_of, scalars_table, step_scalars
+from diffdrive_mpc.models.step_scalars import scalar_row, scalars_of, step_scalars
 from diffdrive_mpc.mpc.step_result import StepResult
 
 
@@ -44,7 +44,3 @@ def test_rows_of_logs_and_their_schema_hold_them():
 def test_a_controller_that_says_nothing_has_none():
     assert all(math.isnan(value) for value in scalar_row(object()))
     assert scalars_of(object()) == {}
-
-
-def test_the_table_has_a_line_for_each():
-    assert all(f"| `{name}` | {scalar.unit} |" in scalars_table() for name, scalar in step_scalars().items())

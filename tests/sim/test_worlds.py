@@ -263,7 +263,8 @@ def filled(world: World, radius: float) -> bool:
 
 
 def test_shipped_worlds_are_what_they_say() -> None:
-    assert {path.stem for path in SHIPPED.glob("*.yaml")} == {"blocked", "crossing", "crowd", "doorway", "opening", "slalom"}
+    names = {path.stem for path in SHIPPED.glob("*.yaml")}
+    assert names == {"blocked", "crossing", "crowd", "doorway", "opening", "slalom"}
     left, right = load_world("doorway").walls
     opening = left.corners[:, 1].min() - right.corners[:, 1].max()
     assert opening == pytest.approx(WIDTH + 0.10)

@@ -11,10 +11,10 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral
 from studies.tracking.clairvoyant import ClairvoyantController
 from studies.tracking.clairvoyant_program import load_clairvoyant_settings
 from studies.tracking.known_plant import know_plant
+from studies.tracking.steady_arcs import steady_arc_lateral
 
 
 @pytest.fixture(scope="module")

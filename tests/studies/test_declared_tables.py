@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from studies.documents import declared_tables
@@ -39,3 +40,9 @@ def test_advice_that_does_not_fit_is_refused(text, complaint, tmp_path, monkeypa
     monkeypatch.setattr(declared_tables, "_ADVICE", file)
     with pytest.raises(ConfigError, match=complaint):
         declared_tables.parameter_tables()
+
+
+def test_the_table_of_scalars_has_a_line_for_each():
+    assert all(
+        f"| `{name}` | {scalar.unit} |" in declared_tables.scalars_table() for name, scalar in step_scalars().items()
+    )

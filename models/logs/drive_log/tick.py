@@ -42,9 +42,7 @@ _SENSORS = {
             "pose",
             tuple(f"pose_{part}" for part in _PARTS),
             "pose_t_s",
-            tuple(
-                f"pose_cov_{e}" for e in ("xx_m2", "xy_m2", "xtheta_m_rad", "yy_m2", "ytheta_m_rad", "thetatheta_rad2")
-            ),
+            tuple(f"pose_cov_{entry}" for entry in _POSE_ENTRIES),
         ),
         _Sensor(
             "wheel_twist",
