@@ -105,6 +105,16 @@ class Packaged:
                 pass
             _log.warning("%s is damaged; reinstall diffdrive-mpc", path)
 
+    def load(self, texts: Mapping[str, str], declarations: str, complaint: str) -> tuple[cffi.FFI, Any]:
+        """Load the library of the only level, compiled of `texts` where none is packaged; see `load_library`."""
+        (level,) = self.levels.values()
+
+        def build(folder: Path) -> Path:
+            return build_library(texts, folder, [level.flags])
+
+        made_of = {**texts, "flags": repr(level.flags)}
+        return load_library(self.name, declarations, self.libraries(), made_of, build, complaint)
+
     @property
     def _manifest(self) -> Path:
         return self.folder / f"{self.name}.json"

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import cffi
 
-from diffdrive_mpc.models.compiled.compiler import build_library, digest_of
-from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged, load_library
+from diffdrive_mpc.models.compiled.compiler import digest_of
+from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc.mpc.monitor.rules import Rules
 
 # The judge through cffi; `mpc/monitor/core/judge.h` says what is in it.
@@ -34,15 +34,10 @@ def load_judge() -> tuple[cffi.FFI, Any]:
     NotCompiledError
         If the package brought no library, and none can be compiled.
     """
-
-    def build(folder: Path) -> Path:
-        return build_library(source_texts(), folder, [_FLAGS])
-
     header = re.sub(r"^\s*#.*$", "", source_texts()["judge.h"], flags=re.MULTILINE)
     declarations = header.replace("DDMON_EXPORT ", "")
-    made_of = source_texts() | {"flags": repr(_FLAGS)}
     complaint = "the monitor's judge is not compiled: {}, which holds it"
-    return load_library("ddmpc_monitor", declarations, _packaged().libraries(), made_of, build, complaint)
+    return _packaged().load(source_texts(), declarations, complaint)
 
 
 def write_packaged(folder: Path) -> list[Path]:

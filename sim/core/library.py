@@ -10,8 +10,8 @@ from typing import Any
 import cffi
 import numpy as np
 
-from diffdrive_mpc.models.compiled.compiler import build_library, digest_of
-from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged, load_library
+from diffdrive_mpc.models.compiled.compiler import digest_of
+from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc.models.interface import FloatArray
 
 CORE = Path(__file__).parent
@@ -31,14 +31,9 @@ def load_twin() -> tuple[cffi.FFI, Any]:
     NotCompiledError
         If the package brought no library, and none can be compiled.
     """
-
-    def build(folder: Path) -> Path:
-        return build_library(_texts(), folder, [_FLAGS])
-
     declarations = re.sub(r"^\s*#.*$", "", _texts()["twin.h"], flags=re.MULTILINE)
-    made_of = _texts() | {"flags": repr(_FLAGS)}
     complaint = "the simulated robot's drivetrain is not compiled: {}, which holds it"
-    return load_library("ddmpc_twin", declarations, _packaged().libraries(), made_of, build, complaint)
+    return _packaged().load(_texts(), declarations, complaint)
 
 
 def write_packaged(folder: Path) -> list[Path]:
