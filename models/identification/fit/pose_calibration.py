@@ -81,21 +81,13 @@ class ConstantTrack:
 
 
 @dataclass(frozen=True)
-class TwoRadii:
+class TwoRadii(ConstantTrack):
     """As `ConstantTrack`, with a radius of its own on either side.
 
     Coefficients: left_radius, right_radius [m], track [m], side_slip [s].
-
-    Attributes
-    ----------
-    wheel_radius, track
-        Of the catalogue, to start from [m].
     """
 
-    wheel_radius: float
-    track: float
     names: tuple[str, ...] = ("left_radius", "right_radius", "track", "side_slip")
-    holds_lever_arm: bool = False
 
     @property
     def start(self) -> FloatArray:
@@ -111,21 +103,13 @@ class TwoRadii:
 
 
 @dataclass(frozen=True)
-class GrowingTrack:
+class GrowingTrack(ConstantTrack):
     """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
 
     Source: `models/slip_laws.py`. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
-
-    Attributes
-    ----------
-    wheel_radius, track
-        Of the catalogue, to start from [m].
     """
 
-    wheel_radius: float
-    track: float
     names: tuple[str, ...] = ("wheel_radius", "p0", "p1", "side_slip")
-    holds_lever_arm: bool = False
 
     @property
     def start(self) -> FloatArray:
