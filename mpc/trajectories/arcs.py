@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
+from diffdrive_mpc.mpc.trajectories.native import TableTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Phase
-from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 
 class PathStretch(NamedTuple):
@@ -31,7 +29,7 @@ class PathStretch(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ArcTrajectory(Trajectory):
+class ArcTrajectory(TableTrajectory):
     """Exact arcs, sampled in closed form: pose and twist agree to rounding at every instant.
 
     Attributes
@@ -42,9 +40,6 @@ class ArcTrajectory(Trajectory):
         (10, m) per phase: start time; x, y, theta and arc length at the start of its stretch; forward and turn per
         unit of progress; progress, its rate and half its acceleration at the start of the phase.
     """
-
-    breaks: FloatArray
-    table: FloatArray
 
     @classmethod
     def lay(cls, name: str, start: ArrayLike, stretches: Sequence[PathStretch]) -> ArcTrajectory:
@@ -61,19 +56,6 @@ class ArcTrajectory(Trajectory):
         columns.append([time, *poses[-1], arc_length, 0.0, 0.0, 0.0, 0.0, 0.0])
         table = np.ascontiguousarray(np.transpose(columns))
         return cls(name, time, table[0].copy(), table)
-
-    @cached_property
-    def native(self) -> NativeTrajectory:
-        """The table in the compiled core."""
-        return NativeTrajectory(self.breaks, self.table, self.duration)
-
-    def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        return self.native.sample(times)
-
-    def __getstate__(self) -> dict[str, object]:
-        """Without the memory of C."""
-        return {name: value for name, value in self.__dict__.items() if name != "native"}
 
 
 def chained(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: FloatArray) -> FloatArray:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 
 class NativeTrajectory:
@@ -116,3 +120,24 @@ def _rest(reference: Reference) -> NativeTrajectory:
     table = np.zeros((10, 1))
     table[1:4, 0] = reference.sample([reference.duration]).pose[0]
     return NativeTrajectory(np.zeros(1), table, reference.duration)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TableTrajectory(Trajectory):
+    """A trajectory that the compiled core samples; subclasses say what its `breaks` and `table` hold."""
+
+    breaks: FloatArray
+    table: FloatArray
+
+    @cached_property
+    def native(self) -> NativeTrajectory:
+        """The table in the compiled core."""
+        return NativeTrajectory(self.breaks, self.table, self.duration)
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
+        return self.native.sample(times)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without the memory of C."""
+        return {name: value for name, value in self.__dict__.items() if name != "native"}

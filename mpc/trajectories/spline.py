@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
-from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
-from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories.native import TableTrajectory
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SplineTrajectory(Trajectory):
+class SplineTrajectory(TableTrajectory):
     """Cubic pieces of x, y, theta and arc length; the twist is their derivative, seen from the body.
 
     Attributes
@@ -30,8 +28,6 @@ class SplineTrajectory(Trajectory):
         (m + 1,) distances from the path as it was drawn [m] at the breaks; None where it is that path.
     """
 
-    breaks: FloatArray
-    table: FloatArray
     drawn: FloatArray | None = None
 
     @classmethod
@@ -59,24 +55,11 @@ class SplineTrajectory(Trajectory):
         table = np.ascontiguousarray(coefficients.transpose(0, 2, 1).reshape(16, -1))
         return cls(name, float(times[-1]), times, table, drawn)
 
-    @cached_property
-    def native(self) -> NativeTrajectory:
-        """The table in the compiled core."""
-        return NativeTrajectory(self.breaks, self.table, self.duration)
-
-    def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        return self.native.sample(times)
-
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
         """See `Trajectory.drawn_distance`."""
         if self.drawn is None:
             return super().drawn_distance(times)
         return np.asarray(np.interp(np.asarray(times, dtype=float).reshape(-1), self.breaks, self.drawn))
-
-    def __getstate__(self) -> dict[str, object]:
-        """Without the memory of C."""
-        return {name: value for name, value in self.__dict__.items() if name != "native"}
 
 
 def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> FloatArray:
