@@ -5,18 +5,24 @@ Names are imported on first use, so that loading a model does not import the log
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.models.discrete_model import DiscreteModel
-    from diffdrive_mpc.models.identification.from_logs import Identification, identify
-    from diffdrive_mpc.models.interface import Measurement, Reference, ReferenceSample, Stamped
-    from diffdrive_mpc.models.load import load_model
-    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-    from diffdrive_mpc.models.pose import integrate_pose
-    from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
-    from diffdrive_mpc.models.wheels import WheelKinematics
+    from diffdrive_mpc.models.discrete_model import DiscreteModel as DiscreteModel
+    from diffdrive_mpc.models.identification.from_logs import Identification as Identification
+    from diffdrive_mpc.models.identification.from_logs import identify as identify
+    from diffdrive_mpc.models.interface import Measurement as Measurement
+    from diffdrive_mpc.models.interface import Reference as Reference
+    from diffdrive_mpc.models.interface import ReferenceSample as ReferenceSample
+    from diffdrive_mpc.models.interface import Stamped as Stamped
+    from diffdrive_mpc.models.load import load_model as load_model
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel as NonlinearModel
+    from diffdrive_mpc.models.pose import integrate_pose as integrate_pose
+    from diffdrive_mpc.models.velocity_model import ModelError as ModelError
+    from diffdrive_mpc.models.velocity_model import VelocityModel as VelocityModel
+    from diffdrive_mpc.models.wheels import WheelKinematics as WheelKinematics
 
 _HOMES = {
     "DiscreteModel": "discrete_model",
@@ -34,29 +40,10 @@ _HOMES = {
     "load_model": "load",
 }
 
-__all__ = [
-    "DiscreteModel",
-    "Identification",
-    "Measurement",
-    "ModelError",
-    "NonlinearModel",
-    "Reference",
-    "ReferenceSample",
-    "Stamped",
-    "VelocityModel",
-    "WheelKinematics",
-    "identify",
-    "integrate_pose",
-    "load_model",
-]
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
-    """Import a public name when it is first asked for."""
-    if name not in _HOMES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
+    __all__ = list(_HOMES)
+__getattr__ = on_first_use(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_HOMES)

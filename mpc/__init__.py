@@ -10,16 +10,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.models.interface import Measurement, Stamped
-    from diffdrive_mpc.mpc.config.config_file import load_config
-    from diffdrive_mpc.mpc.config.schema import ControllerConfig
-    from diffdrive_mpc.mpc.controller import Controller
-    from diffdrive_mpc.mpc.estimation.estimate import Estimate
-    from diffdrive_mpc.mpc.hold import Hold
-    from diffdrive_mpc.mpc.problem.terms import Term
-    from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverReport, SolverStatus
-    from diffdrive_mpc.mpc.step_result import Mode, StepResult
-    from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+    from diffdrive_mpc.models.interface import Measurement as Measurement
+    from diffdrive_mpc.models.interface import Stamped as Stamped
+    from diffdrive_mpc.mpc.config.config_file import load_config as load_config
+    from diffdrive_mpc.mpc.config.schema import ControllerConfig as ControllerConfig
+    from diffdrive_mpc.mpc.controller import Controller as Controller
+    from diffdrive_mpc.mpc.estimation.estimate import Estimate as Estimate
+    from diffdrive_mpc.mpc.hold import Hold as Hold
+    from diffdrive_mpc.mpc.problem.terms import Term as Term
+    from diffdrive_mpc.mpc.solver.report import SolverMethod as SolverMethod
+    from diffdrive_mpc.mpc.solver.report import SolverReport as SolverReport
+    from diffdrive_mpc.mpc.solver.report import SolverStatus as SolverStatus
+    from diffdrive_mpc.mpc.step_result import Mode as Mode
+    from diffdrive_mpc.mpc.step_result import StepResult as StepResult
+    from diffdrive_mpc.mpc.trajectories import Trajectory as Trajectory
+    from diffdrive_mpc.mpc.trajectories import load_trajectory as load_trajectory
 
 _HOMES = {
     "Controller": "mpc.controller",
@@ -39,23 +44,8 @@ _HOMES = {
     "load_trajectory": "mpc.trajectories",
 }
 
-__all__ = [
-    "Controller",
-    "ControllerConfig",
-    "Estimate",
-    "Hold",
-    "Measurement",
-    "Mode",
-    "SolverMethod",
-    "SolverReport",
-    "SolverStatus",
-    "Stamped",
-    "StepResult",
-    "Term",
-    "Trajectory",
-    "load_config",
-    "load_trajectory",
-]
+if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
+    __all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
@@ -69,4 +59,4 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the i
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_HOMES)

@@ -5,33 +5,29 @@ Everything is imported on first use, so that it works where MuJoCo is not instal
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.loop import simulate
-    from diffdrive_mpc.sim.metrics.metrics import Metrics
-    from diffdrive_mpc.sim.plants.make import make_plant
-    from diffdrive_mpc.sim.plants.plant import Plant
-    from diffdrive_mpc.sim.run import Run
+    from diffdrive_mpc.sim.loop import simulate as simulate
+    from diffdrive_mpc.sim.metrics.metrics import Metrics as Metrics
+    from diffdrive_mpc.sim.plants.make import make_plant as make_plant
+    from diffdrive_mpc.sim.plants.plant import Plant as Plant
+    from diffdrive_mpc.sim.run import Run as Run
 
 _HOMES = {
-    "Metrics": "diffdrive_mpc.sim.metrics.metrics",
-    "Plant": "diffdrive_mpc.sim.plants.plant",
-    "Run": "diffdrive_mpc.sim.run",
-    "make_plant": "diffdrive_mpc.sim.plants.make",
-    "simulate": "diffdrive_mpc.sim.loop",
+    "Metrics": "metrics.metrics",
+    "Plant": "plants.plant",
+    "Run": "run",
+    "make_plant": "plants.make",
+    "simulate": "loop",
 }
 
-__all__ = ["Metrics", "Plant", "Run", "make_plant", "simulate"]
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
-    """Import a public name when it is first asked for."""
-    if name not in _HOMES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(_HOMES[name]), name)
+if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
+    __all__ = list(_HOMES)
+__getattr__ = on_first_use(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_HOMES)

@@ -6,29 +6,34 @@ asked for.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.bench.drive import simulate
-    from diffdrive_mpc.bench.sweep import sweep
-    from diffdrive_mpc.models.checked_yaml import ConfigError
-    from diffdrive_mpc.models.compiled.compiler import NotCompiledError
-    from diffdrive_mpc.models.errors import ArgumentError, DiffdriveMpcError, MissingPackageError
-    from diffdrive_mpc.models.identification.from_logs import identify
-    from diffdrive_mpc.models.interface import Measurement, Stamped
-    from diffdrive_mpc.models.load import load_model
-    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-    from diffdrive_mpc.models.pose import integrate_pose
-    from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
-    from diffdrive_mpc.mpc.config.config_file import load_config
-    from diffdrive_mpc.mpc.config.schema import ControllerConfig
-    from diffdrive_mpc.mpc.controller import Controller
-    from diffdrive_mpc.mpc.problem.terms import Term
-    from diffdrive_mpc.mpc.trajectories.load import load_trajectory
-    from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
-    from diffdrive_mpc.sim.plants.make import make_plant
-    from diffdrive_mpc.sim.plants.plant import RobotLostError
+    from diffdrive_mpc.bench.drive import simulate as simulate
+    from diffdrive_mpc.bench.sweep import sweep as sweep
+    from diffdrive_mpc.models.checked_yaml import ConfigError as ConfigError
+    from diffdrive_mpc.models.compiled.compiler import NotCompiledError as NotCompiledError
+    from diffdrive_mpc.models.errors import ArgumentError as ArgumentError
+    from diffdrive_mpc.models.errors import DiffdriveMpcError as DiffdriveMpcError
+    from diffdrive_mpc.models.errors import MissingPackageError as MissingPackageError
+    from diffdrive_mpc.models.identification.from_logs import identify as identify
+    from diffdrive_mpc.models.interface import Measurement as Measurement
+    from diffdrive_mpc.models.interface import Stamped as Stamped
+    from diffdrive_mpc.models.load import load_model as load_model
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel as NonlinearModel
+    from diffdrive_mpc.models.pose import integrate_pose as integrate_pose
+    from diffdrive_mpc.models.velocity_model import ModelError as ModelError
+    from diffdrive_mpc.models.velocity_model import VelocityModel as VelocityModel
+    from diffdrive_mpc.mpc.config.config_file import load_config as load_config
+    from diffdrive_mpc.mpc.config.schema import ControllerConfig as ControllerConfig
+    from diffdrive_mpc.mpc.controller import Controller as Controller
+    from diffdrive_mpc.mpc.problem.terms import Term as Term
+    from diffdrive_mpc.mpc.trajectories.load import load_trajectory as load_trajectory
+    from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory as Trajectory
+    from diffdrive_mpc.sim.plants.make import make_plant as make_plant
+    from diffdrive_mpc.sim.plants.plant import RobotLostError as RobotLostError
 
 _HOMES = {
     "ArgumentError": "models.errors",
@@ -56,39 +61,10 @@ _HOMES = {
     "sweep": "bench.sweep",
 }
 
-__all__ = [
-    "ArgumentError",
-    "ConfigError",
-    "Controller",
-    "ControllerConfig",
-    "DiffdriveMpcError",
-    "Measurement",
-    "MissingPackageError",
-    "ModelError",
-    "NonlinearModel",
-    "NotCompiledError",
-    "RobotLostError",
-    "Stamped",
-    "Term",
-    "Trajectory",
-    "VelocityModel",
-    "identify",
-    "integrate_pose",
-    "load_config",
-    "load_model",
-    "load_trajectory",
-    "make_plant",
-    "simulate",
-    "sweep",
-]
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
-    """Import a public name when it is first asked for."""
-    if name not in _HOMES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
+    __all__ = list(_HOMES)
+__getattr__ = on_first_use(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_HOMES)
