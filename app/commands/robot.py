@@ -17,20 +17,17 @@ from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_fold
 
 IDENTIFY_EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
 _DEFAULT_OUT = "identified"
-_DEFAULT_STRUCTURE = "sm"
 
 
 def identify(
     *,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV or MCAP files, or ROS 2 bags.")],
     structure: Annotated[
-        str | None,
+        str,
         typer.Option(
-            help="mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network; hybrid, sm and network.",
-            show_default=_DEFAULT_STRUCTURE,
+            help="mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network; hybrid, sm and network."
         ),
-    ] = None,
-    model: Annotated[str | None, typer.Option(hidden=True, help="The old name of --structure.")] = None,
+    ] = "sm",
     mapping: Mapping = None,
     out: Annotated[
         Path | None,
@@ -82,7 +79,7 @@ def identify(
     identify_into(
         logs,
         out or Path(_DEFAULT_OUT),
-        structure=_structure(structure, model),
+        structure=structure,
         mapping=mapping,
         validate=validate or [],
         fit_share=fit_share,
@@ -93,16 +90,6 @@ def identify(
         packages=packages,
         force=force,
     )
-
-
-def _structure(structure: str | None, model: str | None) -> str:
-    """The option, or its old name, with a warning; raises ValueError where both are given."""
-    if model is None:
-        return _DEFAULT_STRUCTURE if structure is None else structure
-    if structure is not None:
-        raise ValueError("--model is the old name of --structure; give the new one alone")
-    echo(f"warning: --model is now --structure, and goes with the next release; write --structure {model}", err=True)
-    return model
 
 
 # `diffdrive-mpc excite`: a drive that is worth learning from.

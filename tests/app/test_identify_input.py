@@ -93,7 +93,7 @@ def folder(tmp_path_factory):
         ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
         ("good.csv --mapping map.yaml --validate ten.csv", "ten.csv: 10 samples"),
         ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
-        ("good.csv --mapping map.yaml --model sm --structure sm", "--model is the old name of --structure"),
+        ("good.csv --mapping map.yaml --model sm", "--model"),
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
         ("", "LOG"),
     ],
@@ -183,11 +183,11 @@ def test_a_folder_that_is_a_file_is_refused_before_the_logs_are_read(folder, tmp
 
 @pytest.fixture(scope="module")
 def forgiven(folder, tmp_path_factory):
-    """A log with cells that are no numbers, by the old name of the option; the folder, and what was printed."""
+    """A log with cells that are no numbers; the folder, and what was printed."""
     out = tmp_path_factory.mktemp("forgiven") / "out"
     columns = COLUMNS | {"v": np.where(np.arange(600) % 50 == 7, np.nan, COLUMNS["v"])}
     log = write_csv(out.parent / "nan.csv", columns)
-    words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(out), "--model", "sm"]
+    words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(out)]
     result = runner.invoke(app, words)
     assert result.exit_code == 0, result.stderr
     return out, result
@@ -201,11 +201,6 @@ def test_rows_without_numbers_are_left_out_and_said(forgiven):
     assert f"warning: {line}" in result.stdout
     assert line in (out / "report.md").read_text()
     assert line in (out / "report.json").read_text()
-
-
-def test_the_old_name_of_the_structure_works_and_warns_in_one_line(forgiven):
-    line = "warning: --model is now --structure, and goes with the next release; write --structure sm\n"
-    assert forgiven[1].stderr == line
 
 
 def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, monkeypatch):
