@@ -19,6 +19,7 @@ from diffdrive_mpc.bench.campaign.identity import environment
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked, parse_json
+from diffdrive_mpc.models.compiled.cache import content_digest
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.whole_file import UNFINISHED, whole_file
 
@@ -87,7 +88,9 @@ class Ledger:
         if done is None or done.key != key:
             return None
         place = self.folder / name
-        same = all((place / file).is_file() and digest(place / file) == hash_ for file, hash_ in done.files.items())
+        same = all(
+            (place / file).is_file() and content_digest(place / file) == hash_ for file, hash_ in done.files.items()
+        )
         return done if same else None
 
     def carry_out(self, name: str, key: str, step: Callable[[Path], Gate], *, kept: bool = False) -> Done:
@@ -103,7 +106,7 @@ class Ledger:
         else:
             with staged(place) as folder:
                 gate = _quietly(step, folder)
-        files = {str(path.relative_to(place)): digest(path) for path in _files(place)}
+        files = {str(path.relative_to(place)): content_digest(path) for path in _files(place)}
         done = Done(key, gate.passed, gate.sentence, round(_processor_time() - before, 2), files)
         self.steps[name] = done
         content = {"steps": {one: asdict(step_) for one, step_ in self.steps.items()}}
@@ -114,14 +117,9 @@ class Ledger:
 
 def key_of(name: str, options: Mapping[str, Any], inputs: Iterable[Path]) -> str:
     """The hash of a step's inputs: its name and options, the content of files and folders, product and libraries."""
-    contents = {str(k): [digest(file) for file in _files(path)] for k, path in enumerate(inputs)}
+    contents = {str(k): [content_digest(file) for file in _files(path)] for k, path in enumerate(inputs)}
     text = json.dumps([name, dict(options), contents, environment()], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def digest(path: Path) -> str:
-    """Hash of a file's content."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _files(path: Path) -> list[Path]:

@@ -14,6 +14,7 @@ from diffdrive_mpc.bench import case, command_check, controllers, peers, run_row
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.machine import package_version
 from diffdrive_mpc.models.checked_yaml import read_yaml
+from diffdrive_mpc.models.compiled.cache import content_digest
 from diffdrive_mpc.models.trust import is_trusted
 
 LIBRARIES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control")
@@ -112,7 +113,7 @@ def _digest(path: Path) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest_of(path: Path, _changed: int, _size: int) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return content_digest(path)
 
 
 def _folder(package: object) -> Path:
