@@ -11,13 +11,11 @@ import yaml
 from typer.testing import CliRunner
 
 from commands import invoke
+from diffdrive_mpc import ControllerConfig, load_config, load_model
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.schemas.generate import json_schema
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.config.rooms import side_by_side
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 runner = CliRunner()
 ROOT = Path(__file__).parents[2]

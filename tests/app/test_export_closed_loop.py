@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from export_parts import differences, drive_both, export
 
-from diffdrive_mpc.models import Measurement, Stamped
-from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc import Measurement, NonlinearModel, Stamped, Term
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import Mode, load_trajectory
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.terms import Term
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 # Limits that the square's corners lean on.

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from commands import invoke
+from diffdrive_mpc import load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.open_loop import replay
 from diffdrive_mpc.app.replay.own_log import read_own_csv
@@ -17,8 +18,6 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import LatePlant, build
 from diffdrive_mpc.bench.html_report.page import Chart
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_csv import write_log
 

@@ -8,12 +8,11 @@ import yaml
 from typer.testing import CliRunner
 
 from commands import invoke
-from diffdrive_mpc import identify
+from diffdrive_mpc import ControllerConfig, identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.run_log import repeating
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
-from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim import log_mcap
 
 WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]

@@ -10,12 +10,11 @@ from opened_report import content_of
 from tune_parts import small_plan, written
 
 from commands import call
+from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.tune.study import tune
 from diffdrive_mpc.app.tune.tune_file import StepTime, load_plan
 from diffdrive_mpc.bench.campaign.check import check_definitions
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import load_config
 
 
 @pytest.fixture(scope="module")

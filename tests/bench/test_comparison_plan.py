@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from bench_parts import quick_case
 
+from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.bench.case import DIMENSIONS, label
 from diffdrive_mpc.bench.comparison.plan import (
     ComparisonSettings,
@@ -15,8 +16,6 @@ from diffdrive_mpc.bench.comparison.plan import (
     plan_cases,
     read_options,
 )
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import load_config
 
 QUICK = {
     "controllers": ("mpc",),

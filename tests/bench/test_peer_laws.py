@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
+from diffdrive_mpc import Controller, Measurement, load_config, load_model, load_trajectory
 from diffdrive_mpc.bench.peers import LAWS, make_peer
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
@@ -26,11 +27,8 @@ from diffdrive_mpc.bench.peers.tracking_peer import (
     load_gains,
     make_tracking_peer,
 )
-from diffdrive_mpc.models.interface import Measurement
-from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import make_plant, simulate
 

@@ -7,8 +7,7 @@ import pytest
 import yaml
 from identification_parts import noisy_drive, published_ssm
 
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, load_model
 from diffdrive_mpc.models.load import read_model_file
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.structures.identified import model_file, write_model_file

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from log_parts import DT, MAPPING, drive, write_csv, write_mapping
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.models.logs import csv_table, read_log
 from diffdrive_mpc.models.logs.csv_table import read_table
 from diffdrive_mpc.models.logs.long_logs import most_driven
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_log
 

@@ -3,12 +3,9 @@
 import pytest
 from pydantic import BaseModel
 
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ControllerConfig, load_config, load_model, load_trajectory
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
-from diffdrive_mpc.mpc import load_config, load_trajectory
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])

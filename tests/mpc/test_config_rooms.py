@@ -7,9 +7,8 @@ import warnings
 import pytest
 import yaml
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ControllerConfig, load_config
 from diffdrive_mpc.models.errors import FormerNameWarning
-from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
 from diffdrive_mpc.mpc.config.rooms import FORMER, USER, is_for_users, plain_key, shown_key, side_by_side

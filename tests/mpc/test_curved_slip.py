@@ -7,14 +7,22 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot
 
-from diffdrive_mpc import Controller, Measurement, NonlinearModel, Stamped, load_config, load_model, load_trajectory
+from diffdrive_mpc import (
+    Controller,
+    Measurement,
+    NonlinearModel,
+    Stamped,
+    load_config,
+    load_model,
+    load_trajectory,
+    make_plant,
+)
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc.problem.formulas import body_twist
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments
-from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 DT = load_config("ssm").sample_time

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
-from diffdrive_mpc.models import load_model
+from diffdrive_mpc import Controller, load_config, load_model, load_trajectory
 from diffdrive_mpc.models.slip_laws import polynomial_twist
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc.mpc.trajectories.drivable import NotDrivableError, nearest_drivable

@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diffdrive_mpc.models import integrate_pose
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, integrate_pose, load_trajectory
 from diffdrive_mpc.models.pose import linearised_arc
 from diffdrive_mpc.models.slip_laws import polynomial_twist
-from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip

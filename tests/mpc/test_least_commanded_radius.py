@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, load_config, load_trajectory
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments

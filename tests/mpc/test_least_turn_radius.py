@@ -3,16 +3,22 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller, load_config, load_model, load_trajectory
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc import (
+    ConfigError,
+    Controller,
+    Measurement,
+    Stamped,
+    load_config,
+    load_model,
+    load_trajectory,
+    make_plant,
+)
 from diffdrive_mpc.mpc.reentry.options import Course
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.way_back import rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
-from diffdrive_mpc.sim import make_plant
 
 
 def with_radius(radius, **more):

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc import load_trajectory
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, load_trajectory
 from diffdrive_mpc.models.identification.fit.noise import DriveInformation
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.mpc.trajectories import model_excitation as searched

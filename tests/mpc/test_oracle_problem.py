@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models import VelocityModel, load_model
-from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc import VelocityModel, load_config, load_model
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from oracle.nonlinear import nonlinear_program

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc.models import Measurement, load_model
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc import Controller, Measurement, load_config, load_model, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.rehearsal.rehearsal import corrected

@@ -7,11 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, VelocityModel, load_config, load_model, load_trajectory
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 

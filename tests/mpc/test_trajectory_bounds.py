@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc import ConfigError, integrate_pose, load_trajectory
 from diffdrive_mpc.mpc.trajectories.arcs import chained
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.load import load_trajectory
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses

@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, integrate_pose, load_config
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, Trajectory, TrajectoryLimits, load_segments, load_trajectory
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from diffdrive_mpc import ConfigError, make_plant
 from diffdrive_mpc.models.base_effects import TwistSlew, WheelCommand
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
-from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
 
 DT = 0.0202

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc.models import ModelError, load_model
+from diffdrive_mpc import ModelError, load_model, make_plant
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
 from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.base_motion import BaseMotion
-from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface

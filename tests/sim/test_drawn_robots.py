@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot, skidding_time
 

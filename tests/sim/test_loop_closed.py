@@ -9,9 +9,8 @@ import pytest
 from loop_parts import ConstantTwist, FeedForward, FixedStep, KinematicPlant
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc import Measurement, RobotLostError
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.plants.plant import RobotLostError
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
 

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from ros_driver import Driver, own_domain, recorded, recorded_truth
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, RobotLostError, make_plant
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
-from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.ros.run_robot import run_robot
 from diffdrive_mpc.sim.ros.simulated_base import BaseSettings, load_base_settings
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set

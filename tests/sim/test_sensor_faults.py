@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from diffdrive_mpc import Measurement, Stamped, make_plant
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
-from diffdrive_mpc.models.interface import Measurement, Stamped
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.disturbances.scenario import Scenario, load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc import ConfigError, Measurement
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.sensing.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
 from diffdrive_mpc.sim.sensing.sensors import Sensors

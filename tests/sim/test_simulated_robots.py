@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, make_plant
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import shipped_names
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robot

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diffdrive_mpc import NotCompiledError, make_plant
 from diffdrive_mpc.models.compiled import cache, compiler
-from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.core import library
 from diffdrive_mpc.sim.plants import chassis
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops
-from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 from oracle.drivetrain import Drivetrain

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc import ConfigError, make_plant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set

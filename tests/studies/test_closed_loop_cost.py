@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models import load_model
+from diffdrive_mpc import load_config, load_model
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc.mpc import load_config
 from studies.speed.closed_loop_cost import closed_loop_cost
 
 CONFIG, MODEL = load_config("ssm"), load_model("ssm")

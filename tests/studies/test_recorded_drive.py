@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 
+from diffdrive_mpc import ConfigError, Stamped
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.messages import bag_recorder

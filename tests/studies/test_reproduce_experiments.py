@@ -10,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.turn_costs import load_vehicle
-from diffdrive_mpc.mpc import load_trajectory
 from studies.reproduce.cost import measure_cost
 from studies.reproduce.driven_track import drive_tests
 from studies.reproduce.drives import (
