@@ -25,7 +25,7 @@ NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
 
 
 def of(robot_, change, mapping=str):
-    return Case("", "simulated", lambda _, base: change(robot(**robot_), base), mapping=mapping)
+    return Case("simulated", "", lambda _, base: change(robot(**robot_), base), mapping=mapping)
 
 
 def gyro_and_sides(columns, base):
