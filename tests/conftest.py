@@ -31,7 +31,7 @@ LONG_TESTS = {
     "test_commission.py",
     "test_core_library.py",
     "test_documents.py",
-    "test_export_command.py",
+    "test_export.py",
     "test_hybrids.py",
     "test_identify_command.py",
     "test_identify_truth.py",

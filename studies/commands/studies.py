@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
 from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.bench.study import Study
+
+Results = TypeVar("Results")
 
 _QUICK = 2
 """Runs of each part of `worlds --quick`."""
@@ -36,6 +41,21 @@ def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
     return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
 
 
+def _names(what: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that takes names, with commas between."""
+    return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{what}.", show_default=default)
+
+
+Floors = Annotated[str | None, _names("Floors, with commas between", "those of the study", "--surfaces")]
+
+
+def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
+    """As `bench.study.carry_out`, which is imported when a study runs: --help does without it."""
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    return carry_out(study, out, jobs)
+
+
 def tracking(
     *,
     out: Annotated[Path, out_option("report.html, tracking.json, tracking.md and figures/")],
@@ -45,13 +65,12 @@ def tracking(
     jobs: Jobs = None,
 ) -> None:
     """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does without it
 
     if quick and study is not None:
         raise ValueError(f"--study {study}: --quick has a study of its own; give one of them")
     parts = () if only is None else split_names(only, "--only")
-    carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
+    _carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
 
 
 def reproduce(
@@ -66,31 +85,27 @@ def reproduce(
     jobs: Jobs = None,
 ) -> None:
     """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 
     parts = PARTS if only is None else split_names(only, "--only")
-    carry_out(ReproduceStudy(load_study(quick=quick), parts, data), out, jobs)
+    _carry_out(ReproduceStudy(load_study(quick=quick), parts, data), out, jobs)
 
 
 def peers(
     *,
     out: Annotated[Path, out_option("report.html, peers.json, peers.md and gains.yaml")],
     quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, to see that it works.")] = False,
-    only: Annotated[
-        str | None, typer.Option("--peers", metavar="NAMES", help="Peers to tune.", show_default="all of them")
-    ] = None,
+    only: Annotated[str | None, _names("Peers to tune", "all of them", "--peers")] = None,
     settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
     jobs: Jobs = None,
 ) -> None:
     """Tune the peers, each by the same search with the same budget on the same runs: about 20 minutes on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
 
     loaded = load_settings(settings, quick=quick)
-    results = carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
+    results = _carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
     with whole_file(out / GAINS_FILE) as draft:
         draft.write_text(gains_text(results, loaded), encoding="utf-8")
 
@@ -108,13 +123,11 @@ def robustness(
     *,
     out: Annotated[Path, out_option("report.html, robustness.json, robustness.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A few conditions on one path.")] = False,
-    only: Annotated[str | None, typer.Option(metavar="NAMES", help="Conditions.", show_default="all of them")] = None,
+    only: Annotated[str | None, _names("Conditions", "all of them")] = None,
     conditions: Annotated[Path | None, file_option("Conditions", "--conditions")] = None,
-    controllers: Annotated[str, typer.Option(metavar="NAMES", help="mpc, or peers.")] = "mpc,kanayama",
-    models: Annotated[str, typer.Option(metavar="NAMES", help="Models of mpc.")] = "ssm",
-    trajectories: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Paths.", show_default="circle,s; circle with --quick")
-    ] = None,
+    controllers: Annotated[str, _names("mpc, or peers")] = "mpc,kanayama",
+    models: Annotated[str, _names("Models of mpc")] = "ssm",
+    trajectories: Annotated[str | None, _names("Paths", "circle,s; circle with --quick")] = None,
     seeds: Annotated[str, typer.Option(metavar="LIST", help="How many seeds, or a list of them.")] = "1",
     robots: Annotated[
         int | None,
@@ -134,7 +147,6 @@ def robustness(
 ) -> None:
     """Drive every controller on robots, floors and sensors that it was not tuned to: some minutes on two cores."""
     from diffdrive_mpc.bench.conditions import load_conditions  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
 
     loaded = load_conditions(conditions)
@@ -150,7 +162,7 @@ def robustness(
         tuning=tuning_robots,
         rates=[] if rates is None else _rates(rates),
     )
-    carry_out(study, out, jobs)
+    _carry_out(study, out, jobs)
 
 
 def worlds(
@@ -158,7 +170,7 @@ def worlds(
     out: Annotated[Path, out_option("report.html, worlds.json, worlds.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="Two runs of each part.")] = False,
     only: Annotated[str | None, _parts_option("drawn, doorway, crossing, named")] = None,
-    controllers: Annotated[str, typer.Option(metavar="NAMES", help="mpc, or peers.")] = "mpc,mppi+grid,rpp+stop",
+    controllers: Annotated[str, _names("mpc, or peers")] = "mpc,mppi+grid,rpp+stop",
     model: Annotated[str, typer.Option(metavar="NAME", help="Model of mpc.")] = "ssm",
     runs: Annotated[int | None, typer.Option(min=1, help="Drawn worlds.", show_default="1000")] = None,
     crossings: Annotated[int | None, typer.Option(min=1, help="Persons who cross.", show_default="1000")] = None,
@@ -166,7 +178,7 @@ def worlds(
     jobs: Jobs = None,
 ) -> None:
     """Drive through drawn and named worlds, count contacts, and compare with peers that see the same: hours in full."""
-    from diffdrive_mpc.bench.study import carry_out, check_parts  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import check_parts  # noqa: PLC0415
     from studies.worlds.settings import PARTS, load_settings  # noqa: PLC0415 - --help does without it
     from studies.worlds.study import WorldsStudy  # noqa: PLC0415
 
@@ -175,18 +187,15 @@ def worlds(
     names = split_names(controllers, "--controllers")
     counts = dict.fromkeys(PARTS, _QUICK) if quick else {}
     counts |= {part: asked for part, asked in (("drawn", runs), ("crossing", crossings)) if asked is not None}
-    carry_out(WorldsStudy(load_settings(), parts, controllers=names, model=model, runs=counts, first=seed), out, jobs)
+    _carry_out(WorldsStudy(load_settings(), parts, controllers=names, model=model, runs=counts, first=seed), out, jobs)
 
 
 def speed(
     *,
     out: Annotated[Path, out_option("report.html, speed.json, speed.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="One model, two horizons, a short drive.")] = False,
-    peers: Annotated[
-        str | None,
-        typer.Option(metavar="NAMES", help="Subjects; `ours` and `casadi` are groups.", show_default="all of them"),
-    ] = None,
-    models: Annotated[str | None, typer.Option(metavar="NAMES", help="Models.", show_default="mbm,sm,ssm")] = None,
+    peers: Annotated[str | None, _names("Subjects; `ours` and `casadi` are groups", "all of them")] = None,
+    models: Annotated[str | None, _names("Models", "mbm,sm,ssm")] = None,
     horizons: Annotated[
         str | None, typer.Option(metavar="NUMBERS", help="Horizons.", show_default="10,20,30,50,100")
     ] = None,
@@ -200,7 +209,6 @@ def speed(
     ] = None,
 ) -> None:
     """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.speed.settings import MOST_STEPS, chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
     from studies.speed.study import SpeedStudy  # noqa: PLC0415
 
@@ -211,24 +219,23 @@ def speed(
     if horizons is not None:
         changes["horizons"] = split_numbers(horizons, "--horizons", least=1, most=MOST_STEPS)
     names = None if peers is None else split_names(peers, "--peers")
-    carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
+    _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
 
 
 def loop_speed(
     *,
     out: Annotated[Path, out_option("report.html, loop-speed.json and loop-speed.md")],
-    models: Annotated[str, typer.Option(metavar="NAMES", help="Models of the controller.")] = "ssm",
-    trajectories: Annotated[str, typer.Option(metavar="NAMES", help="Paths.")] = "circle,square,s,cane",
+    models: Annotated[str, _names("Models of the controller")] = "ssm",
+    trajectories: Annotated[str, _names("Paths")] = "circle,square,s,cane",
     plant: Annotated[str, typer.Option(metavar="NAME", help="Plant.")] = "mujoco",
     scenario: Annotated[str, typer.Option(metavar="NAME", help="What happens on the way.")] = "none",
     repeats: Annotated[int, typer.Option(min=1, max=1000, help="How often each is driven; the least time counts.")] = 5,
 ) -> None:
     """Say how many times as fast as real time the closed loop is simulated on one core, whole and by part."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.loop_speed.study import LoopSpeedStudy  # noqa: PLC0415 - --help does without it
 
     paths = split_names(trajectories, "--trajectories")
-    carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)
+    _carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)
 
 
 def energy_front(
@@ -239,7 +246,6 @@ def energy_front(
     jobs: Jobs = None,
 ) -> None:
     """Energy against tracking error as the weight of energy in the controller grows; minutes on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.energy_front.study import (  # noqa: PLC0415 - --help does without it
         HERE,
         EnergyFrontStudy,
@@ -248,7 +254,7 @@ def energy_front(
     )
 
     asked = load_study(study)
-    carry_out(EnergyFrontStudy(small(asked) if quick else asked, study.parent if study else HERE), out, jobs)
+    _carry_out(EnergyFrontStudy(small(asked) if quick else asked, study.parent if study else HERE), out, jobs)
 
 
 def torque(
@@ -256,14 +262,10 @@ def torque(
     out: Annotated[Path, out_option("report.html, torque.json, torque.md, turn-costs-FLOOR.yaml and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="One floor and few turns, to see that it works.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    surfaces: Annotated[
-        str | None,
-        typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
-    ] = None,
+    surfaces: Floors = None,
     jobs: Jobs = None,
 ) -> None:
     """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.torque.settings import load_study, small  # noqa: PLC0415 - --help does without it
     from studies.torque.study import TorqueStudy  # noqa: PLC0415
 
@@ -271,7 +273,7 @@ def torque(
     asked = small(asked) if quick else asked
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
-    carry_out(TorqueStudy(asked), out, jobs)
+    _carry_out(TorqueStudy(asked), out, jobs)
 
 
 def saving(
@@ -279,14 +281,10 @@ def saving(
     out: Annotated[Path, out_option("report.html, saving.json, saving.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="One floor and two pairs, to see that it works.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    surfaces: Annotated[
-        str | None,
-        typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
-    ] = None,
+    surfaces: Floors = None,
     jobs: Jobs = None,
 ) -> None:
     """Drive energy-optimal and distance-optimal paths of the same ends, and say what is saved: minutes on two cores."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.saving.settings import load_study, small  # noqa: PLC0415 - --help does without it
     from studies.saving.study import SavingStudy  # noqa: PLC0415
 
@@ -294,7 +292,7 @@ def saving(
     asked = small(asked) if quick else asked
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
-    carry_out(SavingStudy(asked), out, jobs)
+    _carry_out(SavingStudy(asked), out, jobs)
 
 
 def monitor(
@@ -315,10 +313,9 @@ def monitor(
     its path and on time; the report is written all the same.
     """
     from diffdrive_mpc.bench.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
 
-    problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning, market=market), out, jobs))
+    problem = complaint(_carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning, market=market), out, jobs))
     if problem:
         typer.echo(f"error: {problem}", err=True)
         raise typer.Exit(FAILED)
@@ -327,21 +324,21 @@ def monitor(
 def stack(
     *,
     out: Annotated[Path, out_option("report.html, stack.json and stack.md")],
-    only: Annotated[str | None, parts_option("robots, peers")] = None,
+    only: Annotated[str | None, _parts_option("robots, peers")] = None,
     robots: Annotated[int, typer.Option(min=1, help="How many drawn robots.")] = 200,
     tuning_robots: Annotated[bool, typer.Option("--tuning-robots", help="Robots to tune on.")] = False,
     drives: Annotated[Path | None, file_option("Drives of the peers", "--drives")] = None,
     jobs: Jobs = None,
 ) -> None:
     """Hold parameters for other packages against drawn robots, and drive peers with them: half an hour on two cores."""
-    from diffdrive_mpc.bench.study import carry_out, check_parts  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import check_parts  # noqa: PLC0415 - --help does without it
     from studies.stack.peers import load_peer_drives  # noqa: PLC0415
     from studies.stack.study import StackStudy  # noqa: PLC0415
 
     parts = ("robots", "peers") if only is None else split_names(only, "--only")
     check_parts(parts, ("robots", "peers"))
     peers = load_peer_drives(drives) if "peers" in parts else None
-    carry_out(StackStudy(robots if "robots" in parts else 0, tuning=tuning_robots, peers=peers), out, jobs)
+    _carry_out(StackStudy(robots if "robots" in parts else 0, tuning=tuning_robots, peers=peers), out, jobs)
 
 
 def real_logs(
@@ -374,13 +371,12 @@ def predicted_error(
     jobs: Jobs = None,
 ) -> None:
     """Calibrate the predicted tracking error, and say how far it holds on other drives: a quarter of an hour."""
-    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
     from studies.predicted_error.drives import load_study  # noqa: PLC0415 - --help does without it
     from studies.predicted_error.study import PredictedErrorStudy  # noqa: PLC0415
 
     if quick and (study is not None or kept is not None):
         raise ValueError("--quick has a study of its own and keeps nothing; give it alone")
-    carry_out(PredictedErrorStudy(load_study(study, quick=quick), kept), out, jobs)
+    _carry_out(PredictedErrorStudy(load_study(study, quick=quick), kept), out, jobs)
 
 
 STUDIES: dict[str, Callable[..., None]] = {

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc import Controller, Measurement, load_config, load_trajectory, make_plant
 from diffdrive_mpc.app.export.emulation import REPLY_BYTES, Reply, read_reply, request_bytes
-from diffdrive_mpc.models import Measurement
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.export import Precision, export_controller
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.sim import make_plant
 
 HOST = Path(__file__).with_name("export_host.c")
 # Some parts ask a controller for sizes that are macros in an export.

@@ -16,10 +16,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from diffdrive_mpc import load_config, load_trajectory
+from diffdrive_mpc import Measurement, Stamped, load_config, load_trajectory
 from diffdrive_mpc.app.export.command import link_stm32f4
 from diffdrive_mpc.app.export.emulation import EmulatedController
-from diffdrive_mpc.models import Measurement, Stamped
 from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.mpc.export import Precision, export_controller
 

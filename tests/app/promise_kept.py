@@ -15,14 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc import ModelError, VelocityModel, identify
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, StandIn, trial_drives, trial_settings
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.identification import identify
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 from studies.real_logs.protocol import RealLog, load_protocol
 
 

@@ -15,14 +15,13 @@ import pytest
 from PIL import Image
 
 from commands import invoke
-from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.app.animation.animate import write_film
 from diffdrive_mpc.app.animation.film import Film, film_path, read_size
 from diffdrive_mpc.app.animation.pictures import pictures
 from diffdrive_mpc.app.animation.playback import from_columns
 from diffdrive_mpc.app.animation.recording import read_recording
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.log_csv import write_log
 from diffdrive_mpc.sim.log_mcap import write_log as write_mcap
 from diffdrive_mpc.sim.view.body import robot_body

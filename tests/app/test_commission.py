@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from opened_report import content_of
 
 from commands import call
+from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.commission import chain
 from diffdrive_mpc.app.commission.chain import Logs
 from diffdrive_mpc.app.commission.commissioning import (
@@ -21,10 +22,8 @@ from diffdrive_mpc.app.commission.commissioning import (
 )
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key_of
 from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.stated_robot import load_stated_robot
-from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from quick_settings import quick_settings

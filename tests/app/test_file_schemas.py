@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from commands import invoke
+from diffdrive_mpc import ModelError, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.schemas.generate import json_schema
@@ -31,8 +32,6 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import EDITOR_LINE, kept_editor_line
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
-from diffdrive_mpc.models.velocity_model import ModelError
-from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot

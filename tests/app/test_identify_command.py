@@ -10,14 +10,12 @@ from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_ma
 from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
-from diffdrive_mpc import identify
+from diffdrive_mpc import identify, load_config, load_model
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification.page import remedies
 from diffdrive_mpc.bench.report_folder import CONTENTS
-from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.doubt import VERDICTS
 from diffdrive_mpc.models.load import model_path, read_model_file
-from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 
 runner = CliRunner()

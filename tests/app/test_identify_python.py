@@ -7,13 +7,11 @@ import pytest
 from log_parts import drive, write_csv, write_mapping
 
 import diffdrive_mpc
-from diffdrive_mpc import Controller, identify, load_config, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, ControllerConfig, identify, load_config, load_model
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.robot import SampleTime
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 @pytest.fixture(scope="module")

@@ -18,14 +18,13 @@ import pytest
 from firefox import opened_firefox
 
 from commands import invoke
+from diffdrive_mpc import Controller, integrate_pose, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.lab.build import main, page_text
 from diffdrive_mpc.app.lab.formulas import FLOOR, plant_functions
 from diffdrive_mpc.app.lab.numbers import configuration, default_of, lab_settings, plant_model, values_of
 from diffdrive_mpc.app.lab.pool import VARIED, experiments
 from diffdrive_mpc.bench.peers.rpp import RegulatedPurePursuit
-from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from studies.documents.browser import opened_browser

@@ -9,11 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from commands import invoke
+from diffdrive_mpc import load_model, make_plant
 from diffdrive_mpc.app.model_report import model_text
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from studies.cli import app
 from studies.shipped_models.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models

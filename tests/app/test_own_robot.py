@@ -9,16 +9,14 @@ import yaml
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 from typer.testing import CliRunner
 
-from diffdrive_mpc import identify
+from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.deliver.configuration import round_period
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.mapping import load_mapping
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface

@@ -9,17 +9,15 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from diffdrive_mpc import ConfigError, Controller, Measurement, load_config
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.bag import LoggedConfigs, recorded_drive
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.load import PARAMETERS as MODELS
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.models.trust import UntrustedFileError
-from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_mcap import write_log
 

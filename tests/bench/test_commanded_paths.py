@@ -1,11 +1,13 @@
-"""Paths whose curvature jumps, driven without a stop: how far beside them a robot must get, and how far it does."""
+"""Paths of commands whose curvature jumps, and those of the edge: how far beside them a robot gets."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.bench.controllers import controller_config, run_case
 from diffdrive_mpc.mpc.config.schema import Limits
 
 SPEED = 0.5  # m/s, of both paths
@@ -45,3 +47,39 @@ def test_without_a_stop_it_stays_near_what_geometry_allows(path, model):
     assert run.metrics.completed
     assert 1e-5 < bound < 0.002
     assert bound < run.metrics.lateral_max_m <= 0.02
+
+
+EDGE = ["fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "spline-0"]
+WHEEL_SPEED = ("limits.wheel_speed", 1.53)
+
+
+@pytest.mark.parametrize("name", EDGE)
+def test_a_path_at_the_edge_is_driven_to_its_end(name: str) -> None:
+    run = run_case(Case(trajectory=name))
+    assert run.metrics.completed
+    assert run.metrics.fallbacks == 0
+    assert run.metrics.in_band_percent == 100.0
+    assert run.metrics.position_rmse_m < 0.025
+
+
+@pytest.mark.parametrize("overrides", [(), (WHEEL_SPEED,)])
+def test_limits_bind_on_tight_for_a_third_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
+    run = run_case(Case(trajectory="tight", overrides=overrides))
+    assert run.metrics.completed
+    config = controller_config("ssm", overrides=overrides)
+    limits = config.limits
+    command = run.command[run.counted]
+    change = np.abs(np.diff(command, axis=0, prepend=0.0)) / config.sample_time
+    encoders = np.array([one.wheel_twist.value for one in run.measurements if one.wheel_twist is not None])
+    rim = np.abs(encoders) @ (1.0, config.wheels.encoder_track / 2)
+    at = {
+        "command": (np.abs(command) >= np.array([limits.v, limits.omega]) - 1e-4).any(axis=1),
+        "slew": (change >= 0.999 * np.array([limits.v_slew, limits.omega_slew])).any(axis=1),
+        "wheels": rim[run.counted] >= 0.98 * limits.wheel_speed,
+    }
+    share = {name: rows.mean() for name, rows in at.items()}
+    assert share["command"] > 0.05
+    assert share["slew"] > 0.1
+    # Within the command's shipped limits the wheels never reach theirs.
+    assert (share["wheels"] > 0.05) == bool(overrides)
+    assert 0.28 < (at["command"] | at["slew"] | at["wheels"]).mean() < (0.5 if overrides else 0.45)

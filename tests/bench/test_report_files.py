@@ -15,6 +15,7 @@ from bench_parts import quick_outcome
 from bench_parts import rows as rows_of
 from pandas import DataFrame
 
+from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
@@ -35,8 +36,6 @@ from diffdrive_mpc.bench.run_row import RunOutcome, driver_names
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import load_config
 
 FIELDS = {
     "controller": str,

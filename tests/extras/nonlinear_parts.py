@@ -3,8 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from diffdrive_mpc import load_config
-from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc import NonlinearModel, load_config
 
 DT = load_config("ssm").sample_time
 LAG = np.array([0.12, 0.09])

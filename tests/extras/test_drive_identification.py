@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
+from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
 from diffdrive_mpc.extras.drives.drive_model import DriveModel, drive_model
 from diffdrive_mpc.extras.drives.finding import told_by
 from diffdrive_mpc.extras.drives.fitting import fit_drive
-from diffdrive_mpc.models import identify, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.model_comparison import KINDS, compare_models
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.mpc import Controller, load_config
 
 DT, STILL = 0.04, (0.005, 0.02)
 DEAD = (3, 2)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
+from diffdrive_mpc import ConfigError, Controller, MissingPackageError, ModelError, identify, load_config, load_model
 from diffdrive_mpc.extras.hybrids.hybrid_model import (
     HybridFile,
     HybridModel,
@@ -19,9 +20,6 @@ from diffdrive_mpc.extras.hybrids.hybrid_model import (
     write_hybrid,
 )
 from diffdrive_mpc.extras.hybrids.training import hybrid_settings, runs_of, segments, trained
-from diffdrive_mpc.models import ModelError, identify, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.model_comparison import compare_models
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model, model_path, read_model_file
@@ -29,7 +27,6 @@ from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.structures.model_file import build_model
-from diffdrive_mpc.mpc import Controller, load_config
 
 MODEL = random_hybrid()
 LINEAR = MODEL.linear

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
+from diffdrive_mpc import ConfigError, Controller, MissingPackageError, identify, load_config, load_model
 from diffdrive_mpc.extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc.extras.networks.training import train, training_settings
-from diffdrive_mpc.models import identify, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.mpc import Controller, load_config
 
 SMALL = Architecture(window=8, units=8, dense=8)
 SHORT = training_settings().model_copy(update={"most_epochs": 3, "dropout": 0.0, "decay": 0.0, "rate": 0.01})

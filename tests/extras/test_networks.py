@@ -6,10 +6,9 @@ import pytest
 import yaml
 from network_parts import DT, network_gain, random_model, random_network
 
+from diffdrive_mpc import ConfigError, ModelError, load_model
 from diffdrive_mpc.extras.networks.network import Architecture, Network
 from diffdrive_mpc.extras.networks.network_model import network_content, network_model, write_network
-from diffdrive_mpc.models import ModelError, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model
 
 PROVENANCE = {"origin": "assumed", "source": "random numbers"}

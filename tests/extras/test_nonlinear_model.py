@@ -14,15 +14,16 @@ from diffdrive_mpc import (
     Controller,
     Measurement,
     ModelError,
+    NonlinearModel,
     Stamped,
+    VelocityModel,
+    integrate_pose,
     load_config,
     load_model,
     load_trajectory,
     make_plant,
     simulate,
 )
-from diffdrive_mpc.models import VelocityModel, integrate_pose
-from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 
 CIRCLE = load_trajectory("circle")
 

@@ -7,12 +7,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diffdrive_mpc import ConfigError, integrate_pose
 from diffdrive_mpc.extras.energy import predict_energy
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.extras.torque import TorqueCurves
 from diffdrive_mpc.extras.torque.torque_curves import costs_of_curves
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.models.turn_costs import (
     SlipCoefficients,

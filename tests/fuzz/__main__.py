@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from fuzz.case import FINDINGS, load_case
+from fuzz.case import FINDINGS, saved_findings
 from fuzz.fuzzers import FUZZERS
 from fuzz.runner import Order, Ran, inside, judged, run
 
@@ -30,7 +30,7 @@ def main() -> None:
         inside(FUZZERS[made.fuzzer], made, Path(report), Path(folder))
         return
     if words.replay:
-        sys.exit(_replayed(words.replay))
+        sys.exit(_replayed(*words.replay))
     if "live" in words.what:
         # It needs ROS, which the others do without.
         from fuzz.live.run import main as attack
@@ -71,9 +71,8 @@ def _fuzzed(name: str, pace: str, words: argparse.Namespace) -> int:
     return len(ran.lines)
 
 
-def _replayed(path: Path) -> int:
-    fuzzer = FUZZERS[path.parent.name]
-    found = judged(fuzzer, load_case(path))
+def _replayed(name: str, mark: str) -> int:
+    found = judged(FUZZERS[name], saved_findings()[name, mark])
     print(found[0] if found else "nothing is wrong with it")
     return 1 if found else 0
 
@@ -87,7 +86,7 @@ def _words() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, help="of a controller, however many cases that takes")
     parser.add_argument("--seconds", type=float, help="at most so long for each fuzzer")
     parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder for what is found")
-    parser.add_argument("--replay", type=Path, help="a file of a finding, once more")
+    parser.add_argument("--replay", nargs=2, metavar=("FUZZER", "MARK"), help="a kept finding, once more")
     parser.add_argument("--inside", nargs=3, help=argparse.SUPPRESS)
     return parser.parse_args()
 

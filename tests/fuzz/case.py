@@ -1,4 +1,4 @@
-"""What a fuzzer is, what it finds, and the files that findings are kept in."""
+"""What a fuzzer is, what it finds, and the files that findings are kept in, one for each fuzzer."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Fuzzer(Protocol):
     Attributes
     ----------
     name
-        On the command line, and of the folder of its findings.
+        On the command line, and of the file of its findings.
     longest
         Time that a case may take [s].
     count
@@ -65,22 +65,20 @@ class Finding:
     case: Case
 
     def save(self, folder: Path = FINDINGS) -> Path:
-        """Write it to a file whose name follows from its content."""
+        """Add it to the file of its fuzzer, under a mark that follows from its signature."""
         mark = hashlib.sha256(self.signature.encode()).hexdigest()[:8]
-        path = folder / self.fuzzer / f"{mark}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({"what": self.what, "case": self.case}, indent=1) + "\n", encoding="utf-8")
+        path = folder / f"{self.fuzzer}.json"
+        kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        kept[mark] = {"what": self.what, "case": self.case}
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
         return path
 
 
-def saved_findings(folder: Path = FINDINGS) -> list[tuple[str, Path]]:
-    """Fuzzer and file of each."""
-    return [(path.parent.name, path) for path in sorted(folder.glob("*/*.json"))]
-
-
-def load_case(path: Path) -> Case:
-    """The case of a file."""
-    return json.loads(path.read_text(encoding="utf-8"))["case"]
+def saved_findings(folder: Path = FINDINGS) -> dict[tuple[str, str], Case]:
+    """Cases by fuzzer and mark."""
+    files = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))}
+    return {(fuzzer, mark): entry["case"] for fuzzer, kept in files.items() for mark, entry in kept.items()}
 
 
 def draw(fuzzer: Fuzzer, seed: int, index: int) -> Case:

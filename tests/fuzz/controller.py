@@ -15,9 +15,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from diffdrive_mpc import ConfigError, Controller, Measurement, ModelError, Stamped, Term, load_config, load_trajectory
+from diffdrive_mpc import (
+    ConfigError,
+    Controller,
+    Measurement,
+    ModelError,
+    NonlinearModel,
+    Stamped,
+    Term,
+    load_config,
+    load_trajectory,
+)
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
@@ -26,7 +26,6 @@ from diffdrive_mpc.models.file_kind import PACKAGE
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.models.turn_costs.vehicle import load_drive_constants, load_vehicle
-from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.monitor.judge import Judge
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits

@@ -77,8 +77,9 @@ def robot(
     ramp=np.inf,
     yaw_lag=0.0,
     quantum=0.0,
+    command=None,
 ):
-    """Columns of a two-wheeled robot under random steps of a second: two equal lags, a dead time, skid, noise.
+    """Columns of a two-wheeled robot under random steps of a second, or `command` (n, 2): lags, dead time, skid, noise.
 
     Both gains fall by the share `sag` along the log; each rim changes its speed by at most `ramp` [m/s^2]; the body
     yaws behind its wheels by `yaw_lag` [s]; levels of the commands are multiples of `quantum`.
@@ -89,7 +90,7 @@ def robot(
     levels[rng.random(len(levels)) < 0.15] = 0.0
     if quantum:
         levels = np.round(levels / quantum) * quantum
-    command = np.repeat(levels, hold, axis=0)[:count]
+    command = np.repeat(levels, hold, axis=0)[:count] if command is None else command
     late = round(dead_time / dt)
     taken = np.vstack([np.zeros((late, 2)), command])[:count] * gain
     taken[:, 1] = np.clip(taken[:, 1], -clip, clip)
@@ -193,36 +194,12 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
     }
 
 
-def from_commands(make):
-    """The robot's answer to other commands (n, 2) of its time."""
-    columns = robot()
-    command = make(columns["t"])
-    wheels, first, keep = np.zeros_like(command), np.zeros(2), np.exp(-2 * 0.02 / 0.1)
-    pose, rng = np.zeros((len(command), 3)), np.random.default_rng(9)
-    for k in range(1, len(command)):
-        first = keep * first + (1 - keep) * command[max(k - 4, 0)]
-        wheels[k] = keep * wheels[k - 1] + (1 - keep) * first
-        pose[k] = integrate_pose(pose[k - 1], wheels[k, 0], 0.6 * wheels[k, 1], 0.02)
-    side = 0.5 * TRACK * wheels[:, 1]
-    noise = rng.normal(0, 1.0, (len(command), 6))
-    return columns | {
-        "v_ref": command[:, 0],
-        "omega_ref": command[:, 1],
-        "left": (wheels[:, 0] - side) / RADIUS + 0.05 * noise[:, 0],
-        "right": (wheels[:, 0] + side) / RADIUS + 0.05 * noise[:, 1],
-        "gyro": 0.6 * wheels[:, 1] + 0.01 * noise[:, 2],
-        "x": pose[:, 0] + 0.002 * noise[:, 3],
-        "y": pose[:, 1] + 0.002 * noise[:, 4],
-        "theta": pose[:, 2] + 0.003 * noise[:, 5],
-    }
-
-
 def in_step():
     v = robot()["v_ref"]
-    return from_commands(lambda _: np.column_stack([v, 1.5 * v]))
+    return robot(seed=9, command=np.column_stack([v, 1.5 * v]))
 
 
 def smooth_and_clipped():
-    return from_commands(
-        lambda t: np.column_stack([np.clip(1.2 * np.sin(0.9 * t), -0.6, 0.6), 1.2 * np.sin(0.55 * t + 1.0)])
-    )
+    t = robot()["t"]
+    command = np.column_stack([np.clip(1.2 * np.sin(0.9 * t), -0.6, 0.6), 1.2 * np.sin(0.55 * t + 1.0)])
+    return robot(seed=9, command=command)

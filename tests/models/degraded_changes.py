@@ -17,10 +17,10 @@ class Case:
 
     Attributes
     ----------
-    name
-        What was done, in words.
     base
         Of `BASES`.
+    what
+        Was done, in words.
     change
         (columns, base) -> columns of the degraded log; of several logs, a list.
     kind
@@ -35,14 +35,19 @@ class Case:
         Kinds that may stand beside: consequences that are true.
     """
 
-    name: str
     base: str
+    what: str
     change: Callable
     kind: tuple[str, ...] = ()
     says: tuple[str, ...] = ()
     refused: bool | None = False
     mapping: Callable[[str], str] = str
     also: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Base and change."""
+        return f"{self.base}: {self.what}"
 
 
 def shifted(stream, seconds):

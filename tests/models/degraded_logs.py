@@ -29,39 +29,31 @@ from degraded_scales import SCALES
 from degraded_times import TIMES
 
 FIRST_TEN = (
-    Case("husky: gyro 0.3 s late", "husky", shifted("gyro", 0.3), SHIFT, ("gyro", "delay"), None),
-    Case("husky: commands 0.3 s late", "husky", shifted("command", 0.3), SHIFT, ("command", "delay"), True),
-    Case("husky: encoders in rpm", "husky", scaled(encoders=60 / (2 * np.pi)), UNIT, ("encoders", "unit: rpm"), True),
-    Case("husky: yaw in degrees", "husky", scaled(yaw=180 / np.pi), UNIT, ("pose", "unit: deg"), True),
-    Case("simulated: milliseconds", "simulated", scaled(t=1000.0), UNIT, ("time", "unit: ms"), True),
-    Case("simulated: right wheel dead", "simulated", one_wheel(1, 0.0), ("dead wheel",), ("right",), True),
-    Case("husky: sides swapped", "husky", swapped("left", "right"), ("swapped sides",), ("encoders",), True),
-    Case("simulated: y mirrored", "simulated", scaled(y=-1.0), ("mirrored pose",), ("y", "sign: -1"), True),
-    Case("simulated: rows shuffled", "simulated", rows(shuffled_rows), ("shuffled stamps",), ("sort",), True),
-    Case(
-        "simulated: quantised encoders",
-        "simulated",
-        replaced(left=rounded("left", 0.8), right=rounded("right", 0.8)),
-        (),
-    ),
+    Case("husky", "gyro 0.3 s late", shifted("gyro", 0.3), SHIFT, ("gyro", "delay"), None),
+    Case("husky", "commands 0.3 s late", shifted("command", 0.3), SHIFT, ("command", "delay"), True),
+    Case("husky", "encoders in rpm", scaled(encoders=60 / (2 * np.pi)), UNIT, ("encoders", "unit: rpm"), True),
+    Case("husky", "yaw in degrees", scaled(yaw=180 / np.pi), UNIT, ("pose", "unit: deg"), True),
+    Case("simulated", "milliseconds", scaled(t=1000.0), UNIT, ("time", "unit: ms"), True),
+    Case("simulated", "right wheel dead", one_wheel(1, 0.0), ("dead wheel",), ("right",), True),
+    Case("husky", "sides swapped", swapped("left", "right"), ("swapped sides",), ("encoders",), True),
+    Case("simulated", "y mirrored", scaled(y=-1.0), ("mirrored pose",), ("y", "sign: -1"), True),
+    Case("simulated", "rows shuffled", rows(shuffled_rows), ("shuffled stamps",), ("sort",), True),
+    Case("simulated", "quantised encoders", replaced(left=rounded("left", 0.8), right=rounded("right", 0.8)), ()),
 )
 
 SOUND = (
-    *(
-        Case(f"{base}: as it is", base, lambda columns, base: columns)
-        for base in ("simulated", "husky", "asphalt", "gravel")
-    ),
-    Case("simulated: slow", "simulated", simulated(lag=0.5, seed=11)),
-    Case("simulated: much skid", "simulated", simulated(skid=0.35, seed=12)),
-    Case("simulated: gain 0.8", "simulated", simulated(gain=(0.8, 1.2), seed=13)),
-    Case("simulated: v and omega of the encoders", "simulated", twist_columns, mapping=lambda _: SIDES_ONLY),
+    *(Case(base, "as it is", lambda columns, base: columns) for base in ("simulated", "husky", "asphalt", "gravel")),
+    Case("simulated", "slow", simulated(lag=0.5, seed=11)),
+    Case("simulated", "much skid", simulated(skid=0.35, seed=12)),
+    Case("simulated", "gain 0.8", simulated(gain=(0.8, 1.2), seed=13)),
+    Case("simulated", "v and omega of the encoders", twist_columns, mapping=lambda _: SIDES_ONLY),
     Case(
-        "simulated: four sound wheels",
         "simulated",
+        "four sound wheels",
         four_wheels(),
         mapping=put("{left: left, right: right}", "{front_left: fl, front_right: fr, rear_left: rl, rear_right: rr}"),
     ),
-    Case("two drives of one robot", "simulated", lambda columns, base: [columns, robot(seed=22)]),
+    Case("simulated", "two drives of one robot", lambda columns, base: [columns, robot(seed=22)]),
 )
 
 CASES = tuple(case for case in (*FIRST_TEN, *SOUND, *SCALES, *TIMES, *READINGS, *CAUSES) if case.base in BASES)

@@ -1,4 +1,4 @@
-"""Advice on the mapping: it predicts better on held-out rows, or it is not given."""
+"""Logs that were degraded on purpose: the cause is named, and the advice mends it."""
 
 from pathlib import Path
 
@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from degraded_bases import SIMULATED, robot
 from degraded_changes import Case, held, put, replaced, rounded, scaled, shifted, swapped
-from degraded_logs import logs_of
+from degraded_logs import CASES, FIRST_TEN, logs_of, verdict
 from scipy.signal import lfilter
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.identification.advice import LogSelection, advise, told
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
@@ -24,7 +25,7 @@ NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
 
 
 def of(robot_, change, mapping=str):
-    return Case("", "simulated", lambda _, base: change(robot(**robot_), base), mapping=mapping)
+    return Case("simulated", "", lambda _, base: change(robot(**robot_), base), mapping=mapping)
 
 
 def gyro_and_sides(columns, base):
@@ -148,3 +149,34 @@ def test_a_topic_is_changed_as_far_as_it_can_be():
     assert "/cmd_vel" in mapping_text(new)
     with pytest.raises(ConfigError, match=r"left\.unit"):
         changed(bag, [MappingChange("encoders", "left.unit", "rpm")])
+
+
+UNTOLD = {"asphalt: command +0.3 s"}
+"""Commands stamped late on a robot whose dead time is longer than that: it merely looks quicker than it is."""
+
+
+def judged(case, folder):
+    """Findings on the logs of a case, or the line that refuses them."""
+    try:
+        paths, mapping = logs_of(case, folder)
+        logs = [read_log(path, mapping) for path in paths]
+    except ConfigError as error:
+        assert "\n" not in str(error)
+        return [], str(error)
+    return [*(finding for log in logs for finding in log.findings), *compare_logs(logs)], None
+
+
+@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
+def test_the_cause_is_named_and_no_other(case, tmp_path):
+    findings, raised = judged(case, tmp_path)
+    said = [f"{finding.severity}: {finding}" for finding in findings] + [raised]
+    assert verdict(case, findings, raised) == ("missed" if case.name in UNTOLD else "right"), said
+    refused = raised is not None or any(finding.severity == "error" for finding in findings)
+    if case.refused is not None and case.name not in UNTOLD:
+        assert refused == case.refused, said
+
+
+def test_the_suite_is_large_enough():
+    assert len({case.name for case in CASES}) == len(CASES)
+    assert len(FIRST_TEN) == 10
+    assert len(CASES) >= 120

@@ -1,12 +1,36 @@
-"""Each effect around the linear dynamics obeys its physics."""
+"""Effects of bases: what they do, and that they are estimated from drives."""
 
+from dataclasses import replace
+
+import control
 import numpy as np
 import pytest
+from base_effect_parts import DT, ENCODER_TRACK, linear_model, record_of, step_commands
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diffdrive_mpc.models.base_effects import PoseMount, TwistSlew, Veer, WheelCommand, YawRelaxation
+from diffdrive_mpc import integrate_pose
+from diffdrive_mpc.models.base_effects import (
+    BaseEffects,
+    PoseMount,
+    TwistSlew,
+    Veer,
+    WheelCommand,
+    YawRelaxation,
+    respond,
+)
+from diffdrive_mpc.models.identification.effects import identify_with_effects
+from diffdrive_mpc.models.identification.effects.comparison import loses
+from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed, smoothed, two_lags
+from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.models.output_error.held_out import blocks
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.structures.sm import identify_sm
 
 TWISTS = arrays(float, (2,), elements=st.floats(-3, 3, allow_subnormal=False))
 STEPS = WheelCommand(track=0.5, resolution=0.01, coasting_speed=0.08, top_speed=2.0)
@@ -134,4 +158,266 @@ def test_a_sensor_ahead_of_the_centre_draws_a_circle_when_the_robot_turns_on_the
     np.testing.assert_allclose(np.hypot(seen[:, 0] - 2.0, seen[:, 1] + 1.0), np.hypot(0.15, 0.04))
     np.testing.assert_allclose(
         seen[0], [2 + 0.15 * np.cos(0.1) + 0.04 * np.sin(0.1), -1 + 0.04 * np.cos(0.1) - 0.15 * np.sin(0.1), -0.1]
+    )
+
+
+TRUE = BaseEffects.model_validate(
+    {
+        "twist_slew": {"v": 1.5, "omega": 2.5},
+        "wheel_command": {"track": 0.54, "resolution": 0.02, "coasting_speed": 0.12},
+        "yaw_relaxation": {"angle": 0.04},
+        "veer": {"yaw_per_metre": -0.06},
+    }
+)
+# Encoders' yaw ratio with which the gains belong to the base's track: 0.95 * 0.54 = ratio * 0.57 * 0.5.
+RATIO = 0.95 * TRUE.wheel_command.track / (0.57 * ENCODER_TRACK)
+POINT = {
+    "gain.v": 0.95,
+    "gain.omega": 0.57,
+    "lag.v": 1 / 14,
+    "lag.omega": 1 / 20,
+    "dead_time.v": 0.0,
+    "dead_time.omega": 0.0,
+    "encoders.delay": 0.0,
+    "encoders.yaw_ratio": RATIO,
+    "gyro.offset": 0.0,
+    "encoders.track": ENCODER_TRACK,
+    "slew.v": 1.5,
+    "slew.omega": 2.5,
+    "wheels.resolution": 0.02,
+    "wheels.coasting": 0.12,
+    "relaxation": 0.04,
+    "veer": -0.06,
+}
+
+
+def at_rest(commands):
+    readings = np.zeros((len(commands), 3))
+    return SampledExperiment("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
+
+
+def test_the_free_run_is_that_of_the_model_file():
+    commands = step_commands(3, 60.0)
+    response = respond(linear_model(), TRUE, commands, DT)
+    expected = np.column_stack([response.wheels * [1.0, RATIO], response.body[:, 1]])
+    np.testing.assert_allclose(free_run(POINT, at_rest(commands)), expected, atol=1e-9)
+
+
+@given(st.floats(0.02, 1.0), st.floats(0.0, 1.5))
+def test_two_lags_are_exact_under_a_zero_order_hold(lag, spread):
+    drive = np.random.default_rng(0).normal(size=50)
+    slow, fast = lag * np.exp(spread), lag * np.exp(-spread)
+    s = control.tf("s")
+    system = control.sample_system(1 / ((slow * s + 1) * (fast * s + 1)), DT, method="zoh")
+    expected = control.forced_response(system, inputs=drive, timepts=DT * np.arange(50)).outputs
+    np.testing.assert_allclose(two_lags(drive, 0.0, lag, spread, DT), expected, atol=1e-6)
+
+
+COMMANDS = st.lists(st.sampled_from([-1.0, -0.3, 0.0, 0.2, 1.0]), min_size=1, max_size=60)
+
+
+@given(COMMANDS, st.floats(0.05, 5.0), st.floats(-2.0, 2.0))
+def test_ramps_are_the_steps_one_by_one(levels, limit, start):
+    slew = TwistSlew(v=limit, omega=2 * limit)
+    commands = np.column_stack([levels, levels[::-1]])
+    last, expected = np.array([start, -start]), []
+    for command in commands:
+        last = slew.step(last, command, DT)
+        expected.append(last)
+    np.testing.assert_allclose(slew.follow(commands, DT, [start, -start]), expected, atol=1e-9)
+
+
+@given(COMMANDS, st.floats(0.005, 0.3), st.floats(-1.0, 1.0))
+def test_relaxation_over_a_run_is_that_of_its_samples(rates, angle, strain):
+    relaxation = YawRelaxation(angle=angle)
+    expected, z = [], strain
+    for k, rate in enumerate(rates):
+        if k:
+            z, _ = relaxation.advance(z, 0.5 * (rates[k - 1] + rate), DT)
+        expected.append(abs(rate) * z)
+    np.testing.assert_allclose(relaxation.follow(rates, DT, strain), expected, atol=1e-9)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
+def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
+    base = WheelCommand(track=0.5, resolution=0.02)
+    twist = np.array([v, omega])
+    away = base.sides(smoothed(base, twist)) - base.sides(base.apply(twist))
+    assert np.abs(away).max() < base.resolution
+
+
+def test_each_sample_is_held_out_once():
+    experiments = [at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
+    folds = blocks(experiments)
+    held = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
+    assert sorted(held) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
+    for rest, block in folds:
+        assert not {(i, k) for i, a, b in rest for k in range(a, b)} & {
+            (i, k) for i, a, b in block for k in range(a, b)
+        }
+
+
+@pytest.fixture(scope="module")
+def found():
+    return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
+
+
+def test_every_effect_is_found(found):
+    assert set(found.effects) == {
+        "twist slew",
+        "steps and coasting of the wheels",
+        "yaw relaxation",
+        "veer",
+    }
+
+
+def test_effects_are_recovered_within_their_stated_uncertainty(found):
+    estimate = found.identified.parameters
+    truth = {
+        "v.gain": 0.95,
+        "omega.gain": 0.57,
+        "v.natural_frequency": 14.0,
+        "omega.natural_frequency": 20.0,
+        "encoders.delay": 0.05,
+        "gyro.offset": 0.02,
+        "slew.v": 1.5,
+        "slew.omega": 2.5,
+        "wheels.track": 0.54,
+        "wheels.coasting": 0.12,
+        "relaxation": 0.04,
+        "veer": -0.06,
+    }
+    scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
+    assert max(map(abs, scores.values())) < 4, scores
+    assert found.point["wheels.resolution"] == pytest.approx(0.02)
+
+
+def test_the_model_file_holds_what_was_found(found):
+    content = found.identified.file("found", {"origin": "identified", "source": "a test"})
+    assert content.base_effects.twist_slew.omega == pytest.approx(found.point["slew.omega"], rel=1e-6)
+    assert content.base_effects.pose_mount is None
+    assert (found.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
+
+
+def test_a_base_without_effects_ends_with_none():
+    assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
+
+
+@pytest.mark.long
+def test_a_limit_that_the_plain_model_found_lives_on():
+    record = record_of(BaseEffects(), 7, 75.0, clip=1.0)
+    limits = identify_sm([record]).limits
+    assert limits == {"omega": pytest.approx(1.0, abs=0.05)}
+    found = identify_with_effects([record], limits=limits).identified
+    assert found.limits == {"omega": pytest.approx(1.0, abs=0.03)}
+    assert found.parameters.deviation("omega.limit") < 0.05
+
+
+def test_effects_stay_only_where_they_predict_better_than_the_plain_model(found):
+    records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
+    plain = identify_sm(records)
+    assert loses(found, plain, records) is None
+    spoilt = replace(found, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in found.points))
+    assert "no better than the plain model" in loses(spoilt, plain, records)
+
+
+def bare(record):
+    """`record` without wheel speeds."""
+    return replace(record, wheels=None)
+
+
+@pytest.mark.long
+def test_the_same_records_give_the_same_numbers():
+    record = bare(record_of(TRUE, 5, 30.0))
+    first, second = (identify_with_effects([record]) for _ in range(2))
+    assert first.point == second.point
+    np.testing.assert_array_equal(first.identified.parameters.covariance, second.identified.parameters.covariance)
+
+
+def test_the_place_and_delay_of_a_pose_sensor_are_found():
+    record = record_of(BaseEffects(), 11, 120.0, noise=0.1, delay=0.0)
+    mount, travel, late = PoseMount(ahead=0.2, left=-0.05, heading=0.03), 0.93, 3
+    body = respond(linear_model(), BaseEffects(), record.command, DT).body * [travel, 1.0]
+    pose = [np.zeros(3)]
+    for v, omega in 0.5 * (body[1:] + body[:-1]):
+        pose.append(integrate_pose(pose[-1], v, omega, DT))
+    seen = mount.sensor(pose)
+    seen = np.concatenate([np.repeat(seen[:1], late, axis=0), seen[:-late]])
+    with_pose = Record(
+        "with poses",
+        0.0,
+        DT,
+        record.command,
+        twist=record.twist,
+        yaw_rate=record.yaw_rate,
+        pose=seen,
+        wheels=record.wheels,
+    )
+    estimate = pose_sensor([with_pose], {**POINT, "gyro.offset": 0.02})
+    truth = {"pose.travel": travel, "mount.ahead": 0.2, "mount.left": -0.05, "mount.heading": 0.03}
+    for name, true in truth.items():
+        assert abs(estimate.value(name) - true) < max(4 * estimate.deviation(name), 2e-3), name
+    assert estimate.value("pose.delay") == pytest.approx(late * DT, abs=0.2 * DT)
+
+
+def test_records_without_a_pose_tell_nothing_of_its_sensor():
+    assert pose_sensor([record_of(BaseEffects(), 5, 60.0)], POINT) is None
+
+
+def test_without_a_track_steps_of_wheels_are_not_tried_and_that_is_said():
+    found = identify_with_effects([bare(record_of(BaseEffects(), 5, 60.0))])
+    assert not any("steps" in trial.effect for trial in found.trials)
+    assert any("track of the encoders is not known" in doubt.words for doubt in found.identified.warnings)
+
+
+def without_gyro(record):
+    return replace(record, yaw_rate=None, fresh_yaw_rate=None)
+
+
+def test_a_record_without_gyro_is_refused_in_one_line_where_a_gyro_was_said():
+    with pytest.raises(ValueError, match="no yaw_rate") as error:
+        sensed([without_gyro(record_of(BaseEffects(), 5, 60.0))])
+    assert "\n" not in str(error.value)
+
+
+FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_speed": 0.7}})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("effects", "clip", "gyro", "track"),
+    [(BaseEffects(), 1.0, True, False), (BaseEffects(), 1.0, False, True), (FAST_WHEELS, np.inf, False, True)],
+    ids=["clips, gyro", "clips, track", "top speed, track"],
+)
+def test_with_effects_no_row_held_out_is_predicted_worse(effects, clip, gyro, track):
+    """The same on logs of real robots, in all combinations: test_base_effects_real.py."""
+    record = record_of(effects, 9, 120.0, clip=clip)
+    record = record if gyro else without_gyro(record)
+    record = record if track else bare(record)
+    yaw = "gyro" if gyro else "encoders"
+    data = LogData((record.part(0, 1440),), (record.part(1440, 2400),), ("made up",), "", yaw, (), ())
+    plain, found = (fit(data, STRUCTURES["sm"], effects=on).validation.fit_percent for on in (False, True))
+    assert (found > plain - 1.0).all()
+    assert (found > 94.0).all()  # what the robot does is found
+
+
+@pytest.mark.long
+def test_a_top_speed_tells_the_track_that_a_log_does_not():
+    found = identify_with_effects([bare(record_of(FAST_WHEELS, 9, 120.0))]).identified.parameters
+    for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
+        assert abs(found.value(name) - true) < 4 * found.deviation(name), name
+        assert found.deviation(name) < 0.05 * true
+
+
+def test_where_effects_cannot_be_looked_for_the_plain_model_says_so():
+    """Thirty readings are enough for an SM, not to hold parts of them out."""
+    record = record_of(BaseEffects(), 9, 120.0)
+    short = record.part(0, 150)
+    counts = np.arange(150) % 5 == 0
+    short = replace(short, fresh_twist=counts, fresh_yaw_rate=counts)
+    data = LogData((short,), (record.part(1440, 2400),), ("made up",), "", "gyro", (), ())
+    found = fit(data, STRUCTURES["sm"], effects=True)
+    assert found.base is None
+    assert any(
+        "effects were not looked for: the records are too short" in doubt.words for doubt in found.identified.warnings
     )

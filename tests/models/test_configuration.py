@@ -5,6 +5,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from limit_population import drawn_case, judged
 
 from diffdrive_mpc.models.identification.deliver.configuration import configure
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
@@ -12,6 +13,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import SmFile
+from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.mpc.config.rooms import side_by_side
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
@@ -94,3 +96,19 @@ def test_a_larger_robot_has_more_room_and_a_small_one_no_less_than_usual():
     assert configure("robot", identified(), fast, None).mapping()["reentry"]["wait"] == pytest.approx(
         0.9 * 3 / 1.5 * 0.1
     )
+
+
+@pytest.mark.parametrize("seed", [2026, 2030])
+def test_a_limit_that_is_seldom_reached_is_found(seed):
+    case = drawn_case(seed)
+    found, close, false = judged(case, identify_sm(case.records).limits)
+    assert found and close and not false
+
+
+@pytest.mark.parametrize(
+    ("seed", "odd"), [(2017, "compressed gain"), (2013, "gain of the other channel"), (2040, "slew")]
+)
+def test_what_is_no_limit_is_not_taken_for_one(seed, odd):
+    case = drawn_case(seed)
+    assert case.name.endswith(odd)
+    assert identify_sm(case.records).limits == {}

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.models.logs import read_log
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_rows
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc.models import ModelError, VelocityModel, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ModelError, VelocityModel, load_model
 from diffdrive_mpc.models.load import PARAMETERS
 
 GOOD = yaml.safe_load((PARAMETERS / "ssm.yaml").read_text())

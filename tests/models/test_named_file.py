@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc import ConfigError, load_config, load_model, load_trajectory
 from diffdrive_mpc.models.named_file import named_file, shipped_names
-from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set

@@ -6,12 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models import load_model
+from diffdrive_mpc import VelocityModel, load_model
 from diffdrive_mpc.models.identification.deliver.configuration import choose_pace, settling_time
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Estimator
 
 SETTINGS = identification_settings()

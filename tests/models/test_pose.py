@@ -1,14 +1,26 @@
-"""The exact arc: against an ODE solver, its gradient against finite differences, smooth through omega = 0."""
+"""Poses: arcs, angles, and the calibration of where a pose is measured."""
 
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from identification_parts import DT, set_points
 from scipy.integrate import solve_ivp
 
-from diffdrive_mpc.models import integrate_pose
+from diffdrive_mpc import integrate_pose
+from diffdrive_mpc.models.identification.fit.pose_calibration import (
+    ConstantTrack,
+    GrowingTrack,
+    SlipPolynomial,
+    calibrate_gyro,
+    calibrate_wheels,
+    displacement,
+)
+from diffdrive_mpc.models.identification.fit.poses import rotation_centre
+from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.pose import arc_displacement, wrap_angle
+from diffdrive_mpc.models.slip_laws import virtual_track_yaw_rate
 from oracle.arc import linearised_arc
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
@@ -99,3 +111,108 @@ def test_wrapped_angles_point_the_same_way(angle):
     assert -np.pi <= wrapped < np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
     assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
+
+
+RADIUS, TRACK = 0.07, 0.4
+
+
+def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed=0):
+    """Wheels, gyro and poses of a robot that obeys `law`, 80 s; poses come `lag` samples late."""
+    count = 4000
+    wheels = 6.0 * set_points(seed, count, (1.0, 1.0), hold=70)
+    twist = law.twist(np.asarray(coefficients), 0.5 * (wheels[1:] + wheels[:-1]))
+    poses = np.zeros((count, 3))
+    for k, (v, lateral, omega) in enumerate(twist):
+        along = integrate_pose(poses[k], v, omega, DT)
+        across = integrate_pose(poses[k] + [0, 0, np.pi / 2], lateral, omega, DT)
+        poses[k + 1] = along + [*(across - poses[k])[:2], 0.0]
+    stream = np.random.default_rng(seed + 50)
+    ahead, left = lever_arm
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    seen = poses + np.column_stack([ahead * c - left * s, ahead * s + left * c, np.zeros(count)])
+    seen = seen[np.maximum(np.arange(count) - lag, 0)]
+    seen += stream.normal(size=seen.shape) * [noise[0], noise[0], noise[1]]
+    true_rate = law.twist(np.asarray(coefficients), wheels)[:, 2]
+    return Record("drive", 0.0, DT, wheels, yaw_rate=1.03 * true_rate + 0.02, pose=seen, wheels=wheels)
+
+
+LAWS = [
+    (ConstantTrack(RADIUS, TRACK), [0.068, 0.71, 0.08]),
+    (GrowingTrack(RADIUS, TRACK), [0.068, 0.60, 0.049, 0.05]),
+    (SlipPolynomial(RADIUS, TRACK), [0.015, -0.0004, -0.01, 0.007, 0.015, -0.007, 0.005, -0.405, 0.119]),
+]
+
+
+@pytest.mark.parametrize(("law", "truth"), LAWS, ids=lambda x: type(x).__name__)
+def test_each_law_is_recovered(law, truth):
+    lever_arm = (0.0, 0.0) if law.holds_lever_arm else (0.146, -0.03)
+    exact = calibrate_wheels([drive(law, truth, lever_arm)], law).parameters
+    expected = truth if law.holds_lever_arm else [*truth, *lever_arm]
+    assert exact.values == pytest.approx(expected, abs=1e-6)
+    noisy = calibrate_wheels([drive(law, truth, lever_arm, noise=(0.005, 0.005))], law).parameters
+    assert np.all(np.abs(noisy.values - expected) < 4 * noisy.standard_deviation)
+    assert np.all(noisy.standard_deviation > 0)
+
+
+def test_a_polynomial_takes_in_the_lever_arm():
+    """A point ahead of the centre moves sideways with the yaw rate, one to the left moves back."""
+    law, plain = SlipPolynomial(RADIUS, TRACK), ConstantTrack(RADIUS, TRACK)
+    found = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
+    assert found.value("a22") == pytest.approx(0.15, abs=1e-6)
+    assert found.value("a12") == pytest.approx(-0.04, abs=1e-6)
+
+
+@given(p1=st.floats(0.0, 0.3), left=st.floats(-20, 20), right=st.floats(-20, 20))
+def test_the_virtual_track_solves_its_equation(p1, left, right):
+    """yaw rate times (p1 |yaw rate| + p0) is the difference of the rim speeds."""
+    rate = GrowingTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, p1, 0.0]), np.array([left, right]))[2]
+    assert rate * (p1 * abs(rate) + 0.5) == pytest.approx(RADIUS * (right - left), abs=1e-9)
+
+
+@given(p1=st.floats(-0.5, 0.5), one=st.floats(-3, 3), other=st.floats(-3, 3))
+def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, one, other):
+    """Where a track that shrinks leaves no solution too: a search may come there."""
+    slow, fast = virtual_track_yaw_rate([min(one, other), max(one, other)], 0.5, p1)
+    assert slow <= fast
+    assert virtual_track_yaw_rate(-one, 0.5, p1) == -virtual_track_yaw_rate(one, 0.5, p1)
+
+
+def test_without_growth_the_virtual_track_is_constant():
+    wheels = set_points(1, 50, (10.0, 10.0), hold=1)
+    virtual = GrowingTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.0, 0.1]), wheels)
+    assert virtual == pytest.approx(ConstantTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.1]), wheels))
+
+
+def test_the_gyro_scale_is_found_behind_a_late_pose():
+    late = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
+    found = calibrate_gyro([late], pose_lag=5 * DT)
+    assert abs(found.parameters.value("gyro_scale") - 1.03) < 4 * found.parameters.deviation("gyro_scale")
+    assert abs(found.parameters.value("gyro_offset") - 0.02) < 4 * found.parameters.deviation("gyro_offset")
+    assert found.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
+
+
+def test_the_moved_point_goes_once_around_its_centre():
+    """A full turn on the spot brings the point back; half a turn to the other side."""
+    half = displacement(np.tile([0.0, 0.0, np.pi], (1, 50, 1)), DT, np.array([0.2, 0.1]))[0]
+    assert half == pytest.approx([-0.4, -0.2, np.pi])
+    whole = displacement(np.tile([0.0, 0.0, 2 * np.pi], (1, 50, 1)), DT, np.array([0.2, 0.1]))[0]
+    assert whole == pytest.approx([0.0, 0.0, 2 * np.pi], abs=1e-12)
+
+
+@given(x=st.floats(-5, 5), theta=st.floats(-4, 4), ahead=st.floats(-1, 1), left=st.floats(-1, 1))
+@settings(max_examples=30)
+def test_the_rotation_centre_is_behind_the_pose_point(x, theta, ahead, left):
+    c, s = np.cos(theta), np.sin(theta)
+    point = np.array([x + ahead * c - left * s, 1.0 + ahead * s + left * c, theta])
+    assert rotation_centre(point, (ahead, left)) == pytest.approx([x, 1.0, theta], abs=1e-12)
+
+
+def test_missing_signals_and_short_logs_are_refused():
+    whole = drive(*LAWS[0])
+    with pytest.raises(ValueError, match="windows with a pose"):
+        calibrate_wheels([whole.part(0, 200)], LAWS[0][0])
+    mute = Record("mute", 0.0, DT, whole.command, pose=whole.pose)
+    with pytest.raises(ValueError, match="needs pose and wheels"):
+        calibrate_wheels([mute], LAWS[0][0])
+    with pytest.raises(ValueError, match="needs pose and yaw_rate"):
+        calibrate_gyro([mute])

@@ -4,9 +4,7 @@ import pytest
 import yaml
 from log_parts import bag_topics, drive, write_bag
 
-from diffdrive_mpc import load_config
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.from_logs import identify
+from diffdrive_mpc import ConfigError, identify, load_config
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.stated_robot import FOLDER, load_stated_robot, stated_robots
 

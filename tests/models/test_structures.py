@@ -1,22 +1,28 @@
-"""A structure is one file: schema, model and identification; an entry in the registry makes it known everywhere."""
+"""Structures of models: the published SSM, and sampling."""
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
+import control
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
+from scipy.integrate import solve_ivp
 
-from diffdrive_mpc.models import identify, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc import ConfigError, ModelError, identify, load_model
+from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures import registry
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import ModelFile, structure_name
+from diffdrive_mpc.models.structures.model_file import ModelFile, TwoPoles, side_by_side, structure_name
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
 
 
@@ -108,3 +114,175 @@ def test_kinematic_is_sm_that_obeys_at_once():
     commands = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5], [0.0, 0.0]])
     expected = np.vstack([np.zeros(2), commands[:-1] @ kinematic.dc_gain.T])
     np.testing.assert_allclose(sampled.simulate(commands), expected, atol=1e-6)
+
+
+# Guffanti, Pavon, Sensors 2025, 25(18), 5821: numerators (s, 1) over the common denominator, as printed: without
+# minus signs, and with the two cross terms under each other's names.
+PRINTED = {
+    (0, 0): (7.428, 98.86),
+    (1, 1): (14.26, 105.9),
+    (0, 1): (0.1981, 0.01966),
+    (1, 0): (1.013, 0.9052),
+}
+PRINTED_DENOMINATOR = (1.0, 20.69, 98.62)
+PRINTED_DIGITS = 4
+
+
+def coefficients(A, B, C):
+    """Numerators by (output, input), and the denominator."""
+    numerators = {}
+    for output, channel in PRINTED:
+        tf = control.ss2tf(control.ss(A, B[:, [channel]], C[[output]], 0))
+        num = np.atleast_1d(tf.num[0][0])
+        numerators[output, channel] = np.pad(num, (3 - len(num), 0))[-2:]
+        denominator = tf.den[0][0]
+    return numerators, denominator
+
+
+def half_digit(values):
+    """Half a unit in the last of the printed significant digits."""
+    values = np.abs(np.asarray(values, dtype=float))
+    return 0.5 * 10.0 ** (np.floor(np.log10(values)) - PRINTED_DIGITS + 1)
+
+
+def rounding_bounds(model):
+    """How far the coefficients can move when every matrix entry moves by half its last printed digit."""
+    nominal, nominal_den = coefficients(model.A, model.B, model.C)
+    bounds = {key: np.zeros(2) for key in nominal}
+    den_bound = np.zeros(3)
+    for name in "ABC":
+        matrix = getattr(model, name)
+        for index, step in np.ndenumerate(half_digit(matrix)):
+            moved = {other: getattr(model, other).copy() for other in "ABC"}
+            moved[name][index] += step
+            numerators, denominator = coefficients(moved["A"], moved["B"], moved["C"])
+            for key in bounds:
+                bounds[key] += np.abs(numerators[key] - nominal[key])
+            den_bound += np.abs(denominator - nominal_den)
+    return nominal, nominal_den, bounds, den_bound
+
+
+def test_transfer_functions_agree_to_the_rounding_of_the_matrices():
+    nominal, denominator, bounds, den_bound = rounding_bounds(load_model("ssm"))
+    for key, printed in PRINTED.items():
+        allowed = bounds[key] + half_digit(printed)
+        assert (np.abs(np.abs(nominal[key]) - printed) <= allowed).all(), (key, nominal[key], printed, allowed)
+    assert (np.abs(denominator - PRINTED_DENOMINATOR)[1:] <= (den_bound + [0, 0.005, 0.005])[1:]).all()
+
+
+def test_the_bounds_are_tight_enough_to_notice_a_lost_sign():
+    model = load_model("ssm")
+    A = model.A.copy()
+    A[1, 0] = -A[1, 0]
+    nominal, _ = coefficients(A, model.B, model.C)
+    _, _, bounds, _ = rounding_bounds(model)
+    misfit = max(
+        float((np.abs(np.abs(nominal[key]) - printed) / (bounds[key] + half_digit(printed))).max())
+        for key, printed in PRINTED.items()
+    )
+    assert misfit > 10
+
+
+def test_poles_gains_and_lags():
+    model = load_model("ssm")
+    assert np.sort(model.poles) == pytest.approx([-13.25, -7.44], abs=0.01)
+    assert model.dc_gain == pytest.approx(np.array([[1.0026, -0.0002], [0.0092, 1.073]]), abs=5e-4)
+    assert model.lag == pytest.approx([0.135, 0.075], abs=5e-4)
+    assert (model.dead_time == 0).all()
+
+
+SSM = load_model("ssm")
+dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))
+sample_times = st.floats(0.004, 0.1)
+
+
+def ode_outputs(model, commands, dt):
+    """Outputs at the samples from an adaptive solver, stopped wherever a delayed command switches."""
+
+    def command(t):
+        index = np.floor((t - model.dead_time) / dt + 1e-9).astype(int)
+        return np.array([commands[i, j] if i >= 0 else 0.0 for j, i in enumerate(index)])
+
+    ends = {k * dt for k in range(len(commands))}
+    switches = {k * dt + delay for k in range(len(commands)) for delay in model.dead_time}
+    times = sorted(t for t in ends | switches if t <= (len(commands) - 1) * dt)
+    x, outputs = np.zeros(model.order), {0.0: np.zeros(2)}
+    for start, end in itertools.pairwise(times):
+        if end - start < 1e-12:
+            outputs[end] = model.C @ x
+            continue
+        u = command(0.5 * (start + end))
+        x = solve_ivp(lambda _, x, u=u: model.A @ x + model.B @ u, (start, end), x, rtol=1e-10, atol=1e-12).y[:, -1]
+        outputs[end] = model.C @ x
+    return np.array([outputs[k * dt] for k in range(len(commands))])
+
+
+@pytest.mark.parametrize("dead_time", [(0.0, 0.0), (0.0202, 0.0404), (0.04, 0.031), (0.007, 0.0999)])
+def test_matches_an_ode_solver(dead_time):
+    model = SSM.with_extra_dead_time(dead_time)
+    commands = np.random.default_rng(1).normal(size=(40, 2))
+    simulated = model.discretise(0.0202).simulate(commands)
+    assert simulated == pytest.approx(ode_outputs(model, commands, 0.0202), abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ["mbm", "sm", "ssm", "kinematic"])
+@pytest.mark.parametrize("dead_time", [(0.0, 0.0), (0.007, 0.0999)])
+def test_it_is_the_zero_order_hold_of_control(name, dead_time):
+    model, dt = replace(load_model(name), dead_time=np.array(dead_time)), 0.0202
+    discrete = model.discretise(dt)
+
+    def held(time):
+        return control.sample_system(control.ss(model.A, model.B, model.C, 0 * model.C @ model.B), time, "zoh")
+
+    whole, rest = held(dt), np.array(dead_time) - discrete.delay * dt
+    acting = np.column_stack([held(dt - rest[j]).B[:, j] for j in (0, 1)])
+    assert pytest.approx(whole.A, rel=1e-13, abs=1e-15) == discrete.A
+    assert pytest.approx(acting, rel=1e-13, abs=1e-15) == discrete.B0
+    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
+    assert not discrete.D.any()
+    assert discrete.delay.tolist() == [0, 4 if any(dead_time) else 0]
+
+
+def test_channels_side_by_side_are_what_control_appends():
+    parts = [TwoPoles(gain=0.9, natural_frequency=7.0, damping=1.2), TwoPoles(gain=1.1, natural_frequency=9, damping=2)]
+    whole = control.append(*(control.ss(*part.matrices(), 0.0) for part in parts))
+    for ours, theirs in zip(side_by_side(parts), (whole.A, whole.B, whole.C), strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+@given(dead_times, sample_times)
+def test_the_steady_state_gain_survives_any_sampling(dead_time, dt):
+    assert SSM.with_extra_dead_time(dead_time).discretise(dt).dc_gain == pytest.approx(SSM.dc_gain, abs=1e-9)
+
+
+@given(dead_times, st.floats(0.01, 0.06))
+def test_two_half_samples_make_a_whole_one(dead_time, dt):
+    model = SSM.with_extra_dead_time(dead_time)
+    commands = np.random.default_rng(2).normal(size=(25, 2))
+    whole = model.discretise(dt).simulate(commands)
+    halves = model.discretise(dt / 2).simulate(np.repeat(commands, 2, axis=0))
+    assert whole == pytest.approx(halves[::2], abs=1e-9)
+
+
+@given(dead_times)
+def test_a_settled_robot_stays_settled(dead_time):
+    discrete = SSM.with_extra_dead_time(dead_time).discretise(0.0202)
+    command = np.array([0.6, -0.4])
+    past = np.tile(command, (discrete.memory, 1))
+    outputs = discrete.simulate(np.tile(command, (30, 1)), discrete.settled_state(command), past)
+    assert outputs == pytest.approx(np.tile(SSM.dc_gain @ command, (30, 1)), abs=1e-12)
+
+
+@given(st.integers(0, 5), sample_times)
+def test_whole_samples_of_dead_time_only_shift(samples, dt):
+    commands = np.random.default_rng(3).normal(size=(20, 2))
+    plain = SSM.discretise(dt).simulate(commands)
+    delayed = SSM.with_extra_dead_time([samples * dt] * 2).discretise(dt)
+    assert delayed.delay.tolist() == [samples, samples]
+    assert delayed.simulate(commands)[samples:] == pytest.approx(plain[: 20 - samples], abs=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.02, float("nan"), float("inf")])
+def test_a_sample_time_that_is_none_is_refused(dt):
+    with pytest.raises(ModelError, match="sample time"):
+        SSM.discretise(dt)

@@ -1,11 +1,14 @@
-"""Wheel and body kinematics: inverse of each other, with the signs of a robot that turns left."""
+"""Logs of wheels and of power."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from log_parts import bag_topics, drive, write_bag, write_mapping
 
+from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models import WheelKinematics
+from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.robot import load_robot
 
 ROBOT = load_robot()
@@ -43,3 +46,85 @@ def test_lengths_must_be_lengths(bad):
         WheelKinematics(bad, 0.33)
     with pytest.raises(ValueError, match="track"):
         WheelKinematics(0.07, bad)
+
+
+COLUMNS = drive(seconds=6.0)
+T = COLUMNS["t"] + 1.0
+RNG = np.random.default_rng(3)
+# Single precision, as the messages have it.
+VOLTAGE, GIVEN = (np.float32(one).astype(float) for one in (12.0 + 0.1 * RNG.normal(size=300), 2 + RNG.random(300)))
+MOTORS = np.float32(RNG.normal(size=(300, 4))).astype(float)
+USUAL = "topics:\n  command: /cmd_vel\n  odometry: /odom\n"
+WHEELS = "wheels: {radius: 0.1, track: 0.4}\n"
+JOINTS = "  motors:\n    left: {topic: /joints, joints: [fl, rl]}\n    right: {topic: /joints, joints: [fr, rr]}\n"
+
+
+def bag(tmp_path, battery=-GIVEN, **more):
+    topics = bag_topics(COLUMNS) | {
+        "/battery": ("sensor_msgs/msg/BatteryState", T + 0.003, T, np.column_stack([VOLTAGE, battery])),
+        "/joints": ("sensor_msgs/msg/JointState", T + 0.002, T, MOTORS),
+        "/left_a": ("std_msgs/msg/Float32", T, T, MOTORS[:, :1]),
+        "/right_a": ("std_msgs/msg/Float32", T[::2] + 0.01, T[::2], MOTORS[::2, 1:2]),
+    }
+    return write_bag(tmp_path / "bag", topics | more)
+
+
+def read(tmp_path, words, **more):
+    return read_log(bag(tmp_path, **more), write_mapping(tmp_path / "m.yaml", USUAL + words + WHEELS))
+
+
+def test_what_the_battery_gives_is_positive_whatever_the_robot_says(tmp_path):
+    (record,) = read(tmp_path, "  battery: /battery\n").records
+    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, GIVEN]))
+    assert record.motor_current is None
+
+
+def test_a_robot_of_the_other_sign_is_turned_round(tmp_path):
+    (record,) = read(tmp_path, "  battery: {topic: /battery, sign: -1}\n", battery=GIVEN).records
+    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, GIVEN]))
+
+
+def test_efforts_of_joints_are_the_motors_of_the_sides(tmp_path):
+    (record,) = read(tmp_path, JOINTS).records
+    assert np.array_equal(record.motor_currents, MOTORS)
+    assert np.array_equal(record.motor_current, MOTORS[:, :2] + MOTORS[:, 2:])
+    twist = record.twist
+    assert record.wheels == pytest.approx((twist[:, :1] + [-0.2, 0.2] * twist[:, 1:]) / 0.1)
+
+
+def test_single_numbers_have_the_times_of_their_receipt_and_their_unit(tmp_path):
+    words = "  motors: {left: {topic: /left_a, unit: mA}, right: /right_a}\n"
+    (record,) = read(tmp_path, words).records
+    assert record.motor_currents is None
+    assert record.motor_current[1:299, 0] == pytest.approx(1e-3 * MOTORS[1:299, 0])
+    # Those of the right come half as often and half a sample late.
+    later = np.interp(T[1:299], T[::2] + 0.01, MOTORS[::2, 1])
+    assert record.motor_current[1:299, 1] == pytest.approx(later, abs=1e-4)
+
+
+def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
+    torn = GIVEN.copy()
+    torn[50:60] = np.nan
+    log = read(tmp_path, "  battery: /battery\n", battery=-torn)
+    assert [finding.kind for finding in log.findings if "/battery" in finding.place] == ["NaN rows"]
+    known = np.isfinite(log.records[0].battery).all(axis=1)
+    assert known.sum() >= 285
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("  battery: /imu\n", "topic '/imu' is of type sensor_msgs/msg/Imu; expected sensor_msgs/msg/BatteryState"),
+        ("  motors: {left: /left_a}\n", "right"),
+        ("  motors: {left: /left_a, right: /joints}\n", "topic '/joints' is of type sensor_msgs/msg/JointState"),
+        (
+            "  motors: {left: {topic: /joints, joints: [middle]}, right: /right_a}\n",
+            "is one of the joints middle in it",
+        ),
+        ("  motors: {left: {topic: /joints, fields: [effort.9]}, right: /right_a}\n", "no number under 'fields'"),
+        ("  motors: {left: {topic: /joints, fields: [effort.0], joints: [fl]}, right: /right_a}\n", "not both"),
+    ],
+)
+def test_what_cannot_be_read_gets_a_sentence(tmp_path, words, found):
+    with pytest.raises(ConfigError, match=found):
+        read(tmp_path, words)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models import Measurement
-from diffdrive_mpc.mpc import Controller
+from diffdrive_mpc import Controller, Measurement
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from oracle.controller import OracleController
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models import Measurement, Stamped
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory
 from diffdrive_mpc.mpc.solver.backend import BACKENDS, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.sim import make_plant, simulate

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc import Controller, Measurement, load_config, load_trajectory
+from diffdrive_mpc import Controller, Measurement, load_config, load_trajectory, make_plant
 from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
-from diffdrive_mpc.sim import make_plant
 
 CURVED = {"estimator.crab_uncertainty": 0.03, "estimator.yaw_coupling_uncertainty": 0.1}
 

@@ -1,14 +1,20 @@
-"""The configuration: shipped defaults load, and every mistake gives one line with place and remedy."""
+"""Configurations: keys, words of the field, and the rooms that they belong to."""
+
+from __future__ import annotations
+
+import warnings
 
 import pytest
+import yaml
 from pydantic import BaseModel
 
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ControllerConfig, load_config, load_model, load_trajectory
+from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
-from diffdrive_mpc.mpc import load_config, load_trajectory
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
+from diffdrive_mpc.mpc.config.rooms import FORMER, USER, is_for_users, plain_key, shown_key, side_by_side
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
@@ -91,3 +97,130 @@ def test_a_model_file_is_found_beside_the_configuration(tmp_path):
 def test_a_name_too_long_for_a_file_is_refused_like_any_other(make):
     with pytest.raises(ConfigError, match="unknown"):
         make("a" * 5000)
+
+
+def test_every_key_stands_in_one_room_and_users_come_first():
+    keys = [row.key for row in schema_rows()]
+    users = [key for key in keys if not key.startswith("expert.")]
+    assert keys[: len(users)] == users
+    assert [key for key in users if not is_for_users(plain_key(key))] == []
+    assert all(shown_key(plain_key(key)) == key for key in keys)
+    assert all(any(key == one or key.startswith((f"{one}.", f"{one}[]")) for key in users) for one in USER)
+
+
+def test_present_names_are_keys_and_former_ones_are_not():
+    keys = {plain_key(row.key) for row in schema_rows()}
+    assert set(FORMER.values()) <= keys
+    assert not set(FORMER) & keys
+
+
+def test_an_earlier_file_is_read_with_one_line_that_says_the_present_name(tmp_path):
+    path = tmp_path / "old.yaml"
+    path.write_text("model: sm\nestimator: {least_gain: 0.3, history: 0.5}\nreentry: {look_ahead_min: 0.4}\n")
+    with pytest.warns(FormerNameWarning) as told:
+        old = load_config(path)
+    (line,) = [str(one.message) for one in told]
+    assert line.startswith(f"{path}: estimator.least_gain is expert.estimator.min_gain now, and 2 more keys like it")
+    assert (old.estimator.min_gain, old.estimator.history, old.reentry.min_look_ahead) == (0.3, 0.5, 0.4)
+    path.write_text(commented_yaml(old))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert load_config(path) == old
+
+
+@pytest.mark.parametrize(
+    ("solver", "method"),
+    [
+        ("{strategy: backend, backend: osqp}", "osqp"),
+        ("{strategy: backend}", "daqp"),
+        ("{strategy: auto, backend: osqp}", "auto"),
+    ],
+)
+def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver, method):
+    path = tmp_path / "old.yaml"
+    path.write_text(f"model: sm\nsolver: {solver}\nexpert: {{solver: {{check_every: 25}}}}\n")
+    with pytest.warns(FormerNameWarning, match="is solver.method now"):
+        read = load_config(path)
+    assert read.solver.method == method
+    assert read.solver.osqp.check_termination == 25
+    assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
+    changed = replace_values(read, {"solver.backend": "osqp", "solver.strategy": "backend"})
+    assert changed.solver.method == "osqp"
+
+
+@pytest.mark.parametrize(
+    ("solver", "message"),
+    [
+        ("{strategy: backnd}", "solver.method"),
+        ("{strategy: backend, method: auto}", "solver.method has taken the place"),
+        ("{check_every: 25, osqp: 3}", "solver.osqp"),
+    ],
+)
+def test_what_cannot_be_one_method_is_one_line(tmp_path, solver, message):
+    path = tmp_path / "old.yaml"
+    path.write_text(f"model: sm\nsolver: {solver}\n")
+    with warnings.catch_warnings(), pytest.raises(ConfigError, match=message):
+        warnings.simplefilter("ignore")
+        load_config(path)
+
+
+def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
+    named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
+    assert [load_config("ssm", one).estimator.history for one in named] == [0.5, 0.5]
+    assert load_config("ssm", {"estimator.most_gain": 2.0}).estimator.max_gain == 2.0
+    assert load_config("ssm", {"estimator": {"least_gain": 0.3}}).estimator.min_gain == 0.3
+    assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("expert: {weights: {along: 3.0}}", "expert.weights.along: write it outside 'expert', as weights.along"),
+        ("expert: 3", "expert: expected groups of keys below it"),
+        ("limits: 3\nexpert: {limits: {predicted_v: 1.0}}", "limits: expected groups of keys below it"),
+        ("limits: {v: 0.3}\nexpert: {limits: }", "expert.limits: expected groups of keys below it"),
+        (
+            "limits: {least_turn_radius: 0.3, min_turn_radius: 0.5}",
+            "limits.min_turn_radius stands twice, as limits.least_turn_radius and limits.min_turn_radius",
+        ),
+        (
+            "limits: {least_commanded_radius: 0.3}\nexpert: {limits: {min_commanded_radius: 0.5}}",
+            "limits.min_commanded_radius stands twice, as limits.least_commanded_radius and "
+            "expert.limits.min_commanded_radius",
+        ),
+        ("estimator: {history: 0.5}\nexpert: {estimator: {history: 0.4}}", "estimator.history stands twice"),
+        (
+            "expert: {estimator: {histroy: 0.5}}",
+            "unknown key 'expert.estimator.histroy'; did you mean 'expert.estimator",
+        ),
+        ("expert: {estimater: {history: 0.5}}", "unknown key 'estimater'; did you mean 'expert.estimator'?"),
+        ("weights: {acros: 3.0}", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
+        ("expert: {estimator: {history: 50}}", "expert.estimator.history: Input should be less than or equal to 5"),
+    ],
+)
+def test_a_mistake_names_the_room(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"model: ssm\n{text}\n")
+    with pytest.raises(ConfigError) as error:
+        load_config(path)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_rooms_lose_nothing():
+    config = ControllerConfig()
+    assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()
+
+
+def test_what_identify_writes_is_written_as_it_is_now():
+    from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
+
+    limits = tuple(Setting(name, 1.5) for name in ("v", "omega", "predicted_v", "predicted_omega", "corridor"))
+    rest = {"estimator": (Setting("heading_noise", 0.01),), "reentry": (Setting("band", 0.1),)}
+    failure = (Setting("max_position_error", 1.2),)
+    text = IdentifiedConfiguration("mine", (Setting("model", "ssm"),), limits, (), **rest, failure=failure).text()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        flat = side_by_side(yaml.safe_load(text), "mine.yaml")
+    assert flat["limits"] == {setting.name: 1.5 for setting in limits}
+    assert (flat["reentry"], flat["failure"]) == ({"band": 0.1}, {"max_position_error": 1.2})

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc.models import ModelError, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ModelError, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus

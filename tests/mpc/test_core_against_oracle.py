@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 from ideal_robot import IdealRobot
 from side_by_side import ACTIVE_SET, Pair, changed
 
-from diffdrive_mpc.models import Measurement, Stamped, load_model
-from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc import Measurement, Stamped, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
-from diffdrive_mpc.sim import make_plant
 
 DT = 0.0202
 HARD = {"limits.v": 0.5, "limits.omega": 1.05, "limits.v_slew": 0.5, "limits.omega_slew": 1.5}

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from inner_core import InnerController
 
-from diffdrive_mpc.models import Measurement, Stamped
-from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc import Measurement, Stamped, load_trajectory
 
 STEPS = 8
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc.models import Measurement, Stamped, load_model
-from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator

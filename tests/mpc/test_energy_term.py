@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from ideal_robot import IdealRobot
 from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
 
-from diffdrive_mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.models.turn_costs.turn_costs import FLOORS
 from diffdrive_mpc.mpc.energy.feature import energy_function, energy_terms, with_least_radius

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot
 
-from diffdrive_mpc import Controller, load_config, load_model, simulate
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, load_config, load_model, make_plant, simulate
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
-from diffdrive_mpc.sim import make_plant
 
 DT = 0.0202
 SIZE = np.array([2.4, 1.6])

@@ -13,11 +13,8 @@ from failing_solver import SpoiltReference
 from ideal_robot import IdealRobot
 from side_by_side import ACTIVE_SET, Pair, changed, numbers
 
-from diffdrive_mpc.models import Measurement, Stamped, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc import ConfigError, Controller, ControllerConfig, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits

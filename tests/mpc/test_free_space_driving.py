@@ -5,14 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ControllerConfig, make_plant
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc import Controller, Mode
 from diffdrive_mpc.mpc.config.footprint import Footprint
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
 from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, least_gaps, pieces_of
-from diffdrive_mpc.sim import make_plant
 
 FAR = 5.0
 AT_REST = 0.02

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc import Controller, Trajectory, load_config, load_trajectory
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc.predicted_error.calibration import CalibratedRanges, ErrorScale, load_calibration
 from diffdrive_mpc.mpc.predicted_error.features import FEATURES, path_features

@@ -1,16 +1,25 @@
-"""The node as a process of its own: interrupted or killed while it drives."""
+"""Nodes as processes of their own, and in namespaces."""
 
 import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
-from ros_parts import FakeBase
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from ros_parts import DT, PATIENCE, FakeBase, in_name_space, stack
 
 from commands import invoke
+from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.mpc.monitor.ros.node import MonitorNode, MonitorSettings
+from diffdrive_mpc.mpc.ros.node import TrackingNode
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
@@ -81,3 +90,111 @@ def test_a_parameter_that_cannot_be_ends_the_process_in_one_line():
     (error,) = (text for text in result.stderr.splitlines() if text.startswith("error: "))
     assert result.returncode == 2
     assert "weights.across" in error
+
+
+NODE_YAML = Path(__file__).parents[2] / "ros" / "config" / "node.yaml"
+PATHS = {"r1": "circle", "r2": "reverse_slalom", "r3": "cane"}
+TICKS = 150
+
+
+NAMES = {f"{name}/diffdrive_mpc: control" for name in PATHS}
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """Three stacks that are driven in turns: how far each is from its reference, all statuses heard, all loops.
+
+    They drive on until diagnostics of all have been heard, by whichever base: Fast DDS may lose one topic between two
+    participants for good.
+    """
+    with ExitStack() as open_stacks:
+        robots = {
+            name: open_stacks.enter_context(
+                stack(
+                    files=[NODE_YAML],
+                    name_space=name,
+                    trajectory=path,
+                    odom_frame=f"{name}/odom",
+                    base_frame=f"{name}/base_link",
+                    diagnostics_rate=20.0,
+                )
+            )
+            for name, path in PATHS.items()
+        }
+        heard = [robot.listen(DiagnosticArray, "/diagnostics", 100) for robot in robots.values()]
+        for robot in robots.values():
+            assert robot.trigger("start").success
+        turn(robots)
+        distances = {name: distance_to_reference(robot, name) for name, robot in robots.items()}
+        statuses = [status for arrays in heard for array in arrays for status in array.status]
+        end = time.monotonic() + PATIENCE
+        while {status.name for status in statuses} < NAMES:
+            assert time.monotonic() < end, f"heard of {sorted({status.name for status in statuses})}"
+            turn(robots, 1)
+            statuses = [status for arrays in heard for array in arrays for status in array.status]
+        yield distances, statuses, [robot.loop for robot in robots.values()]
+
+
+def turn(robots, ticks=TICKS):
+    for _ in range(ticks):
+        for robot in robots.values():
+            robot.base.step()
+
+
+def reference_at_end(name):
+    return load_trajectory(PATHS[name]).sample([(TICKS - 1) * DT]).pose[0]
+
+
+def distance_to_reference(robot, name):
+    return np.hypot(*(robot.base.plant.true_pose[:2] - reference_at_end(name)[:2]))
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_each_robot_follows_its_own_path(driven, name):
+    distances, _, _ = driven
+    assert distances[name] < 0.05
+    others = [reference_at_end(other) for other in PATHS if other != name]
+    assert all(np.hypot(*(reference_at_end(name)[:2] - other[:2])) > 0.1 for other in others)
+
+
+def test_diagnostics_name_each_robot(driven):
+    _, statuses, _ = driven
+    assert {status.name for status in statuses} == NAMES
+    assert {status.hardware_id for status in statuses} == {f"{name}/diffdrive_mpc" for name in PATHS}
+
+
+def test_nobody_sees_a_rival_in_another_namespace(driven):
+    _, _, loops = driven
+    assert all(loop.warning == loop.objection == "" for loop in loops)
+
+
+@pytest.mark.parametrize("name", ["", "r1"])
+def test_the_parameter_file_fits_every_namespace(name):
+    given = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
+    context = Context()
+    rclpy.init(context=context, args=["--ros-args", "--params-file", str(NODE_YAML), *in_name_space(name)[1:]])
+    node = TrackingNode(context=context)
+    try:
+        assert {key: node.get_parameter(key).value for key in given} == given
+        assert node.resolve_topic_name("cmd_vel") == f"/{name}/cmd_vel".replace("//", "/")
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_the_monitor_is_in_the_namespace_of_its_robot():
+    context = Context()
+    rclpy.init(context=context, args=in_name_space("r2"))
+    node = MonitorNode(MonitorSettings(), context=context)
+    try:
+        topics = {topic for topic, _ in node.get_subscriber_names_and_types_by_node("monitor", "/r2")}
+        assert {
+            "/r2/cmd_vel_unchecked",
+            "/r2/odom",
+            "/r2/diffdrive_mpc/reference_path",
+            "/r2/diffdrive_mpc/mode",
+        } <= topics
+        assert node._name == "r2/monitor"
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)

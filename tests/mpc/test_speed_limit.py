@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
 from diffdrive_mpc.mpc.ros.reference_input import SLOWEST, SpeedLimit
 from diffdrive_mpc.mpc.step_result import Mode
-from diffdrive_mpc.sim import make_plant
 
 CONFIG = load_config("ssm")
 DT = CONFIG.sample_time

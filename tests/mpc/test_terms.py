@@ -9,8 +9,7 @@ import pytest
 import yaml
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
-from diffdrive_mpc.models.errors import ArgumentError
+from diffdrive_mpc import ArgumentError, ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
 from diffdrive_mpc.mpc.problem.terms import MOST_SOFT_ROWS
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits

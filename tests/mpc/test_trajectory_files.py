@@ -1,19 +1,30 @@
-"""Trajectories from files: what is read, and the one line that each mistake gets."""
+"""Trajectory files: what they say, bounds of what they may ask for, and arrays."""
 
 from __future__ import annotations
 
+import math
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, Controller, Trajectory, integrate_pose, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits, load_trajectory
+from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.arcs import chained
+from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
+from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
+from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
 
 def write(folder: Path, name: str, text: str) -> Path:
@@ -224,3 +235,242 @@ def test_cubic_pieces_are_those_of_scipy() -> None:
     change = expected(at, 1)
     forward = change[:, 0] * np.cos(sampled.pose[:, 2]) + change[:, 1] * np.sin(sampled.pose[:, 2])
     assert sampled.twist == pytest.approx(np.column_stack([forward, change[:, 2]]), abs=1e-11)
+
+
+_LIMITS = TrajectoryLimits.of_robot()
+
+
+def _wave(count: int) -> list[tuple[float, float]]:
+    return [(0.2 * i, 0.3 * math.sin(0.05 * i)) for i in range(count)]
+
+
+def test_work_does_not_grow_with_the_number_of_close_waypoints() -> None:
+    """Ten times as many waypoints make no more pieces, and the same path and speed where both pass."""
+    few, many = (lay_waypoints(_wave(count), _LIMITS, name="wave") for count in (1001, 10_001))
+    most = load_settings().full_pieces
+    assert len(few.breaks) <= most + 1
+    assert len(many.breaks) <= most + 1
+    times = np.linspace(0.0, 0.5 * few.duration, 200)
+    a, b = few.sample(times), many.sample(times)
+    assert np.abs(a.pose - b.pose).max() < 1e-3
+    assert np.abs(a.twist - b.twist).max() < 1e-3
+
+
+def test_limits_hold_where_legs_are_cut_into_few_pieces() -> None:
+    """Speed, yaw rate and accelerations, by differences of the twist between and at the nodes."""
+    path = lay_waypoints(_wave(12_000), _LIMITS, name="wave")
+    times = np.arange(10.0, 40.0, 0.001)
+    twist = path.sample(times).twist
+    rate = np.diff(twist, axis=0) / 0.001
+    assert np.abs(twist).max(axis=0) == pytest.approx([_LIMITS.v, 0.0], abs=_LIMITS.omega)
+    assert np.abs(twist[:, 0]).max() <= _LIMITS.v * 1.001
+    assert np.abs(twist[:, 1]).max() <= _LIMITS.omega * 1.001
+    assert np.abs(rate[:, 0]).max() <= _LIMITS.v_acceleration * 1.01
+    assert np.abs(rate[:, 1]).max() <= _LIMITS.omega_acceleration * 1.01
+
+
+def test_arcs_in_a_row_end_where_each_ends_after_the_other() -> None:
+    """The poses of many arcs at once are those of one after the other."""
+    random = np.random.default_rng(3)
+    forward, turn, length = random.uniform(-1, 1, 50), random.uniform(-2, 2, 50), random.uniform(0.1, 2, 50)
+    pose = np.array([1.0, -2.0, 0.5])
+    found = chained(pose, forward, turn, length)
+    assert np.array_equal(found[0], pose)
+    for i in range(50):
+        pose = integrate_pose(pose, forward[i], turn[i], length[i])
+        assert found[i + 1] == pytest.approx(pose, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "segments",
+    [
+        [Segment(v=0.4, omega=0.1, duration=1e9)],
+        [Segment(v=0.0, omega=0.1, duration=1e9)],
+        # A long segment among short ones, which the joints beside it would not show.
+        [
+            Segment(v=0.5, omega=-0.5, duration=0.003),
+            Segment(v=-0.5, omega=0.001, duration=1e6),
+            Segment(v=0.5, omega=0.8, duration=3.0),
+        ],
+    ],
+)
+def test_a_path_that_would_be_cut_into_too_many_pieces_is_refused_before(segments: list[Segment]) -> None:
+    """The first would take 149 GiB."""
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=r"^here: it is so long that it is cut into .* pieces"):
+        lay_smooth(segments, _LIMITS, name="x", where="here")
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+
+
+def test_too_many_points_segments_and_joints_are_refused_with_their_number() -> None:
+    """Each before any work is done on it."""
+    settings = load_settings()
+    with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
+        lay_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
+    rows = np.zeros((settings.max_pieces // settings.least_pieces_per_row + 1, 4))
+    rows[:, 0] = np.arange(len(rows))
+    with pytest.raises(ConfigError, match=r"here: 500,001 points"):
+        lay_timed_poses(rows, _LIMITS, name="x", where="here")
+    one = Segment(v=0.1, omega=0.0, duration=1.0)
+    with pytest.raises(ConfigError, match=r"here: 100,001 segments"):
+        lay_segments([one] * (settings.most_segments + 1), _LIMITS, name="x", where="here")
+    bent = [Segment(v=0.2, omega=1e-5 * i, duration=1.0) for i in range(settings.most_joints + 2)]
+    with pytest.raises(ConfigError, match=r"here: 5,001 different joints"):
+        lay_smooth(bent, _LIMITS, name="x", where="here")
+
+
+def test_a_file_of_poses_is_left_as_soon_as_it_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the memory of the rows that may be, not of those that are there."""
+    fewer = load_settings().model_copy(update={"max_pieces": 2000})
+    monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: fewer)
+    file = tmp_path / "long.csv"
+    file.write_text("t,x,y,theta\n" + "".join(f"{i},0,0,0\n" for i in range(200_000)), encoding="utf-8")
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="more than 1,000 timed poses"):
+        load_trajectory(file)
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+
+
+def test_waypoints_that_are_as_good_as_one_are_named() -> None:
+    """A chord so short that its square is nothing."""
+    with pytest.raises(ConfigError, match=r"waypoints.0 and waypoints.1 coincide"):
+        lay_waypoints([(0.0, 0.0), (1e-300, 0.0), (1.0, 0.0)], _LIMITS, name="x")
+
+
+def test_a_drive_that_is_searched_for_has_a_longest_time() -> None:
+    """A thousand million seconds of twists would be looked for, one by one."""
+    with pytest.raises(ValueError, match="at most 1800 s"):
+        slip_excitation(6.0, 1e9, 0.6, 1.0)
+
+
+def test_a_way_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
+    """It is one piece long: without a node between it would never move."""
+    path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
+    end = path.sample([path.duration]).pose[0]
+    assert end == pytest.approx([0.002, 0.0, 0.0], abs=1e-9)
+    assert 0.0 < path.duration < 1.0
+
+
+@pytest.mark.parametrize("row", ["1e308,0,0,0", "1,1e308,0,0", "1,0,-1e308,0", "1,0,0,1e300"])
+def test_poses_further_than_any_robot_goes_are_refused_by_their_line(tmp_path: Path, row: str) -> None:
+    """They used to overflow in the spline, with a warning of NumPy's and a sentence of SciPy's."""
+    file = tmp_path / "far.csv"
+    file.write_text(f"t,x,y,theta\n0,0,0,0\n{row}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"far.csv, line 3: .* is beyond"):
+        load_trajectory(file)
+
+
+TIMES = np.linspace(0.0, 10.0, 101)
+RATE = 0.5
+ANGLE = RATE * TIMES
+X, Y = np.sin(ANGLE), 1.0 - np.cos(ANGLE)
+HALF = np.full(TIMES.size, RATE)
+WELL = {"t": TIMES, "x": X, "y": Y}
+
+
+@pytest.mark.parametrize(
+    ("more", "error"),
+    [
+        ({}, 1e-3),
+        ({"theta": ANGLE}, 1e-6),
+        ({"theta": (ANGLE + np.pi) % (2 * np.pi) - np.pi}, 1e-6),
+        ({"v": HALF}, 1e-3),
+        ({"theta": ANGLE, "v": HALF, "omega": HALF}, 1e-7),
+    ],
+    ids=["positions", "headings", "wrapped headings", "speeds", "all"],
+)
+def test_a_circle_of_arrays_is_that_circle(more, error):
+    reference = Trajectory.from_arrays(TIMES + 100.0, X, Y, **more)
+    times = np.linspace(0.0, 9.99, 777)
+    sample = reference.sample(times)
+    angle = RATE * times
+    np.testing.assert_allclose(sample.pose, np.column_stack([np.sin(angle), 1 - np.cos(angle), angle]), atol=error)
+    np.testing.assert_allclose(sample.twist, RATE, atol=error)
+    assert reference.duration == 10.0
+    assert repr(reference) == "Trajectory 'arrays': 10 s, 5 m"
+
+
+def test_lists_and_columns_of_pandas_are_arrays():
+    table = pd.DataFrame(WELL)
+    expected = Trajectory.from_arrays(**WELL).sample(TIMES).pose
+    for columns in ({name: table[name] for name in "txy"}, {name: values.tolist() for name, values in WELL.items()}):
+        np.testing.assert_array_equal(Trajectory.from_arrays(**columns).sample(TIMES).pose, expected)
+
+
+def test_a_negative_speed_drives_backwards_and_a_robot_that_stands_keeps_its_heading():
+    backwards = Trajectory.from_arrays(TIMES, -0.3 * TIMES, 0 * TIMES, v=np.full(TIMES.size, -0.3)).sample([5.0])
+    np.testing.assert_allclose(backwards.pose, [[-1.5, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(backwards.twist, [[-0.3, 0.0]], atol=1e-12)
+    waiting = np.clip(TIMES - 3.0, 0.0, 4.0) * 0.5
+    headings = Trajectory.from_arrays(TIMES, np.zeros(TIMES.size), waiting).sample([0.0, 5.0, 10.0]).pose[:, 2]
+    np.testing.assert_allclose(headings, np.pi / 2, atol=1e-9)
+
+
+DATES = pd.date_range("2026-01-01", periods=TIMES.size, freq="100ms")
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"x": X[:-1]}, "x has 100 values, t has 101; give one for each time"),
+        ({"x": np.column_stack([X, Y])}, r"x: expected one number per time, shape \(n,\), got shape \(101, 2\)"),
+        ({"x": np.where(TIMES > 5.0, np.nan, X)}, r"x\[51\] is not a finite number"),
+        ({"t": TIMES[::-1]}, r"t\[1\] = 9.9 s does not come after the time before; sort the rows"),
+        ({"t": ["a"] * TIMES.size}, "t: expected numbers, got list"),
+        ({"t": DATES}, r"t: got dates; give seconds, such as \(t - t\[0\]\) / np.timedelta64\(1, 's'\)"),
+        ({"t": TIMES * 1e9}, "it lasts 1e.10 s, the longest is 86400 s; are times in s?"),
+        ({"x": 0 * X, "y": 0 * Y}, "x and y do not change, so they have no direction; give theta"),
+        ({"theta": np.degrees(ANGLE)}, r"theta fits the path in degrees, not in rad; give np.radians\(theta\)"),
+        ({"theta": 0 * ANGLE}, "sideways speed = .* let theta point along the direction of travel"),
+        ({"v": 3.6 * HALF}, "v = 1.8 m/s at t = .* the poses change by 0.5 m/s; check unit and sign"),
+        ({"theta": ANGLE, "v": -HALF}, "v = -0.5 m/s .* the poses change by 0.5 m/s; check unit and sign"),
+        ({"omega": np.degrees(HALF)}, "omega = 28.6 rad/s .* change by 0.5 rad/s; check unit and sign"),
+    ],
+)
+def test_wrong_columns_are_one_sentence(columns, message):
+    with pytest.raises(ConfigError, match=f"^trajectory 'mine': {message}") as caught:
+        Trajectory.from_arrays(**{**WELL, **columns}, name="mine")
+    assert "\n" not in str(caught.value)
+
+
+def test_waypoints_are_passed_from_rest_to_rest_within_the_limits_of_a_configuration():
+    points = np.array([[0.0, 0.0], [3.0, 0.0], [6.0, 1.0]])
+    config = load_config("ssm", {"limits.v": 0.4, "limits.predicted_v": 0.4})
+    reference = Trajectory.from_waypoints(points, limits=config)
+    sample = reference.sample(np.linspace(0.0, reference.duration, 2000))
+    assert np.abs(sample.twist[:, 0]).max() == pytest.approx(0.4)
+    assert sample.twist[[0, -1]] == pytest.approx(0.0, abs=1e-9)
+    for x, y in points:
+        assert np.hypot(sample.pose[:, 0] - x, sample.pose[:, 1] - y).min() < 2e-3
+    fast = Trajectory.from_waypoints([(0, 0), (30, 0)], speed=3.0)
+    assert fast.sample([fast.duration / 2]).twist[0, 0] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("points", "settings", "message"),
+    [
+        (np.zeros((2, 5)), {}, r"points: expected rows x, y of shape \(m, 2\), got shape \(2, 5\)"),
+        ([(0, 0), (1,)], {}, "points: expected numbers, got list"),
+        ("path.csv", {}, "points: expected numbers, got str 'path.csv'"),
+        ([(0, 0)], {}, "1 waypoints; give at least two"),
+        ([(0, 0), (1, 0)], {"speed": -1.0}, "speed = -1.0 m/s; give a positive number"),
+        ([(0, 0), (1, 0)], {"timing": "fast"}, "timing 'fast'; give stop, commanded or smooth"),
+    ],
+)
+def test_wrong_waypoints_are_one_sentence(points, settings, message):
+    with pytest.raises(ConfigError, match=f"^trajectory 'waypoints': {message}"):
+        Trajectory.from_waypoints(points, **settings)
+
+
+def test_a_reference_that_is_faster_than_the_controllers_limits_is_refused_at_the_start():
+    with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
+        Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
+
+
+def test_a_start_faster_than_the_slew_is_told_and_one_from_rest_is_not():
+    limits, dt = load_config("ssm").limits, 0.0202
+    told = starts_beyond_slew(Trajectory.from_arrays(TIMES, 0.85 * TIMES, 0 * TIMES), limits, dt)
+    assert told.startswith("reference 'arrays' starts at 0.85 m/s and 0 rad/s, the robot at rest: limits.v_slew = ")
+    assert starts_beyond_slew(Trajectory.from_waypoints([(0, 0), (1, 0)]), limits, dt) == ""

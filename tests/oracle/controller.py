@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diffdrive_mpc import ControllerConfig, VelocityModel, load_model
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.load import load_model
-from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.reentry_thresholds import AHEAD, BEHIND, STANDING, TURNING
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar

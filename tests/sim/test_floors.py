@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, make_plant
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.disturbances.disturbance_types import Slope
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.chassis import Chassis

@@ -12,10 +12,8 @@ import pytest
 from log_parts import read_columns
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, load_config
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.log_csv import write_log
 

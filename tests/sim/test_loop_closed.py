@@ -1,17 +1,21 @@
-"""The closed loop itself."""
+"""The closed loop: what happens at which time, and how a disturbed robot recovers."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 import numpy as np
 import pytest
-from loop_parts import ConstantTwist, FeedForward, FixedStep, KinematicPlant
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_parts import ConstantTwist, FeedForward, FixedStep, KinematicPlant, run_along
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc import Measurement, RobotLostError
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.plants.plant import RobotLostError
+from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
 
@@ -118,3 +122,139 @@ def test_sim_has_no_other_names() -> None:
 
     with pytest.raises(AttributeError, match="no attribute 'robot'"):
         sim.robot  # noqa: B018
+
+
+DT, BAND = 0.01, 0.05
+TIME = np.arange(0.0, 10.0 + 1e-9, DT)
+REST = np.zeros((len(TIME), 2))
+
+
+def _recovery(
+    lateral: FloatArray, disturbance: tuple[float, float] | None, command: FloatArray = REST, *, lost: bool = False
+) -> Recovery:
+    return compute_recovery(TIME, lateral, command, DT, disturbance, BAND, lost=lost)
+
+
+def _after(start: float, series: FloatArray) -> FloatArray:
+    return np.where(start <= TIME, series, 0.0)
+
+
+@given(height=st.floats(0.06, 1.0), rate=st.floats(0.5, 5.0), begin=st.floats(0.0, 3.0), lasts=st.floats(0.0, 0.5))
+def test_an_exponential_return_recovers_when_it_enters_the_band(
+    height: float, rate: float, begin: float, lasts: float
+) -> None:
+    end = begin + lasts
+    figures = _recovery(_after(end, height * np.exp(-rate * (TIME - end))), (begin, end))
+    exact = math.log(height / BAND) / rate
+    if end + exact < TIME[-1] - DT:
+        assert figures.recovery_time_s == pytest.approx(exact, abs=DT + 1e-9)
+    else:
+        assert figures.recovery_time_s >= TIME[-1] - end - 2 * DT
+    assert figures.overshoot_m == 0.0
+    assert 0.0 < height - figures.lateral_max_m + 1e-12 < height * rate * DT + 1e-9
+
+
+@given(sign=st.sampled_from([-1.0, 1.0]), height=st.floats(0.1, 0.5), decay=st.floats(0.3, 1.0), w=st.floats(2.0, 5.0))
+def test_a_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: float, decay: float, w: float) -> None:
+    lateral = sign * height * np.exp(-decay * TIME) * np.cos(w * TIME)
+    figures = _recovery(lateral, (0.0, 0.0))
+    # Extreme of exp(-d t) cos(w t): tan(w t) = -d / w, on the second half wave.
+    peak = (math.pi - math.atan(decay / w)) / w
+    exact = -height * math.exp(-decay * peak) * math.cos(w * peak)
+    assert figures.overshoot_m == pytest.approx(exact, abs=height * w * DT * 0.1)
+    mirrored = _recovery(-lateral, (0.0, 0.0))
+    assert mirrored == figures
+
+
+def test_recovery_counts_from_the_end_of_the_disturbance_and_a_second_departure_counts() -> None:
+    lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.06, 0.0)
+    figures = _recovery(lateral, (2.0, 2.5))
+    assert figures.recovery_time_s == pytest.approx(3.0)
+    assert figures.overshoot_m == pytest.approx(0.06)
+
+
+def test_a_robot_that_never_leaves_the_band_recovers_at_once_and_overshoots_nothing() -> None:
+    wobble = 0.99 * BAND * np.sin(20 * TIME)
+    figures = _recovery(wobble, (2.0, 3.0))
+    assert (figures.recovery_time_s, figures.overshoot_m) == (0.0, 0.0)
+
+
+def test_what_is_over_before_the_disturbance_ends_is_recovered_at_once() -> None:
+    lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) - np.where(TIME >= 4.0, 0.02, 0.0)
+    figures = _recovery(lateral, (2.0, 3.5))
+    assert figures.recovery_time_s == 0.0
+    assert figures.overshoot_m == pytest.approx(0.02)
+
+
+def test_the_side_of_the_excursion_is_not_that_of_the_wobble_at_its_begin() -> None:
+    """At the end of a push the robot is still inside the band, on whatever side; it leaves the band to the left."""
+    lateral = _after(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
+    assert _recovery(lateral, (2.0, 2.1)).overshoot_m == 0.0
+
+
+def test_an_end_outside_the_band_is_no_recovery() -> None:
+    figures = _recovery(_after(2.0, np.full(len(TIME), 0.1)), (2.0, 2.0))
+    assert figures.recovery_time_s == math.inf
+    assert figures.overshoot_m == 0.0
+
+
+def test_without_a_disturbance_or_with_a_lost_robot_there_is_nothing_to_recover_from() -> None:
+    lost = np.full(len(TIME), 0.1)
+    lost[5] = np.nan
+    for figures in (_recovery(np.zeros(len(TIME)), None), _recovery(lost, (0.0, 0.0))):
+        assert math.isnan(figures.recovery_time_s)
+        assert math.isnan(figures.overshoot_m)
+
+
+def test_what_lasts_to_the_end_has_no_recovery_time_but_an_overshoot_and_a_largest_error() -> None:
+    """First 0.2 m to the left, then 0.07 m to the right: outside the band on both sides."""
+    lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.07, 0.0)
+    figures = _recovery(lateral, (1.0, math.inf))
+    assert math.isnan(figures.recovery_time_s)
+    assert figures.overshoot_m == pytest.approx(0.07)
+    assert figures.lateral_max_m == pytest.approx(0.2)
+    assert _recovery(np.zeros(len(TIME)), (1.0, math.inf)).overshoot_m == 0.0
+
+
+def test_a_robot_that_was_lost_has_not_recovered_even_inside_the_band() -> None:
+    inside = np.full(len(TIME), 0.5 * BAND)
+    assert _recovery(inside, (2.0, 3.0)).recovery_time_s == 0.0
+    assert _recovery(inside, (2.0, 3.0), lost=True).recovery_time_s == math.inf
+    assert math.isnan(_recovery(inside, (2.0, math.inf), lost=True).recovery_time_s)
+
+
+def test_energy_is_the_integral_of_the_squared_command() -> None:
+    command = np.column_stack([np.sin(TIME), 2.0 * np.cos(TIME)])
+    figures = _recovery(np.zeros(len(TIME)), (0.0, 0.0), command)
+    assert figures.command_energy_v == pytest.approx(0.5 * 10 - 0.25 * math.sin(20), abs=3 * DT)
+    assert figures.command_energy_omega == pytest.approx(4 * (0.5 * 10 + 0.25 * math.sin(20)), abs=5 * DT)
+
+
+def test_rate_is_that_of_the_command_over_time() -> None:
+    command = np.column_stack([0.3 * np.sin(2.0 * TIME), np.where(TIME < 5.0, 0.0, 1.0)])
+    figures = _recovery(np.zeros(len(TIME)), (0.0, 0.0), command)
+    # The mean square of 0.6 cos(2 t) over 10 s.
+    assert figures.command_rate_v**2 == pytest.approx(0.18 * (1.0 + math.sin(40.0) / 40.0), rel=0.01)
+    # One jump of 1 rad/s in n - 1 changes.
+    assert figures.command_rate_omega == pytest.approx(1.0 / DT / math.sqrt(len(TIME) - 1))
+
+
+def test_a_robot_far_behind_its_reference_is_charged_its_distance_from_the_path_only() -> None:
+    """1.2 m late and 0.1 m to the left, on a circle: far outside the window around the reference."""
+    circle = ConstantTwist(v=0.5, omega=0.5, duration=12.0)
+    times = np.arange(0.0, 12.0, 0.02)
+    held = np.clip(times - 3.0, 0.0, 2.4)  # stands still from 3.0 to 5.4 s
+    pose = circle.sample(times - held).pose
+    left = 0.1 * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
+    run = run_along(circle, pose + left, [0.5, 0.0, 0.5], times)
+    assert run.errors.position.max() > 1.0  # the chord
+    np.testing.assert_allclose(run.errors.lateral, 0.1, atol=4e-6)
+
+
+def test_a_robot_that_is_late_and_then_catches_up_is_found_again() -> None:
+    circle = ConstantTwist(v=0.5, omega=0.5, duration=12.0)
+    times = np.arange(0.0, 12.0, 0.02)
+    late = np.clip(times - 2.0, 0.0, 1.6) - np.clip(0.5 * (times - 5.0), 0.0, 1.6)
+    run = run_along(circle, circle.sample(times - late).pose, [0.5, 0.0, 0.5], times)
+    assert run.errors.position.max() > 0.7
+    assert np.abs(run.errors.lateral).max() < 4e-6

@@ -10,12 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_parts import trace
 
-from diffdrive_mpc.models import integrate_pose, load_model
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, ModelError, integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.velocity_model import ModelError
-from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface

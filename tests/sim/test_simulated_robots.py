@@ -1,20 +1,38 @@
-"""Robots of the `mujoco` plant that differ from the twin: what mechanics says of each, and what mistakes give."""
+"""Robots of the simulation: shipped, drawn, and put together of parts."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import (
+    ConfigError,
+    Controller,
+    Measurement,
+    Stamped,
+    integrate_pose,
+    load_config,
+    load_trajectory,
+    make_plant,
+)
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import shipped_names
+from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot, skidding_time
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robot
+from diffdrive_mpc.sim.ros import messages
+from diffdrive_mpc.sim.ros.pace import SteppedClock, WallClock
+from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox, load_base_settings
+from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 SHIPPED = shipped_names(ROBOTS)
 GRAVITY = 9.81
@@ -139,3 +157,237 @@ def test_a_robot_needs_a_description_and_a_name_that_exists(tmp_path: Path) -> N
         make_plant(f"mujoco:{path}")
     with pytest.raises(ConfigError, match=r"unknown robot 'heavi': give one of .*; did you mean 'heavy'\?$"):
         make_plant("mujoco:heavi")
+
+
+MANY = [draw_robot(seed) for seed in range(300)]
+
+
+def test_a_seed_draws_the_same_robot_and_run():
+    assert draw_robot(7) == draw_robot(7)
+    first, second = (
+        simulate(
+            Controller(load_config("ssm", draw_robot(4).stated)), make_plant("drawn:4", seed=4), load_trajectory("cane")
+        )
+        for _ in range(2)
+    )
+    assert (first.true_pose == second.true_pose).all()
+    assert (first.command == second.command).all()
+
+
+def test_robots_are_as_wide_as_the_market():
+    mass = [robot.build.robot.mass for robot in MANY]
+    assert 5.0 <= min(mass) < 6.0
+    assert 250.0 < max(mass) <= 300.0
+    base = [robot.build.twin.chassis.wheel_base / robot.build.robot.track for robot in MANY]
+    assert (min(base), max(base)) == pytest.approx((0.5, 1.6), abs=0.03)
+    assert {robot.build.twin.chassis.castors for robot in MANY} == {True, False}
+    wrong = [robot.stated["wheels.track"] / robot.truth["wheels.track"] for robot in MANY]
+    assert 0.35 < np.mean(np.array(wrong) == 1.0) < 0.65
+    assert 0.6 <= min(wrong) < 0.65
+    assert 1.35 < max(wrong) <= 1.4
+    assert any(robot.scenario.slope for robot in MANY)
+    assert any(robot.scenario.weak_motors for robot in MANY)
+
+
+def test_the_rule_lets_a_third_drive_and_fewer_turn_on_the_spot():
+    """Whoever may turn on the spot may drive; each of the rule's parts keeps somebody out."""
+    drives = np.array([robot.can_drive() for robot in MANY])
+    spot = np.array([robot.can_drive(spot_turns=True) for robot in MANY])
+    assert 0.2 < drives.mean() < 0.6
+    assert spot.sum() < drives.sum()
+    assert not (spot & ~drives).any()
+    icy = [robot for robot, may in zip(MANY, drives, strict=True) if may and robot.scenario.slope]
+    assert all(np.tan(robot.scenario.slope.angle) < robot.build.friction for robot in icy)
+
+
+def test_the_speed_of_a_skidding_robot_answers_as_the_rule_says():
+    """Four Coulomb wheels in a steady turn: what a little more speed of the wheels adds to the force along the way."""
+    base, track, friction, yaw_rate, mass = 0.6, 0.5, 0.7, 0.5, 20.0
+
+    def force(more: float) -> float:
+        along = 0.0
+        for side in (-1.0, 1.0):
+            skid = np.array([side * yaw_rate * base**2 / track / 2 + more, yaw_rate * base / 2])
+            along += 2 * friction * mass * 9.81 / 4 * skid[0] / np.linalg.norm(skid)
+        return along
+
+    slope = (force(1e-6) - force(-1e-6)) / 2e-6
+    assert skidding_time(yaw_rate, track, base, friction) == pytest.approx(mass / slope, rel=1e-6)
+
+
+def test_who_drives_is_told_a_slew_that_grip_allows():
+    """A robot turns its yaw rate on perfect sensors' word as quickly as its user states, whatever its floor."""
+    castors = [r for r in MANY if r.can_drive() and r.build.twin.chassis.castors and not r.scenario.kinds]
+    robot = min(castors, key=lambda r: r.stated["limits.omega_slew"])
+    slew = robot.stated["limits.omega_slew"]
+    assert 1.4 < slew < 6.0
+    plant = make_plant(f"drawn:{robot.seed}", sensors="perfect", seed=robot.seed)
+    plant.reset(np.zeros(3))
+    steps = int(1.5 / plant.sample_time)
+    for step in range(steps):
+        plant.advance((0.0, min(1.0, slew * step * plant.sample_time)))
+    assert plant.true_twist[2] == pytest.approx(1.0, abs=0.1)
+
+
+def test_half_of_the_seeds_are_reserved():
+    """Tuning takes odd seeds; the numbers of the sensor test say so beside them."""
+    assert RESERVED == 2
+
+
+@pytest.mark.parametrize("name", ["drawn:", "drawn:x", "drawn:-1"])
+def test_a_name_without_a_seed_is_refused(name):
+    with pytest.raises(ConfigError, match="drawn:SEED"):
+        make_plant(name)
+
+
+def test_castors_turn_the_robot_about_its_driven_axle():
+    """Two driven wheels turn as their geometry says, about the middle of their axle."""
+    robot = next(r for r in MANY if r.build.twin.chassis.castors and r.can_drive() and not r.scenario.kinds)
+    plant = make_plant(f"drawn:{robot.seed}", sensors="perfect", seed=robot.seed)
+    plant.reset(np.zeros(3))
+    for _ in range(150):
+        plant.advance((0.0, 0.6))
+    x, y, theta = plant.true_pose
+    assert theta > 1.0
+    assert np.hypot(x, y) < 0.05 * theta
+
+
+def test_lost_poses_are_lost_and_the_others_keep_their_noise():
+    whole, lossy = (
+        simulate(Controller("ssm"), make_plant("mujoco", seed=3, sensors=sensors), load_trajectory("s"))
+        for sensors in ("default", "half_lost")
+    )
+    share = np.mean([m.pose is None for m in lossy.measurements])
+    assert 0.4 < share < 0.6
+    assert not [m for m in whole.measurements if m.pose is None]
+
+
+SECOND = 10**9
+DT = 0.02
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.integers(1, 5 * SECOND), st.integers(0, 3 * SECOND))
+def test_a_command_holds_for_the_timeout_and_not_longer(v, omega, start, later):
+    inbox = CommandInbox(SECOND // 2, SECOND // 100)
+    assert inbox.put(v, omega, 0, start) == ""
+    assert inbox.command(start + later) == ((v, omega) if later <= SECOND // 2 else STOP)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_it_lapses(bad):
+    inbox = CommandInbox(SECOND // 2, 0)
+    inbox.put(0.5, 0.1, 0, SECOND)
+    assert "not finite" in inbox.put(bad, 0.0, 0, SECOND) and "not finite" in inbox.put(0.0, bad, 0, SECOND)
+    assert inbox.command(SECOND) == (0.5, 0.1)
+    assert inbox.command(2 * SECOND) == STOP
+
+
+def test_a_stamp_of_another_clock_is_refused_with_its_reason():
+    inbox = CommandInbox(SECOND // 2, 0)
+    assert "9.000 s ahead" in inbox.put(1.0, 0.0, 10 * SECOND, SECOND)
+    assert "use_sim_time" in inbox.put(1.0, 0.0, SECOND, 10 * SECOND)
+    assert inbox.command(10 * SECOND) == STOP and not inbox.lapsed(10 * SECOND)
+
+
+def test_an_answer_is_known_by_its_stamp_or_else_by_its_receipt():
+    inbox = CommandInbox(SECOND, SECOND // 100)
+    assert not inbox.answers(SECOND)
+    inbox.put(0.1, 0.0, SECOND - SECOND // 50, SECOND)
+    assert not inbox.answers(SECOND)
+    inbox.put(0.1, 0.0, SECOND + SECOND // 100, SECOND)
+    assert inbox.answers(SECOND) and not inbox.answers(SECOND + SECOND // 40)
+    inbox.put(0.1, 0.0, 0, 2 * SECOND)
+    assert inbox.answers(2 * SECOND)
+
+
+def ramp(k):
+    """Twist (v, omega) of a robot that speeds up in a curve."""
+    return 0.01 * k, 0.02 * k
+
+
+def sensed(k, pose=None):
+    v, omega = ramp(k)
+    return Measurement(pose=pose, wheel_twist=Stamped((v, 1.6 * omega), k * DT), yaw_rate=Stamped(omega, k * DT))
+
+
+def test_odometry_takes_speed_from_the_wheels_and_turning_from_the_gyro():
+    start = np.array([1.0, -2.0, 0.3])
+    odometry, truth = Odometry(start, 1, use_pose_sensor=False), start
+    for k in range(80):
+        if k:
+            mean = 0.5 * (np.array(ramp(k - 1)) + np.array(ramp(k)))
+            truth = integrate_pose(truth, mean[0], mean[1], DT)
+        assert np.allclose(odometry.update(k * DT, sensed(k)), truth, rtol=0, atol=1e-12)
+
+
+def test_a_silent_sensor_keeps_its_last_value():
+    odometry = Odometry(np.zeros(3), 1, use_pose_sensor=False)
+    straight = Measurement(wheel_twist=Stamped((0.5, 0.0), 0.0), yaw_rate=Stamped(0.0, 0.0))
+    odometry.update(0.0, straight)
+    assert np.allclose(odometry.update(1.0, Measurement()), [0.5, 0.0, 0.0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 4])
+def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
+    """The sum is a metre and a radian off; one exact pose, however late, puts it right."""
+    truth = [np.array([0.0, 0.0, 0.0])]
+    odometry = Odometry([1.0, 0.0, 1.0], latency, use_pose_sensor=True)
+    for k in range(60):
+        if k:
+            mean = 0.5 * (np.array(ramp(k - 1)) + np.array(ramp(k)))
+            truth.append(integrate_pose(truth[-1], mean[0], mean[1], DT))
+        pose = Stamped(truth[k - latency], (k - latency) * DT) if k == 50 else None
+        found = odometry.update(k * DT, sensed(k, pose))
+        if k >= 50:
+            assert np.allclose(found, truth[k], rtol=0, atol=1e-12)
+        else:
+            assert np.linalg.norm(found - truth[k]) > 1.0
+
+
+@given(st.floats(-10, 10), st.floats(-10, 10), st.floats(-30, 30))
+def test_a_pose_message_is_a_unit_turn_about_the_vertical(x, y, theta):
+    pose = messages.pose_message((x, y, theta))
+    q = pose.orientation
+    assert (pose.position.x, pose.position.y, q.x, q.y) == (x, y, 0.0, 0.0)
+    assert abs(q.z**2 + q.w**2 - 1) < 1e-12
+    assert abs(wrap_angle(2 * math.atan2(q.z, q.w) - theta)) < 1e-12
+
+
+@given(st.integers(0, 2**31 * SECOND - 1))
+def test_times_keep_every_nanosecond(now):
+    assert messages.nanoseconds(messages.time_message(now)) == now
+
+
+def test_covariances_stand_where_ros_has_them():
+    """Row by row over x, y, z, roll, pitch, yaw."""
+    known = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
+    found = np.reshape(messages.sensed_pose(0, Stamped((0, 0, 0), 0.0, known)).pose.covariance, (6, 6))
+    assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], known)
+    twist = messages.odometry(0, (0, 0, 0), Stamped((0.5, 0.1), 0.0, known[:2, :2])).twist
+    assert (twist.covariance[0], twist.covariance[5], twist.covariance[35]) == (1.0, 2.0, 4.0)
+    assert np.count_nonzero(found) == 9 and np.count_nonzero(twist.covariance) == 4
+
+
+def test_an_exact_sensor_states_no_covariance():
+    exact = messages.imu(0, Stamped(0.1, 0.0))
+    assert not np.any(exact.angular_velocity_covariance)
+    assert exact.orientation_covariance[0] == -1.0
+
+
+def test_the_stepped_clock_stands_on_whole_samples():
+    clock = SteppedClock(500, 0.0202)
+    assert clock() == clock.origin == 10_100_000_000
+    assert [clock.at(tick) - clock.origin for tick in (0, 1, 1000)] == [0, 20_200_000, 20_200_000_000]
+
+
+def test_the_wall_clock_never_goes_back():
+    clock = WallClock()
+    times = [clock() for _ in range(1000)]
+    assert times == sorted(times) and times[0] >= clock.origin
+
+
+def test_changed_settings_are_checked_too():
+    assert load_base_settings(changes={"stamped": False, "command_timeout": None}).stamped is False
+    assert load_base_settings(changes={"lock_step.answer_timeout": 3.0}).lock_step.answer_timeout == 3.0
+    with pytest.raises(ValueError, match="base settings: command_timeout: .* greater than 0"):
+        load_base_settings(changes={"command_timeout": -1.0})

@@ -9,9 +9,8 @@ import pytest
 from loop_parts import ConstantTwist, run_along
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from studies.tracking.steady_arcs import steady_arc_lateral, steady_arcs
 

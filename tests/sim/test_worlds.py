@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, FixedStep
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc import ConfigError, RobotLostError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.world_plant import TouchedError, WorldPlant
 from diffdrive_mpc.sim.worlds.drawn_world import drawing, drawn_world
 from diffdrive_mpc.sim.worlds.passage import outline_points

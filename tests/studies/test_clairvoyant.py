@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diffdrive_mpc import Measurement, load_config, load_trajectory
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.models.interface import Measurement
-from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from studies.tracking.clairvoyant import ClairvoyantController
 from studies.tracking.clairvoyant_program import load_clairvoyant_settings

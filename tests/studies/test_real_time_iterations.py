@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from speed_parts import oracle_tick
 
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
 from oracle.controller import OracleController
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem

@@ -10,14 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.turn_costs import load_vehicle
-from diffdrive_mpc.mpc import load_trajectory
 from studies.reproduce.cost import measure_cost
-from studies.reproduce.driven_track import drive_tests
+from studies.reproduce.drive_models import (
+    EXPERIMENTAL,
+    NO_MODEL,
+    PHYSICAL,
+    compare_on_twin,
+    drive_model_findings,
+    drive_model_tables,
+    reversing_commands,
+    velocity_errors,
+)
+from studies.reproduce.driven_track import DrivenTrack, drive_tests, driven_track_findings
 from studies.reproduce.drives import (
     RobotLogs,
     Spread,
@@ -26,7 +36,8 @@ from studies.reproduce.drives import (
     trajectory_commands,
 )
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from studies.reproduce.published import CostStudy, MbmSmStudy, SsmStudy, load_published, load_study
+from studies.reproduce.published import CostStudy, MbmSmStudy, ScatterFloor, SsmStudy, load_published, load_study
+from studies.reproduce.slip_scatter import Foresight, scatter_of
 from studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
 from studies.reproduce.study import ReproduceStudy
 from studies.reproduce.turn_learning import learn_turns
@@ -236,3 +247,116 @@ def test_what_is_foreseen_of_a_drive_is_nearer_once_its_floor_was_learned():
         assert (mean <= most + 1e-9).all()
         assert max(np.abs(least).max(), np.abs(most).max()) <= found.limit + 1e-9
     assert found.raw[:, 0].min() < found.raw_least < found.raw[:, 0].max()
+
+
+STUDY = load_study(quick=True).driven_track
+FEW = STUDY.model_copy(
+    update={"tests": ((0.3, 0.3), (0.35, 0.6), (0.4, 1.0)), "yaw_rates": (0.4, 0.8, 1.2), "speeds": (0.2, 0.5, 0.8)}
+)
+
+
+@pytest.fixture(scope="module")
+def floors() -> list[DrivenTrack]:
+    return [drive_tests(FEW, surface) for surface in ("default", "slippery")]
+
+
+def test_friction_and_wheel_base_give_the_track_on_the_spot(floors):
+    """Coulomb friction under four wheels: track (1 + (wheel base / track)^2), on any floor, at any yaw rate."""
+    for floor in floors:
+        (spot, *_) = floor.alone.values()
+        assert spot[:, 2] == pytest.approx(0.33 * (1 + (0.14 / 0.33) ** 2), rel=0.02)
+
+
+def test_less_friction_makes_the_centripetal_force_matter_more(floors):
+    default, slippery = (floor.by_acceleration for floor in floors)
+    assert slippery.p1 < 3 * default.p1 < 0
+
+
+def test_a_track_that_grows_is_seen_to_grow():
+    yaw = np.linspace(0.3, 1.0, 8)
+    rows = np.column_stack([0.3 * np.ones(8), yaw, 0.286 + 0.049 * yaw + 1e-4 * (-1) ** np.arange(8), np.ones(8)])
+    made = DrivenTrack("made", rows, {}, fit_line(rows[:, 1:3]))
+    made = DrivenTrack("made", rows, dict.fromkeys(("turning on the spot, over yaw rate", "b"), rows), made.line)
+    made.alone["at constant yaw rate, over v"] = rows[:, [1, 0, 2, 3]]
+    grows, alone, spot = driven_track_findings([made], load_published())
+    assert (grows.verdict, alone.verdict, spot.verdict) == ("yes", "no", "yes")
+    assert made.line.p1 == pytest.approx(0.049, rel=0.01)
+
+
+def test_commands_go_both_ways_as_fast_as_stated():
+    study = load_study().drive_models
+    commands = np.vstack([reversing_commands(study, seed, smooth=False) for seed in range(20)])
+    assert np.abs(commands).max(axis=0) == pytest.approx([0.6, 1.1], rel=0.02)
+    assert np.abs(np.mean(commands > 0, axis=0) - 0.5).max() < 0.1
+
+
+def test_errors_count_where_there_are_readings_and_in_the_paper_s_units():
+    fresh = np.arange(60) % 2 == 0
+    twist = np.where(fresh[:, None], 0.2, 9.0) * np.ones((60, 2))
+    twist[1::2] = np.nan
+    record = Record("made", 0.0, 0.05, np.zeros((60, 2)), twist=twist, yaw_rate=np.full(60, 0.1))
+    errors = velocity_errors([np.zeros((60, 2))], [record])
+    assert errors.v == pytest.approx((200.0, 200.0))
+    assert errors.omega == pytest.approx((np.degrees(0.1), np.degrees(0.1)))
+
+
+@pytest.mark.long
+def test_both_drive_models_beat_no_model_on_a_short_drive():
+    study = load_study(quick=True).drive_models.model_copy(update={"drives": 2, "duration": 15.0})
+    result = compare_on_twin(study, 77)
+    for name in (PHYSICAL, EXPERIMENTAL):
+        assert result.errors[name].v[0] < 0.5 * result.errors[NO_MODEL].v[0]
+        assert result.errors[name].omega[0] < result.errors[NO_MODEL].omega[0]
+    errors, numbers = drive_model_tables([result], load_published())
+    assert {cells[0] for cells in errors.rows} == {"P2, first data set", "P2, second data set", "simulated robot"}
+    assert len(numbers.rows) == 2
+    assert drive_model_findings([result], load_published())[0].verdict == "yes"
+
+
+@given(st.integers(0, 50), st.floats(-3, 3), st.floats(0.1, 5))
+def test_errors_that_are_as_they_were_foreseen_are_consistent_in_every_frame(seed, angle, scale):
+    """Drawn from their own covariances: 95 % inside, NEES one; another frame or unit of length changes neither."""
+    random = np.random.default_rng(seed)
+    roots = random.normal(size=(800, 3, 3)) + 2 * np.eye(3)
+    errors = (roots @ random.normal(size=(800, 3, 1)))[..., 0]
+    found = Foresight(errors, roots @ roots.transpose(0, 2, 1))
+    assert found.inside == pytest.approx(0.95, abs=0.04)
+    assert found.nees.mean() == pytest.approx(1.0, abs=0.12)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = scale * np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = Foresight(errors @ turn.T, turn @ found.covariances @ turn.T)
+    assert turned.nees == pytest.approx(found.nees, rel=1e-6)
+    assert turned.inside == pytest.approx(found.inside, abs=0.002)
+    assert turned.foreseen[2] == pytest.approx(scale * found.foreseen[2])
+
+
+@given(st.floats(0.2, 5), st.floats(0.2, 5), st.floats(0.2, 5))
+def test_factors_scale_deviations_and_leave_correlations(along, left, heading):
+    random, factors = np.random.default_rng(1), np.array([along, left, heading])
+    roots = random.normal(size=(5, 3, 3)) + 2 * np.eye(3)
+    before = Foresight(random.normal(size=(5, 3)), roots @ roots.transpose(0, 2, 1))
+    after = before.scaled(factors)
+    assert after.foreseen == pytest.approx(factors * before.foreseen)
+    assert np.array_equal(after.errors, before.errors)
+
+    def correlations(shapes):
+        sizes = np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
+        return shapes / sizes[:, :, None] / sizes[:, None, :]
+
+    assert correlations(after.covariances) == pytest.approx(correlations(before.covariances))
+
+
+def test_learned_slip_tells_where_the_robot_will_be_and_a_seed_fixes_it():
+    study = load_study(quick=True).slip_scatter.model_copy(update={"duration": 28.0})
+    floor = ScatterFloor(plant="model:ssm", surface="p4_grass")
+    found, again = scatter_of(study, floor, 0.1, 4), scatter_of(study, floor, 0.1, 4)
+    assert plain(found) == plain(again)
+    assert (found.learned.rms < 0.2 * found.nominal.rms).all()
+    assert np.linalg.eigvalsh(found.learned.covariances).min() > 0
+    # What slip adds is a part of the whole.
+    assert (found.by_slip < found.learned.foreseen).all()
+    # The floor takes a third of the yaw rate.
+    assert found.coefficients[7] == pytest.approx(found.truth[7], abs=0.03)
+    one, other = found.paths["driven"], found.paths["learned slip"]
+    assert np.array_equal(found.paths["no slip"][0], other[0])
+    assert np.hypot(*(one - other).T).max() < np.hypot(*(one - found.paths["no slip"]).T).max()

@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from speed_parts import oracle_tick
 
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem
 from studies.speed.stage import stage_data, stage_problem

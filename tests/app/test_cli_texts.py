@@ -1,0 +1,232 @@
+"""The command line as a reader sees it: configurations and models, seeds, completion, and widths of tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from commands import invoke
+from diffdrive_mpc import ControllerConfig, load_config, load_model
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.schemas.generate import json_schema
+from diffdrive_mpc.bench.case import MOST_SEEDS, parse_seeds
+from diffdrive_mpc.bench.progress import output_console
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.load import ROBOT_NAMES, model_names
+from diffdrive_mpc.mpc.config.described import schema_rows
+from diffdrive_mpc.mpc.config.rooms import side_by_side
+from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
+
+runner = CliRunner()
+ROOT = Path(__file__).parents[2]
+SCHEMA = ROOT / "mpc" / "schemas" / "controller.schema.json"
+
+
+def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
+    shown = invoke(app, "config", "show", "ssm")
+    path = tmp_path / "mine.yaml"
+    path.write_text(shown.stdout)
+    assert load_config(path) == load_config("ssm")
+    assert side_by_side(yaml.safe_load(shown.stdout)) == load_config("ssm").model_dump()
+    checked = invoke(app, "config", "check", path)
+    assert "valid, horizon 30 steps" in checked.stdout
+
+
+def test_the_schema_lists_every_key_with_its_default() -> None:
+    flat = {row.key: row for row in schema_rows()}
+    assert flat["horizon"].default == str(ControllerConfig().horizon)
+    assert flat["horizon"].range == ">= 1, <= 200"
+    assert flat["weights.across"].unit == "1/m^2"
+    assert flat["weights.across"].range == ">= 0"
+    assert flat["solver.method"].range == "auto, osqp, daqp"
+    assert all(row.help for row in flat.values())
+    text = runner.invoke(app, ["config", "schema"]).stdout
+    assert all(key in text for key in flat)
+    assert "[" not in flat["weights.across"].help
+
+
+@pytest.mark.parametrize("part", ["weights", "limits.v", "solver", "terms"])
+def test_a_part_of_the_schema_is_shown_alone(part: str) -> None:
+    result = invoke(app, "config", "schema", part)
+    shown = [line.split()[0] for line in result.stdout.splitlines()[3:] if not line.startswith(" ")]
+    assert shown == [row.key for row in schema_rows() if re.fullmatch(rf"(expert\.)?{part}((\[\])?\..*)?", row.key)]
+
+
+def test_the_json_schema_is_written_to_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "controller.schema.json"
+    result = runner.invoke(app, ["config", "schema", "--json", "--out", str(path)])
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert path.read_text() == json_schema("controller")
+    refused = runner.invoke(app, ["config", "schema", "--out", str(tmp_path / "table.txt")])
+    assert (refused.exit_code, refused.stderr) == (2, "error: --out is for the JSON schema; give --json too\n")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["new"]
+
+
+def test_every_number_in_the_json_schema_says_what_it_is() -> None:
+    groups = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    for group in (groups, *groups["$defs"].values()):
+        for name, field in group["properties"].items():
+            if field.get("type") in ("number", "integer"):
+                assert re.search(r"\w.* \[.+\]$", field["description"]), name
+
+
+def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
+    result = invoke(app, "models", "show", "ssm")
+    assert "-7.444, -13.25" in result.stdout
+    assert "published" in result.stdout
+    assert str(load_model("ssm").provenance["source"]).split(":")[0] in result.stdout
+
+
+def test_a_model_file_is_checked(tmp_path: Path) -> None:
+    source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
+    path = tmp_path / "good.yaml"
+    path.write_text(source.read_text())
+    assert "2 states" in runner.invoke(app, ["models", "check", str(path)]).stdout
+
+
+def test_every_shipped_model_is_listed() -> None:
+    assert {"mbm", "sm", "ssm"} <= set(runner.invoke(app, ["models", "list"]).stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("3", (0, 1, 2)), ("7,", (7,)), ("3,4", (3, 4)), ("1000000000,", (1_000_000_000,))],
+)
+def test_a_number_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
+    assert parse_seeds(text) == seeds
+
+
+def test_the_most_seeds_are_accepted_and_one_more_is_not() -> None:
+    assert parse_seeds(str(MOST_SEEDS)) == tuple(range(MOST_SEEDS))
+    with pytest.raises(ValueError, match=f"at most {MOST_SEEDS}"):
+        parse_seeds(str(MOST_SEEDS + 1))
+
+
+COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
+
+
+def completed(words: str, shell: str = "bash") -> list[str]:
+    """The words that a shell is offered where `words` stand before the cursor."""
+    asked = {
+        "_DIFFDRIVE_MPC_COMPLETE": f"complete_{shell}",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split(" ")) - 1),
+        "_TYPER_COMPLETE_ARGS": words,
+        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+    }
+    result = subprocess.run([COMMAND], env=os.environ | asked, capture_output=True, text=True, check=False)
+    assert result.stderr == ""
+    return result.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("simulate --trajectory ", set(BUILT_IN)),
+        ("simulate --model ", {*model_names(), *ROBOT_NAMES}),
+        ("models show s", {"sm", "ssm"}),
+        ("bench --models sm,s", {"sm,ssm"}),
+        ("simulate --surface grip", {"grippy"}),
+        ("simulate --sensors sl", {"slam"}),
+        ("simulate --scenario weak", {"weak_motor"}),
+        ("simulate --plant mujoco:long", {"mujoco:long", "mujoco:long_naive"}),
+        ("simulate --controller lqr", {"lqr", "lqr+slip"}),
+        ("simulate --timing st", {"stop"}),
+        ("identify drive.csv --mapping simu", {"simulate", "simulated_robot"}),
+        ("simulate --set weights.acr", {"weights.across=700.0"}),
+        ("simulate --set solver.method", {"solver.method=auto", "solver.method=osqp", "solver.method=daqp"}),
+        ("schema tra", {"trajectory"}),
+        ("config sh", {"show"}),
+        ("tun", {"tune"}),
+    ],
+)
+def test_names_are_completed(words: str, offered: set[str]) -> None:
+    assert set(completed(f"diffdrive-mpc {words}")) == offered
+
+
+def test_other_shells_are_told_what_words_mean() -> None:
+    words = "diffdrive-mpc simulate --scenario pus"
+    assert "knocked sideways off the path while it drives" in "".join(completed(words, "zsh"))
+    assert "knocked sideways off the path while it drives" in "".join(completed(words, "fish"))
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_for_a_shell_is_shown(shell: str) -> None:
+    asked = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+    shown = subprocess.run([COMMAND, "--show-completion", shell], env=asked, capture_output=True, text=True, check=True)
+    assert "_DIFFDRIVE_MPC_COMPLETE" in shown.stdout
+
+
+WIDE = Table(
+    "Errors of everything that was driven, with a title that is long, too",
+    ("controller", "trajectory", *(f"position {i} [m]" for i in range(12))),
+    (
+        ("mpc", "a_long_name_without_spaces", *(f"{100 + i}.{i:04d}" for i in range(12))),
+        ("pursuit+slip", "circle", *(f"{200 + i}.{i:04d}" for i in range(12))),
+    ),
+    text_columns=2,
+    note="A note that is longer than the terminal is wide, and so has to continue on the next line below the table.",
+)
+SENTENCES = Table("", ("key", "meaning"), (("first", "word " * 40 + "end"), ("x" * 90, "short")), text_columns=2)
+
+
+def printed(table: Table, capsys: pytest.CaptureFixture[str]) -> str:
+    output_console().print(table.rich())
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_a_table_keeps_to_columns_and_no_cell_is_lost(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    for table in (WIDE, SENTENCES):
+        text = printed(table, capsys)
+        assert max(map(len, text.splitlines())) <= width
+        assert "…" not in text
+    numbers = re.findall(r"\d+\.\d+", printed(WIDE, capsys))
+    assert sorted(numbers) == sorted(cell for row in WIDE.rows for cell in row[2:])
+    assert printed(SENTENCES, capsys).split().count("word") == 40
+    assert printed(SENTENCES, capsys).count("x") == 90
+
+
+def test_columns_that_do_not_fit_continue_below_with_the_names(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = printed(WIDE, capsys)
+    parts = text.count("pursuit+slip")
+    assert parts > 1
+    assert text.count("Errors of everything") == text.count("A note") == 1
+    monkeypatch.setenv("COLUMNS", "200")
+    assert printed(WIDE, capsys).count("pursuit+slip") == 1
+
+
+def test_a_pipe_without_columns_is_wide(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert output_console().width == 140
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("models", "list"),
+        ("models", "show", "mbm"),
+        ("models", "show", "lstm"),
+        ("config", "schema"),
+        ("schema",),
+    ],
+)
+def test_commands_keep_to_columns(width: int, words: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(app, list(words), env={"COLUMNS": str(width)})
+    assert result.exit_code == 0, result.stderr
+    assert max(map(len, result.stdout.splitlines())) <= width

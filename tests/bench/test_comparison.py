@@ -1,0 +1,406 @@
+"""The comparison: which cases it consists of, and what it shows beyond its tables of errors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench_parts import quick_case, quick_outcome
+from bench_parts import rows as rows_of
+from pandas import DataFrame
+
+from diffdrive_mpc import ConfigError, load_config, make_plant
+from diffdrive_mpc.bench.case import COMPARED, DIMENSIONS, Case, label
+from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
+from diffdrive_mpc.bench.comparison.plan import (
+    LATE_TICKS,
+    OTHER_SEEDS,
+    SPEEDS,
+    ComparisonSettings,
+    default_settings,
+    plan_cases,
+    read_options,
+)
+from diffdrive_mpc.bench.comparison.plan import read_options as read
+from diffdrive_mpc.bench.comparison.properties import measure_properties, predicts, property_table
+from diffdrive_mpc.bench.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.comparison.study import ComparisonStudy
+from diffdrive_mpc.bench.comparison.tables import side_by_side_table
+from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
+from diffdrive_mpc.bench.experiment import frame
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.run_row import RunOutcome, row_of
+from diffdrive_mpc.bench.study import write_report
+
+QUICK = {
+    "controllers": ("mpc",),
+    "models": ("ssm",),
+    "plants": ("model:ssm",),
+    "surfaces": ("ideal",),
+    "sensors": ("perfect",),
+    "beyond": False,
+    "osqp": False,
+}
+
+
+def experiment(**changes: object) -> ComparisonSettings:
+    return default_settings().model_copy(update={**QUICK, **changes})
+
+
+def asked(**given: Any) -> ComparisonSettings:
+    """What the options ask for, dimensions by their names in the plural."""
+    values = {one.several: given.pop(one.several) for one in DIMENSIONS if one.several in given}
+    return read_options(values, **given)
+
+
+def test_the_default_is_a_peer_and_four_models_on_four_trajectories_with_five_seeds_and_no_sweep() -> None:
+    chosen = asked()
+    assert chosen == default_settings()
+    assert chosen.controllers == ("pursuit+slip", "mpc")
+    assert set(chosen.models) == {"kinematic", "mbm", "sm", "ssm"}
+    assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
+    assert len(chosen.seeds) == 5
+    assert chosen.horizons == () and not chosen.beyond
+    swept = asked(sweeps=True)
+    assert swept.horizons == (5, 10, 20, 30, 50) and swept.beyond
+    assert asked(sweeps=True, horizons="7").horizons == (7,)
+
+
+@pytest.mark.parametrize(
+    "given", [{"quick": True}, {"scaled": True}, {"settings": ["weights.across=1"]}, {"plants": "model:ssm"}]
+)
+def test_sweeps_stand_alone(given: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="--sweeps: beside it give"):
+        asked(sweeps=True, **given)
+
+
+def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
+    plan = plan_cases(experiment(seeds=(0, 1), horizons=(5, 30)))
+    assert load_config("ssm").horizon == 30
+    assert len(plan.main) == 8
+    assert len(plan.horizon) == 8
+    assert len(plan.all) == 12
+    assert {case.horizon for case in plan.horizon} == {5, 30}
+    assert {case.seed for case in plan.horizon} == {0}
+
+
+def test_a_peer_has_no_model_and_no_settings() -> None:
+    settings = ((("horizon", 5),), (("horizon", 10),))
+    plan = plan_cases(
+        experiment(controllers=("mpc", "kanayama"), trajectories=("s",), seeds=(0,), horizons=(), settings=settings)
+    )
+    assert [(case.controller, case.model, case.horizon) for case in plan.all] == [
+        ("mpc", "ssm", 5),
+        ("mpc", "ssm", 10),
+        ("kanayama", "none", None),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"controllers": ("foo",)}, "unknown controller"),
+        ({"models": ("foo",)}, "unknown model"),
+        ({"trajectories": ("foo",)}, "unknown trajectory"),
+        ({"plants": ("foo",)}, "unknown plant"),
+        ({"sensors": ("foo",)}, "unknown sensor"),
+        ({"scenarios": ("none", "foo")}, "unknown scenario"),
+        ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        plan_cases(experiment(horizons=(), seeds=(0,), **change))
+
+
+SHIPPED = {
+    "models": "models/parameters/ssm.yaml",
+    "trajectories": "mpc/trajectories/built_in/s.yaml",
+    "surfaces": "sim/plants/surfaces/ideal.yaml",
+    "sensors": "sim/sensing/sensor_sets/perfect.yaml",
+    "plants": "models/parameters/ssm.yaml",
+    "scenarios": "sim/disturbances/scenarios/start_offset.yaml",
+}
+
+
+@pytest.mark.parametrize("dimension", SHIPPED)
+def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) -> None:
+    paths = [tmp_path / "a" / "mine.yaml", tmp_path / "b" / "Mine.yaml", tmp_path / "b" / "other.yaml"]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text((Path(__file__).parents[2] / SHIPPED[dimension]).read_text())
+    first, second, other = (f"model:{path}" if dimension == "plants" else str(path) for path in paths)
+    changes = {"horizons": (), "seeds": (0,), "trajectories": ("s",)}
+    with pytest.raises(ConfigError, match="rename one file") as refused:
+        plan_cases(experiment(**{**changes, dimension: (first, second)}))
+    assert f"{dimension}: '{first}' and '{second}'" in str(refused.value)
+    assert len(plan_cases(experiment(**{**changes, dimension: (first, other)})).all) == 2
+
+
+def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
+    for name in ("SSM", "kanayama"):
+        path = tmp_path / f"{name}.yaml"
+        path.write_text((Path(__file__).parents[2] / SHIPPED["models"]).read_text())
+        changes = {"models": ("ssm", str(path)), "controllers": ("mpc", "kanayama")}
+        with pytest.raises(ConfigError, match=f"and '{path}' would both be '{name}'"):
+            plan_cases(experiment(horizons=(), seeds=(0,), **changes))
+
+
+@pytest.mark.parametrize(
+    "given", [{"models": "nope"}, {"config": Path("nope.yaml")}, {"horizons": "5"}, {"settings": ["horizon=5"]}]
+)
+def test_peers_alone_refuse_what_they_would_ignore(given: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="the controller 'kanayama' takes no --models, --config, --set or --horizons"):
+        asked(controllers="kanayama", **given)
+
+
+def test_peers_alone_sweep_no_horizon() -> None:
+    assert asked(controllers="kanayama", sweeps=True).horizons == ()
+    assert asked(controllers="mpc,kanayama", models="ssm", sweeps=True).horizons
+
+
+def test_options_change_the_experiment() -> None:
+    chosen = asked(models="ssm", seeds="3,4", surfaces="default,slippery", horizons="5,10")
+    assert chosen.models == ("ssm",)
+    assert chosen.seeds == (3, 4)
+    assert chosen.surfaces == ("default", "slippery")
+    assert chosen.horizons == (5, 10)
+
+
+def test_scenarios_are_a_dimension_of_the_comparison_and_sweep_no_horizon_unless_asked() -> None:
+    chosen = asked(scenarios="none,start_offset", models="ssm", trajectories="s", seeds="2")
+    assert chosen.horizons == ()
+    plan = plan_cases(experiment(scenarios=chosen.scenarios, trajectories=("s",), seeds=(0, 1), horizons=()))
+    assert [(case.scenario, case.seed) for case in plan.all] == [
+        ("none", 0),
+        ("none", 1),
+        ("start_offset", 0),
+        ("start_offset", 1),
+    ]
+    assert asked(scenarios="push", horizons="5").horizons == (5,)
+
+
+def test_quick_is_one_seed_without_horizons() -> None:
+    chosen = asked(quick=True)
+    assert chosen.seeds == (0,)
+    assert chosen.horizons == ()
+    assert asked(quick=True, seeds="2", horizons="5").seeds == (0, 1)
+
+
+def test_a_sweep_has_no_horizon_table_unless_it_is_asked_for() -> None:
+    assert asked(settings=["weights.across=1,2"]).horizons == ()
+    assert asked(settings=["weights.across=1,2"], horizons="5").horizons == (5,)
+    assert asked(horizons="none").horizons == ()
+    with pytest.raises(ConfigError, match="give one of them"):
+        asked(settings=["horizon=5"], horizons="5")
+
+
+def test_a_configuration_file_brings_its_model(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("model: ssm\nhorizon: 12\n")
+    chosen = asked(config=path)
+    assert chosen.models == ("ssm",)
+    plan = plan_cases(experiment(config=str(path), horizons=(), trajectories=("s",), seeds=(0,)))
+    assert plan.all[0].horizon == 12
+
+
+def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> None:
+    source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
+    path = tmp_path / "my_robot.yaml"
+    path.write_text(source.read_text())
+    case = quick_case(model=str(path), plant=f"model:{path}")
+    assert case.labels["model"] == "my_robot"
+    assert case.labels["plant"] == "model:my_robot"
+    assert case.horizon == load_config("ssm").horizon
+    assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("ssm", "ssm"),
+        ("folder/mine.yaml", "mine"),
+        ("model:folder/mine.yaml+0.04", "model:mine+0.04"),
+        ("model:sm+0.08", "model:sm+0.08"),
+        ("drive.v2.csv", "drive.v2"),
+    ],
+)
+def test_labels_tell_names_apart_without_folders(name: str, shown: str) -> None:
+    assert label(name) == shown
+
+
+def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
+    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
+    plan = plan_cases(settings)
+    *main, by_osqp = plan.main
+    assert [(case.controller, case.model) for case in main] == list(COMPARED)
+    assert (by_osqp.model, dict(by_osqp.overrides)) == ("ssm", {"solver.method": "osqp"})
+    assert {case.top_speed for case in plan.speed} == set(SPEEDS)
+    assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
+    ours = [case.late for case in plan.dead_time if case.model == "ssm"]
+    peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
+    assert ours == list(LATE_TICKS)
+    assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
+    assert not set(plan.beyond) & set(plan.all)
+
+
+def test_who_asks_for_a_model_gets_that_alone() -> None:
+    assert not default_settings().beyond and not read({}, quick=True).beyond
+    assert read({"models": "ssm"}, sweeps=True).beyond
+    assert read({"models": "ssm"}).values("controllers") == ("mpc",)
+    assert read({"models": "ssm", "controllers": "mpc,kanayama"}).values("controllers") == ("mpc", "kanayama")
+
+
+def test_another_top_speed_is_another_time_along_the_same_path() -> None:
+    (_, _, slow), (_, _, fast) = (build(quick_case(trajectory="s", top_speed=speed)) for speed in (0.5, 1.0))
+    (_, _, shipped) = build(quick_case(trajectory="s"))
+    times = np.linspace(0.0, 1.0, 400)
+    references = [one.sample(times * one.duration) for one in (shipped, slow, fast)]
+    assert np.allclose(references[0].pose, references[1].pose)
+    assert [np.abs(one.twist[:, 0]).max() for one in references] == pytest.approx([0.5, 0.5, 1.0], rel=1e-2)
+    assert references[2].arc_length[-1] == pytest.approx(references[0].arc_length[-1])
+    assert references[2].pose[-1] == pytest.approx(references[0].pose[-1])
+
+
+def test_a_late_plant_does_the_same_so_many_ticks_later() -> None:
+    plain, late = (make_plant("model:ssm", "ideal", "perfect") for _ in range(2))
+    behind = LatePlant(late, 3)
+    for plant in (plain, behind):
+        plant.reset([0.0, 0.0, 0.0])
+    commands = np.random.default_rng(1).uniform(-0.5, 0.5, (60, 2))
+    motion: list[list[np.ndarray]] = [[], []]
+    for command in commands:
+        for plant, poses in zip((plain, behind), motion, strict=True):
+            plant.measure()
+            plant.advance(command)
+            poses.append(plant.true_pose)
+    np.testing.assert_allclose(motion[1][3:], motion[0][:-3], atol=1e-12)
+    assert behind.measure().sent == pytest.approx(tuple(commands[-1])), "what was sent, not what arrived"
+    assert behind.time == plain.time
+
+
+def test_a_plant_that_is_earlier_than_told_is_told_of_more_dead_time() -> None:
+    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
+    (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.late) == ("ssm", -2))
+    told, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
+    assert told.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)
+    assert not isinstance(build(case)[1], LatePlant)
+    assert isinstance(build(replace(case, overrides=(), late=2))[1], LatePlant)
+
+
+@pytest.fixture(scope="module")
+def outcome() -> RunOutcome:
+    return quick_outcome(trajectory="cane")
+
+
+def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:
+    """Controllers with these position RMSE [m] over two trajectories and as many seeds as it takes."""
+    cases = [
+        (Case(model=model, trajectory=("s", "cane")[i % 2], seed=i // 2), error)
+        for model, values in errors.items()
+        for i, error in enumerate(values)
+    ]
+    return frame(row_of(case, outcome.run) | {"position_rmse_m": error} for case, error in cases)
+
+
+def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
+    """SM is always 1 mm behind MBM; SSM is as often ahead of SM as behind."""
+    base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
+    found = scores(
+        outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + 4e-4 * np.array([1, -1, 2, 1, -1, -1]))
+    )
+    places = order(found)
+    assert [place.name for place in places] == ["MBM", "SM", "SSM"]
+    assert places[1].behind == pytest.approx([1e-3, 1e-3])
+    assert places[1].told_apart and not places[2].told_apart
+    assert places[0].rmse == pytest.approx(base.mean())
+    assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
+
+
+def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: RunOutcome) -> None:
+    one = scores(outcome, mbm=[5e-3] * 4, sm=[6e-3] * 4, ssm=[6.1e-3, 5.95e-3, 6.1e-3, 5.95e-3])
+    other = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
+    certain, open_ = reversed_pairs(one, other)
+    assert certain == ["MBM and SM", "MBM and SSM"]
+    assert open_ == ["SM and SSM"]
+    assert "The order of MBM and SM, MBM and SSM is reversed" in order_table(one, other).note
+    assert "The order is the same over the other seeds" in order_table(one, one).note
+    assert [row[0] for row in order_table(one, other).rows] == ["2 (these)"] * 3 + ["2 (others)"] * 3
+
+
+def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
+    values = np.random.default_rng(3).normal(2.0, 1.0, 400)
+    low, high = interval(values)
+    assert low < values.mean() < high
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
+    assert np.array_equal(interval(values), (low, high))
+
+
+def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
+    cases = [quick_case(model=model, seed=seed) for model in ("ssm", "sm") for seed in (0, 1)]
+    own, other = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)
+    # The plant lacks the extra dead time of the shipped configuration, a quarter of a sample.
+    assert own.fit_v > 97 and own.fit_omega > 95
+    assert own.fit_omega > other.fit_omega + 2
+    assert 0 <= own.drift < other.drift
+
+
+def test_the_table_holds_property_and_error_of_the_same_model_and_plant(outcome: RunOutcome) -> None:
+    (found,) = measure_properties([outcome.case], 1)
+    (cells,) = property_table([found], rows_of(outcome)).rows
+    assert cells[:2] == ("SSM", "model:ssm, ideal, perfect")
+    assert float(cells[-1]) == pytest.approx(1e3 * outcome.run.metrics.position_rmse_m, abs=0.051)
+
+
+def test_a_rank_correlation_needs_a_few_points() -> None:
+    rows = [
+        {"fit_v_percent": 90.0 + k, "fit_omega_percent": 50.0 - k, "drift_m": d, "position_rmse_m": 1e-3 * k}
+        for k, d in enumerate((3.0, 1.0, 4.0, 2.0, 5.0))
+    ]
+    assert "FIT of v +1.00, FIT of omega -1.00, drift +0.50" in predicts(rows)
+    assert "too few" in predicts(rows[:4])
+
+
+@pytest.mark.long
+def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: RunOutcome, tmp_path: Path) -> None:
+    case = outcome.case
+
+    def beyond(*cases: Case) -> DataFrame:
+        return frame(row_of(one, outcome.run) for one in cases)
+
+    peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
+    results = ComparisonResults(
+        default_settings().model_copy(update={"seeds": (0,)}),
+        rows_of(outcome, peer),
+        properties=tuple(measure_properties([outcome.case], 1)),
+        speed=beyond(case, replace(case, top_speed=1.2)),
+        dead_time=beyond(case, replace(case, late=2)),
+        other_seeds=beyond(replace(case, seed=10)),
+    )
+    study = ComparisonStudy(results.settings)
+    report = study.report(results, 1.0)
+    write_report(study, report, describe_run(1.0) | report.meta, tmp_path)
+    data = json.loads((tmp_path / "bench.json").read_text())
+    assert set(data) == {"meta", "runs", "properties", "speed", "dead_time", "other_seeds"}
+    assert data["speed"][1]["top_speed_m_s"] == 1.2
+    assert data["dead_time"][1]["late_s"] == pytest.approx(2 * 0.0202)
+    assert not [name for name in data["speed"][0] if "_time_" in name]
+    assert list(report.figures)[:3] == ["overview.png", "speed.png", "dead-time.png"]
+    assert (tmp_path / "figures" / "dead-time.png").is_file()
+    text = (tmp_path / "bench.md").read_text()
+    assert "## Order" in text and "## Which property of a model predicts tracking" in text
+
+
+def test_controllers_stand_side_by_side_path_by_path(outcome: RunOutcome) -> None:
+    """Another path of another controller: where one did not drive there is a dash."""
+    other = replace(outcome, case=replace(outcome.case, model="mbm", trajectory="s"))
+    table = side_by_side_table(rows_of(outcome, replace(outcome, case=replace(outcome.case, seed=1)), other))
+    error = f"{1e3 * outcome.run.metrics.position_rmse_m:.1f}"
+    assert table.columns == ("trajectory", outcome.case.model.upper(), "MBM")
+    assert table.rows[0] == (outcome.case.trajectory, error, "-")
+    assert table.rows[1] == ("s", "-", error)
+    assert table.rows[2] == ("mean", error, error)

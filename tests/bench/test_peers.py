@@ -1,0 +1,397 @@
+"""The peers' laws against known answers, and what all peers share: estimate, prediction, limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from bench_parts import Arc, DisplacedUnicycle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
+
+from diffdrive_mpc import (
+    Controller,
+    Measurement,
+    Stamped,
+    integrate_pose,
+    load_config,
+    load_model,
+    load_trajectory,
+    make_plant,
+)
+from diffdrive_mpc.bench.peers import LAWS, make_peer
+from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController, KanayamaGains, kanayama_twist, load_plain_gains
+from diffdrive_mpc.bench.peers.lqr import LqrLaw
+from diffdrive_mpc.bench.peers.mppi import MppiLaw
+from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
+from diffdrive_mpc.bench.peers.tracking_peer import (
+    Delayed,
+    LawInput,
+    TrackingPeer,
+    law_kind,
+    load_gains,
+    make_tracking_peer,
+)
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.problem.slip import Slip
+from diffdrive_mpc.sim import simulate
+
+CONFIG, MODEL = load_config("sm"), load_model("sm")
+ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
+CLASSICAL = [name for name in LAWS if not name.startswith("mppi")]
+PATHS = ("square", "s")
+PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
+
+
+def sight(pose, reference, feed_forward, time=2.0, twist=None):
+    return LawInput(
+        time,
+        PredictedMotion(np.array(pose), np.array(feed_forward if twist is None else twist)),
+        np.array(reference),
+        np.array(feed_forward),
+    )
+
+
+def test_the_estimate_is_that_of_a_controller_that_drives() -> None:
+    """Held or not, the same measurements and commands give the same estimate, bit for bit."""
+    controller, held, compared = Controller(CONFIG), HeldEstimator(CONFIG), 0
+    plant, reference = make_plant("model:sm", surface="slippery", seed=3), load_trajectory("s")
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, 0.0)
+    held.start(reference, 0.0)
+    for _ in range(250):
+        # Without word of what the robot got: then the peer's own command has to do.
+        measured = replace(plant.measure(), sent=None)
+        step = controller.step(plant.time, measured)
+        estimate = held.step(plant.time, measured)
+        assert (step.estimate is None) == (estimate is None)
+        if step.estimate is not None and estimate is not None:
+            np.testing.assert_array_equal(estimate.mean, step.estimate.mean)
+            np.testing.assert_array_equal(estimate.twist, step.estimate.twist)
+            compared += 1
+        held.sent(step.command)
+        plant.advance(step.command)
+    assert compared > 200
+
+
+@pytest.mark.parametrize("ticks", [0, 2, 5])
+def test_the_predictor_says_where_a_perfect_plant_will_be(ticks: int) -> None:
+    """The plant's own model, states and slip, and commands that stay as they were: the pose is the plant's."""
+    dt = CONFIG.sample_time
+    plant = make_plant("model:sm", surface="slippery", sensors="perfect")
+    slip = plant._slip
+    believed = Slip(longitudinal_gain=slip.longitudinal_gain, yaw_gain=slip.yaw_gain, side_slip=slip.side_slip)
+    predictor, sampled = DelayPredictor(MODEL, dt, ticks * dt), MODEL.discretise(dt)
+    state, past = np.zeros(4), np.zeros((sampled.memory, 2))
+    for k in range(60):
+        command = np.array([0.6 + 0.3 * np.sin(0.2 * k), np.cos(0.3 * k)])
+        (recent,), (older,) = sampled.effective_inputs(command[None], past)
+        state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ older
+        past = np.vstack([past[1:], command])
+        predictor.sent(command)
+        plant.advance(command)
+    expected = predictor.predict(plant.true_pose, state, believed)
+    for _ in range(ticks):
+        plant.advance(command)
+    # The plant's body crabs by the angle of its side-slip, the model by its tangent.
+    assert expected.pose == pytest.approx(plant.true_pose, abs=2e-5)
+    assert expected.twist == pytest.approx(plant.true_twist[[0, 2]], abs=1e-9)
+
+
+def test_a_lead_between_samples_is_between_their_poses() -> None:
+    dt, slip = CONFIG.sample_time, Slip(side_slip=0.02)
+    state = MODEL.discretise(dt).settled_state([0.8, 0.6])
+    found = []
+    for lead in (2.0, 2.5, 3.0):
+        predictor = DelayPredictor(MODEL, dt, lead * dt)
+        for _ in range(5):
+            predictor.sent(np.array([0.8, 0.6]))
+        found.append(predictor.predict(np.zeros(3), state, slip).pose)
+    twist = MODEL.dc_gain @ [0.8, 0.6]
+    expected = [integrate_pose(np.zeros(3), *twist, lead * dt, 0.02) for lead in (2.0, 2.5, 3.0)]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), turned=st.floats(-1.0, 1.0), v=st.floats(-1.0, 1.0))
+def test_kanayamas_function_decreases_on_the_ideal_robot(x: float, y: float, turned: float, v: float) -> None:
+    """V = (x^2 + y^2) / 2 + (1 - cos turned) / across, for a robot that does at once what it is told; sign of v free.
+
+    The paper's proof is for v > 0; backwards the robot is the same one seen from behind.
+    """
+    gains, omega = KanayamaGains(along=4.0, across=16.0, heading=8.0, turn=2.0), 0.3
+    u, w = kanayama_twist(gains, np.array([v, omega]), np.array([x, y, turned]))
+    # Error kinematics in the robot's frame.
+    dx, dy, dturned = w * y - u + v * np.cos(turned), -w * x + v * np.sin(turned), omega - w
+    rate = x * dx + y * dy + np.sin(turned) * dturned / gains.across
+    expected = -gains.along * x**2 - (abs(v) * gains.heading + gains.turn) * np.sin(turned) ** 2 / gains.across
+    assert rate == pytest.approx(expected, abs=1e-12)
+    assert rate <= 1e-12
+
+
+@pytest.mark.parametrize("twist", [(0.5, 0.5), (1.2, -1.0), (-0.4, 0.3)])
+def test_lqr_gains_at_constant_speed_are_those_of_the_algebraic_equation(twist: tuple[float, float]) -> None:
+    law = LqrLaw(load_gains("lqr"), ROBOT)
+    law.start(Arc(*twist, duration=20.0))
+    A, B = law.linearised(*twist)
+    P = solve_discrete_are(A, B, law._Q, law._R)
+    K = np.linalg.solve(law._R + B.T @ P @ B, B.T @ P @ A)
+    np.testing.assert_allclose(law._K[0], K, rtol=1e-4, atol=1e-6)
+    assert np.abs(np.linalg.eigvals(A - B @ law._K[0])).max() < 1.0
+
+
+def test_lqr_linearises_what_the_robot_does() -> None:
+    """One sample of A against the motion itself, a little off an arc."""
+    law, dt = LqrLaw(load_gains("lqr"), ROBOT), 1e-3
+    law._dt = dt
+    v, omega = 0.7, 0.4
+    A, _ = law.linearised(v, omega)
+    error = 1e-4 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, -1.0])
+    after = integrate_pose(error[:3], v + error[4], omega + error[5], dt)
+    reference = integrate_pose(np.zeros(3), v, omega, dt)
+    gap, (c, s) = after - reference, (np.cos(reference[2]), np.sin(reference[2]))
+    moved = np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0], gap[2]])
+    np.testing.assert_allclose((A @ error)[:3], moved, atol=3e-9)
+
+
+@pytest.mark.parametrize("v", [0.6, -0.6])
+@settings(max_examples=25)
+@given(x=st.floats(-0.1, 0.1), y=st.floats(-0.1, 0.1), turned=st.floats(-0.5, 0.5))
+def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y: float, turned: float) -> None:
+    law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=v, omega=0.5, duration=20.0)
+    law.start(arc)
+    here = arc.sample([2.0]).pose[0]
+    seen = sight(here + [x, y, turned], here, [v, 0.5])
+    wanted, turn = law.decide(seen)
+    carrot = law.carrot(seen)
+    # The pose after a drive along the arc until the chord is as long as the way to the point.
+    if abs(turn) > 1e-6:
+        radius = wanted / turn
+        angle = 2 * np.arcsin(np.hypot(*carrot) / (2 * abs(radius))) * np.sign(turn)
+        reached = np.array([radius * np.sin(angle), radius * (1 - np.cos(angle))])
+        assert np.hypot(*(reached - carrot)) < 1e-6 or carrot[0] * v < 0
+
+
+def test_pursuit_looks_so_far_ahead_along_the_path() -> None:
+    law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=0.6, omega=0.0, duration=20.0)
+    law.start(arc)
+    seen = sight([1.2, 0.1, 0.0], [1.2, 0.0, 0.0], [0.6, 0.0])
+    assert law.carrot(seen) == pytest.approx([0.24, -0.1], abs=1e-9)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_pursuit_thinks_a_path_that_ends_to_go_on(direction: float) -> None:
+    law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=0.6 * direction, omega=0.0, duration=2.1)
+    law.start(arc)
+    seen = sight([1.2 * direction, 0.0, 0.0], [1.2 * direction, 0.0, 0.0], [0.6 * direction, 0.0])
+    assert law.carrot(seen) == pytest.approx([0.24 * direction, 0.0], abs=1e-9)
+
+
+def test_a_tight_arc_is_driven_slowly() -> None:
+    arc = Arc(v=0.6, omega=0.0, duration=20.0)
+    speeds = []
+    for radius in (0.0, 0.5):
+        law = PursuitLaw(PURSUIT.model_copy(update={"least_radius": radius}), ROBOT)
+        law.start(arc)
+        speeds.append(law.decide(sight([1.2, 0.1, 0.8], [1.2, 0.0, 0.0], [0.6, 0.0])))
+    assert 0.0 < speeds[1][0] < 0.7 * speeds[0][0]
+    assert speeds[1][1] / speeds[1][0] == pytest.approx(speeds[0][1] / speeds[0][0])
+
+
+def test_more_plans_come_closer_to_the_command_that_keeps_the_reference() -> None:
+    """On the reference, at its twist, there is nothing to correct: what MPPI adds is the noise of its sampling."""
+    found = []
+    for samples in (30, 3000):
+        law, arc = MppiLaw(load_gains("mppi"), ROBOT, samples), Arc(duration=20.0)
+        law.start(arc)
+        here = arc.sample([2.0]).pose[0]
+        found.append(np.abs(law.decide(sight(here, here, [0.5, 0.3])) - [0.5, 0.3]).max())
+    assert found[1] < 0.05
+    assert found[1] < found[0]
+
+
+# What is tested is the law: the tuned gains of some peers without slip are too stiff for a start beside the path.
+MODERATE = {
+    "pursuit": {
+        "lead": 0.09,
+        "look_ahead_time": 0.3,
+        "min_look_ahead": 0.1,
+        "along": 3,
+        "turn": 3,
+        "least_radius": 0.3,
+    },
+    "kanayama": {"lead": 0.09, "along": 4, "across": 25, "heading": 10, "turn": 2},
+    "lqr": {"lead": 0.05, "along": 20, "across": 60, "heading": 5, "integral": 10, "omega": 0.1},
+    "mppi": {
+        **{"lead": 0.05, "position": 400, "across": 400, "heading": 5},
+        **{"smoothness": 0.02, "v_noise": 0.1, "omega_noise": 0.3},
+    },
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_it_comes_back_to_the_reference_from_beside_it(name: str) -> None:
+    plant = make_plant("model:sm", surface="ideal", sensors="perfect")
+    reference = Arc(duration=6.0)
+    plant.reset([0.0, 0.0, 0.0])
+    plant.reset = lambda pose: type(plant).reset(plant, [-0.05, 0.1, 0.1])
+    moderate = MODERATE.get(name.partition("+")[0])
+    gains = law_kind(name).gains(**moderate) if moderate else None
+    run = simulate(make_tracking_peer(name, gains) if gains else make_peer(name), plant, reference)
+    late = run.counted & (run.time > 4.5)
+    assert run.errors.position[0] > 0.1
+    assert run.errors.position[late].max() < 0.02
+    robot = load_robot()
+    assert (np.abs(run.command) <= [robot.limits.v, robot.limits.omega]).all()
+    change = np.abs(np.diff(run.command, axis=0, prepend=np.zeros((1, 2)))) / run.sample_time
+    assert (change <= np.array([robot.command_slew.v, robot.command_slew.omega]) * (1 + 1e-9)).all()
+
+
+# A drive with MPPI takes as long as all the others: the path with turns on the spot has to do.
+@pytest.mark.parametrize(("name", "trajectory"), [*product(CLASSICAL, PATHS), ("mppi+slip", "square")])
+def test_every_peer_completes_the_shipped_paths(name: str, trajectory: str) -> None:
+    """The turns on the spot of the square among them."""
+    run = simulate(make_peer(name), make_plant("model:sm", seed=0), load_trajectory(trajectory))
+    assert run.metrics.completed
+    assert run.errors.position[run.counted].max() < 0.05
+    assert set(run.modes[:-1]) <= {"TRACKING", "FINISHED"}
+
+
+@pytest.mark.parametrize("name", ["pursuit", "kanayama", "lqr", "mppi"])
+def test_it_drives_backwards(name: str) -> None:
+    run = simulate(make_peer(name), make_plant("model:sm", surface="ideal"), Arc(v=-0.5, omega=0.4, duration=5.0))
+    # The reference leaps to its speed: the robot catches up.
+    assert run.errors.position[run.counted & (run.time > 4.0)].max() < 0.03
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_same_seed_gives_the_same_run(name: str) -> None:
+    runs = [simulate(make_peer(name), make_plant("model:sm", seed=5), Arc(duration=1.0)) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].command, runs[1].command)
+
+
+def test_a_peer_that_gets_no_pose_brakes_and_says_so() -> None:
+    peer, plant, arc = make_peer("pursuit"), DisplacedUnicycle(), Arc()
+    peer.start(arc, 0.0)
+    assert peer.step(0.0, Measurement()).mode == "BRAKING"
+    peer.start(arc, 0.0)
+    for k in range(150):
+        t = k * plant.sample_time
+        step = peer.step(t, plant.measure() if t < 1.0 else Measurement())
+        plant.advance(step.command)
+        if t < 1.0 + CONFIG.failure.max_pose_age - 0.1:
+            assert step.mode == ("BRAKING" if t < 0 else "TRACKING")
+    assert (step.mode, step.message) == ("BRAKING", "no recent pose")
+    assert step.command == pytest.approx([0.0, 0.0])
+
+
+def test_leaning_into_the_curve_makes_up_for_side_slip() -> None:
+    errors = []
+    for name in ("pursuit", "pursuit+slip"):
+        run = simulate(make_peer(name), make_plant("model:sm", surface="slippery"), load_trajectory("circle"))
+        errors.append(run.metrics.lateral_rmse_m)
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_a_law_is_timed_apart_from_estimate_and_prediction() -> None:
+    peer = make_peer("lqr")
+    peer.start(Arc(), 0.0)
+    step = peer.step(0.0, DisplacedUnicycle().measure())
+    assert 0.0 < step.solve_time < step.step_time
+
+
+def test_a_step_before_the_start_is_a_fault() -> None:
+    law = PursuitLaw(PURSUIT, ROBOT)
+    with pytest.raises(RuntimeError, match="start"):
+        TrackingPeer(law, 0.09).step(0.0, Measurement())
+    assert float(wrap_angle(4.0)) < 0
+
+
+@settings(max_examples=25)
+@given(x=st.floats(-0.2, 0.2), y=st.floats(-0.2, 0.2), theta=st.floats(-0.5, 0.5))
+def test_it_converges_from_beside_the_reference(x: float, y: float, theta: float) -> None:
+    run = simulate(KanayamaController(), DisplacedUnicycle([x, y, theta]), Arc())
+    settled = (run.time > 6.0) & run.counted
+    assert run.errors.position[settled].max() < 2e-3 + 0.02 * np.hypot(x, y)
+    assert np.abs(run.errors.heading[settled]).max() < 0.02
+
+
+def test_it_converges_backwards() -> None:
+    run = simulate(KanayamaController(), DisplacedUnicycle([0.05, 0.1, 0.2]), Arc(v=-0.4))
+    assert run.errors.position[(run.time > 6.0) & run.counted].max() < 5e-3
+
+
+def test_the_law_is_that_of_the_paper() -> None:
+    """Robot on the x axis, reference ahead by 0.02, to the left by 0.01 and turned left by 0.1."""
+    gains = load_plain_gains()
+    arc = Arc(duration=100.0)
+    controller = KanayamaController()
+    controller.start(arc, 0.0)
+    here = arc.sample([50.0]).pose[0]
+    heading = here[2] - 0.1
+    ahead, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    position = here[:2] - 0.02 * ahead - 0.01 * left
+    measurement = Measurement(pose=Stamped(np.array([*position, heading]), 50.0))
+    for k in range(50):  # until slew no longer binds
+        command = controller.step(50.0 + 0.02 * k, measurement).command
+    v = 0.5 * np.cos(0.1) + gains.along * 0.02
+    omega = 0.3 + 0.5 * (gains.across * 0.01 + gains.heading * np.sin(0.1))
+    assert command == pytest.approx([v, omega], abs=1e-9)
+
+
+def test_gains_are_critically_damped_as_the_paper_asks() -> None:
+    gains = load_plain_gains()
+    assert gains.heading**2 == pytest.approx(4 * gains.across, rel=2e-3)
+
+
+def test_commands_stay_inside_limits_and_slew() -> None:
+    robot = load_robot()
+    run = simulate(KanayamaController(), DisplacedUnicycle([-3.0, 2.0, 2.5]), Arc())
+    assert np.abs(run.command[:, 0]).max() <= robot.limits.v
+    assert np.abs(run.command[:, 1]).max() <= robot.limits.omega
+    change = np.abs(np.diff(run.command, axis=0, prepend=np.zeros((1, 2)))) / run.sample_time
+    assert change[:, 0].max() <= robot.command_slew.v * (1 + 1e-9)
+    assert change[:, 1].max() <= robot.command_slew.omega * (1 + 1e-9)
+    assert change[:, 0].max() == pytest.approx(robot.command_slew.v)
+
+
+def test_a_late_pose_is_compared_with_the_reference_of_its_own_time() -> None:
+    """On the reference at cruising speed there is nothing to correct, however late the pose."""
+    arc = Arc()
+    controller = KanayamaController()
+    controller.start(arc, 0.0)
+    for k in range(100):
+        t = 0.0202 * k
+        step = controller.step(t, Measurement(pose=Stamped(arc.sample([t - 0.06]).pose[0], t - 0.06)))
+    assert step.command == pytest.approx([0.5, 0.3], abs=1e-9)
+
+
+def test_without_a_usable_pose_the_last_error_is_kept() -> None:
+    arc = Arc()
+    controller = KanayamaController()
+    controller.start(arc, 0.0)
+    start = Measurement(pose=Stamped(np.array([-0.1, 0.0, 0.0]), 0.0))
+    for k in range(60):
+        before = controller.step(0.0202 * k, start)
+    lost = controller.step(0.0202 * 60, Measurement(pose=Stamped(np.array([np.nan, 0.0, 0.0]), 1.2)))
+    none = controller.step(0.0202 * 61, Measurement())
+    assert lost.command == pytest.approx(before.command)
+    assert none.command == pytest.approx(before.command)
+    assert "not finite" in lost.message
+    assert none.message == before.message == ""
+
+
+def test_it_stops_after_the_end() -> None:
+    run = simulate(KanayamaController(), DisplacedUnicycle(), Arc(duration=2.0), extra_time=1.0)
+    assert run.modes[0] == "TRACKING"
+    assert run.modes[-1] == "FINISHED"
+    assert run.command[-1] == pytest.approx([0.0, 0.0])
+
+
+def test_a_step_of_the_plain_law_before_the_start_is_a_fault() -> None:
+    with pytest.raises(RuntimeError, match="start"):
+        KanayamaController().step(0.0, Measurement())

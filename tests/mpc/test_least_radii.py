@@ -1,0 +1,252 @@
+"""Least radii: of commands, and of what the robot turns."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffdrive_mpc import (
+    ConfigError,
+    Controller,
+    Measurement,
+    Stamped,
+    load_config,
+    load_model,
+    load_trajectory,
+    make_plant,
+)
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.reentry.options import Course
+from diffdrive_mpc.mpc.reentry.path_window import PathWindow
+from diffdrive_mpc.mpc.reentry.way_back import rejoin
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
+from diffdrive_mpc.sim import simulate
+
+DT = 0.0202
+KEY = "limits.min_commanded_radius"
+HELD = "the turn is held to limits.min_commanded_radius"
+
+
+def excess(commands, radius):
+    """By how much commands turn tighter than allowed [m/s]."""
+    v, omega = np.abs(np.atleast_2d(commands)).T
+    return omega * radius - v
+
+
+def driven(config, reference, **plant):
+    return simulate(Controller(config), make_plant(**plant), reference)
+
+
+@st.composite
+def paths(draw):
+    """Forwards and backwards, with cusps and stops, as sharp as the robot turns at all."""
+    parts = []
+    for _ in range(draw(st.integers(1, 4))):
+        v = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(0.2, 0.8))
+        omega = draw(st.sampled_from([-1.0, 0.0, 1.0])) * draw(st.floats(0.2, 1.4))
+        parts.append(Segment(v=v, omega=omega, duration=draw(st.floats(0.5, 1.5))))
+    return lay_segments(parts, TrajectoryLimits.of_robot(), name="drawn")
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    path=paths(),
+    radius=st.floats(0.1, 3.0),
+    slew=st.tuples(st.floats(0.3, 3.0), st.floats(0.5, 8.0)),
+    braking=st.tuples(st.floats(0.3, 3.0), st.floats(0.5, 8.0)),
+    seed=st.integers(0, 2**31),
+)
+def test_every_command_keeps_range_slew_and_radius(path, radius, slew, braking, seed):
+    """A robot that goes where it likes: poses wander, jump and stay away, and somebody has it stand meanwhile."""
+    limits = dict(zip(("v_slew", "omega_slew", "v_braking", "omega_braking"), (*slew, *braking), strict=True))
+    overrides = {KEY: radius, "horizon": 12} | {f"limits.{name}": value for name, value in limits.items()}
+    controller, random = Controller(load_config("ssm", overrides)), np.random.default_rng(seed)
+    controller.start(path, 0.0)
+    most, last = np.array([controller.config.limits.v, controller.config.limits.omega]), np.zeros(2)
+    aside = np.zeros(3)
+    for k in range(200):
+        t = k * DT
+        aside = 0.97 * aside + random.normal(size=3) * [0.02, 0.02, 0.05]
+        pose = Stamped(path.sample([t]).pose[0] + aside, t) if random.random() > 0.1 else None
+        hold = Hold("asked to stand") if 120 <= k < 130 else None
+        step = controller.step(t, Measurement(pose=pose), hold)
+        brakes = step.mode in ("BRAKING", "FINISHED")
+        rate = np.array(braking if brakes else slew)
+        assert (np.abs(step.command) <= most + 1e-12).all()
+        if step.mode != "STOPPED":
+            assert (np.abs(step.command - last) <= rate * DT + 1e-9).all()
+        # A ramp to zero is not held up: it keeps the radius where omega's is quick enough for it.
+        if not brakes or radius * braking[1] >= braking[0]:
+            assert excess(step.command, radius).max() <= max(1e-12, excess(last, radius).max())
+        last = step.command
+
+
+@pytest.mark.parametrize(("sent", "held"), [((0.0, 1.0), 0.0), ((0.2, 1.0), 0.2), ((-0.3, -1.2), 0.3)])
+def test_a_turn_that_somebody_else_began_is_led_out_of_as_fast_as_slew_allows_without_speeding_up(sent, held):
+    """The yaw rate gives way; the speed is not raised beyond what it was for the radius' sake."""
+    config = load_config("ssm", {KEY: 2.0, "limits.omega_slew": 2.0})
+    rest = lay_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
+    controller = Controller(config)
+    controller.start(rest, 0.0)
+    controller.set_applied_commands([sent])
+    before = np.array(sent)
+    for k in range(40):
+        command = controller.step(k * DT, Measurement(pose=Stamped(np.zeros(3), k * DT))).command
+        if excess(before, 2.0) > 0 and excess(command, 2.0) > 1e-9:
+            assert abs(command[1]) == pytest.approx(abs(before[1]) - 2.0 * DT)
+        assert abs(command[0]) <= held + 0.02
+        before = command
+    assert excess(before, 2.0) <= 1e-9
+
+
+def test_a_sharper_curve_is_cut_and_the_robot_returns_to_its_path():
+    """A quarter turn of radius 0.5 m where commands may turn on 0.7 m."""
+    reference = lay_segments(
+        [Segment(v=0.5, omega=0.0, duration=3.0), Segment(v=0.5, omega=1.0, duration=np.pi / 2)]
+        + [Segment(v=0.5, omega=0.0, duration=6.0)],
+        TrajectoryLimits.of_robot(),
+        name="corner",
+    )
+    config = load_config("ssm", {KEY: 0.7})
+    said = sharper_than_commands(reference, config.limits, config.sample_time)
+    assert "for 2.1 s it turns tighter than limits.min_commanded_radius = 0.7, down to 0.5" in said
+    run = driven(config, reference, name="model:ssm", sensors="perfect")
+    assert excess(run.command, 0.7).max() <= 1e-12
+    off = np.hypot(*(run.true_pose - reference.sample(run.time).pose)[:, :2].T)
+    messages = np.array([HELD in message for message in run.messages])
+    corner = (run.time > 2.5) & (run.time < 5.5)
+    assert off[corner].max() > 0.03
+    assert messages[corner].any() and not messages[run.time < 2.0].any()
+    # The clock of the reference waited meanwhile: beside the path it is back sooner than on time.
+    aside = np.abs(run.true_pose[:, 0] - reference.sample([reference.duration]).pose[0, 0])
+    assert aside[run.time > 8.0].max() < 0.01
+    assert off[-1] < 0.01
+    free = driven(load_config("ssm"), reference, name="model:ssm", sensors="perfect")
+    assert excess(free.command, 0.7).max() > 0.1
+
+
+@pytest.mark.parametrize("radius", [0.55, 0.65])
+def test_cusps_are_driven_with_the_radius_kept_forwards_and_backwards(radius):
+    """The turn in three moves has arcs of 0.6 m: as before where that is allowed, and not much worse where not."""
+    reference = load_trajectory("k_turn")
+    run = driven(load_config("ssm", {KEY: radius}), reference, name="mujoco", seed=3)
+    assert excess(run.command, radius).max() <= 1e-12
+    assert run.command[:, 0].min() < -0.3
+    assert run.metrics.completed
+    assert run.metrics.position_rmse_m < (0.02 if radius < 0.6 else 0.12)
+
+
+def test_a_reference_that_turns_on_the_spot_is_refused_in_one_line():
+    with pytest.raises(
+        ValueError, match=r"^reference 'square': at 2\.\d+ s it turns on the spot by 1\.6 rad, which lim"
+    ):
+        Controller(load_config("ssm", {KEY: 1.0})).start(load_trajectory("square"), 0.0)
+
+
+@pytest.mark.parametrize("name", ["min_commanded_radius", "min_turn_radius"])
+def test_a_radius_changes_while_driving_but_is_neither_set_nor_unset(name):
+    controller = Controller(load_config("ssm", {f"limits.{name}": 1.5}))
+    assert controller.update(limits={name: 1.2}).limits.model_dump()[name] == 1.2
+    with pytest.raises(ConfigError, match=f"limits.{name}: it can be changed while driving, but neither set nor unset"):
+        Controller(load_config("ssm")).update(limits={name: 1.2})
+
+
+@pytest.mark.parametrize("surface", ["default", "slippery"])
+def test_a_drawn_run_with_noise_and_a_push_never_turns_tighter(surface):
+    """On the physics, on a path that turns tighter for a tenth of its time and more."""
+    reference = load_trajectory("spline-501")
+    plant = {"name": "mujoco", "surface": surface, "scenario": "push", "seed": 60500}
+    run = driven(load_config("ssm", {KEY: 0.8}), reference, **plant)
+    assert excess(run.command, 0.8).max() <= 1e-12
+    assert set(run.modes) <= {"TRACKING", "FINISHED"}
+    assert run.metrics.lateral_rmse_m < 0.3
+    free = driven(load_config("ssm"), reference, **plant)
+    assert (excess(free.command, 0.8) > 0.01).mean() > 0.1
+
+
+def with_radius(radius, **more):
+    return load_config("ssm", {"limits.min_turn_radius": radius} | more)
+
+
+def circle(radius, v=0.5, turn=1.0):
+    segment = Segment(v=v, omega=turn * abs(v) / radius, duration=6.0)
+    return lay_segments([segment], TrajectoryLimits.of_robot(), name="circle")
+
+
+def drive(config, reference, surface, start=(0.0, 0.0, 0.0), seconds=None):
+    """True twists (K, 2), and those at the end of the first step of each plan."""
+    controller, plant = Controller(config), make_plant("model:ssm", surface, sensors="perfect", seed=2)
+    plant.reset(reference.sample([0.0]).pose[0] + start)
+    controller.start(reference, 0.0)
+    twists = []
+    while plant.time < (seconds or reference.duration):
+        plant.advance(controller.step(plant.time, plant.measure()).command)
+        twists.append(plant.true_twist[[0, 2]])
+    return np.array(twists)
+
+
+@pytest.mark.parametrize(("surface", "radius"), [("p4_asphalt", 1.8), ("p4_concrete", 2.4), ("p4_grass", 1.2)])
+@pytest.mark.parametrize(("v", "turn"), [(0.5, 1.0), (-0.5, 1.0), (0.5, -1.0)])
+def test_a_path_of_a_radius_that_is_a_fifth_wider_is_driven_without_violation(surface, radius, v, turn):
+    """P4's least radii on its floors; the robot begins beside its path, so that it would like to turn in."""
+    beside = (0.0, 0.03 * turn, 0.0)
+    twists = drive(with_radius(radius), circle(1.2 * radius, v, turn), surface, beside)
+    assert excess(twists, radius).max() <= 4e-3
+    free = drive(load_config("ssm"), circle(1.2 * radius, v, turn), surface, beside)
+    assert excess(free, radius).max() > 0.02
+
+
+def test_the_plan_keeps_the_radius_wherever_it_can():
+    """From a state that allows it, every sample of the plan does: |omega| radius <= |v|, from standstill on."""
+    radius, reference = 1.0, circle(1.05)
+    controller, dt = Controller(with_radius(radius)), 0.0202
+    controller.start(reference, 0.0)
+    pose = np.array([0.0, 0.04, -0.1])
+    step = controller.step(0.0, Measurement(pose=Stamped(pose, 0.0)))
+    assert step.mode == "TRACKING"
+    assert step.solver.status.startswith("solved")
+    model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(dt)
+    # The plan's turn and way between its poses: the mean of two samples of the twist.
+    move = np.diff(step.plan, axis=0)
+    turned, way = np.abs(move[:, 2]), np.hypot(move[:, 0], move[:, 1])
+    assert model.order == 2
+    assert (turned * radius <= way + 2e-5).all()
+    free = Controller(load_config("ssm"))
+    free.start(reference, 0.0)
+    move = np.diff(free.step(0.0, Measurement(pose=Stamped(pose, 0.0))).plan, axis=0)
+    assert (np.abs(move[:, 2]) > np.hypot(move[:, 0], move[:, 1]) + 1e-3).any()
+
+
+@pytest.mark.parametrize("name", ["square", "figure8"])
+def test_a_reference_that_turns_tighter_is_refused_in_one_line(name):
+    controller = Controller(with_radius(1.5))
+    with pytest.raises(ValueError, match=r"turns on a radius of .* tighter than limits.min_turn_radius = 1.5"):
+        controller.start(load_trajectory(name), 0.0)
+
+
+def test_a_scaled_path_is_as_wide_as_the_robot_needs():
+    config = with_radius(2.0)
+    reference = scaled_to_robot("s", config, load_model("ssm"))
+    twist = reference.sample(np.linspace(0, reference.duration, 500)).twist
+    assert excess(twist, 2.0).max() <= 1e-9
+    assert excess(twist, 2.0 * 1.25).max() > 0
+    Controller(config).start(reference, 0.0)
+    with pytest.raises(ConfigError, match="square: it turns on the spot, which limits.min_turn_radius forbids"):
+        scaled_to_robot("square", config, load_model("ssm"))
+
+
+@pytest.mark.parametrize("side", [-0.3, 0.3])
+def test_the_way_back_turns_no_tighter(side):
+    reference = circle(4.0)
+    window = PathWindow.around(reference, 2.0, 4.0, 0.05)
+    here = int(np.argmin(np.abs(window.times - 2.0)))
+    pose = window.pose[here] + [0.0, side, 0.0]
+    for radius in (0.0, 0.8):
+        limits = TrajectoryLimits(0.7, 1.5, 0.7, 2.0, min_turn_radius=radius)
+        found = rejoin(reference, window, here, Course(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
+        assert found is not None
+        twist = found.connection.sample(np.linspace(0, found.connection.duration, 300)).twist
+        assert radius == 0.0 or excess(twist, radius).max() <= 0.02

@@ -1,0 +1,316 @@
+"""References: their clock, shapes that are wrong, and planners that speak each second."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory, make_plant
+from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.mpc.reentry.reference_clock import RateProfile, ReferenceClock, settling_profile
+from diffdrive_mpc.mpc.trajectories.moved import MovedReference
+from diffdrive_mpc.mpc.trajectories.native import NativeReference
+
+DT = 0.02
+FASTEST, RAMP = 1.25, 1.0
+rates, delays = st.floats(0.0, FASTEST), st.floats(-4.0, 8.0)
+
+
+@given(rates, delays)
+def test_a_delay_is_worked_off_exactly_and_inside_the_bounds(rate, delay):
+    profile = settling_profile(rate, delay, 2.0 - FASTEST, FASTEST, RAMP)
+    times, values = np.array(profile.times), np.array(profile.rates)
+    end = times[-1]
+    assert end - float(profile.progress(end)) == pytest.approx(-delay, abs=1e-9)
+    assert values[0] == pytest.approx(rate)
+    assert values[-1] == 1.0
+    assert (values >= -1e-12).all()
+    assert values.max() <= max(FASTEST, rate) + 1e-12
+    assert (np.abs(np.diff(values)) <= RAMP * np.diff(times) + 1e-9).all()
+
+
+@given(rates, delays)
+def test_progress_is_the_integral_of_the_rate(rate, delay):
+    profile = settling_profile(rate, delay, 2.0 - FASTEST, FASTEST, RAMP)
+    # The rate is linear between its nodes: with them in the grid the trapezoids are exact.
+    fine = np.union1d(np.linspace(0.0, profile.times[-1] + 1.0, 301), profile.times)
+    integral = np.concatenate(
+        [[0.0], np.cumsum(0.5 * np.diff(fine) * (profile.rate(fine[1:]) + profile.rate(fine[:-1])))]
+    )
+    assert np.abs(profile.progress(fine) - integral).max() < 1e-9
+
+
+def test_the_quickest_way_is_taken():
+    """No rate inside bounds and ramp makes up a delay faster: the trapezoid of optimal control, by hand."""
+    # 0.5 s at most 0.25 ahead: 0.25 s up, 0.25 s down give 0.0625 s; the rest takes 0.4375 / 0.25 s.
+    assert settling_profile(1.0, 0.5, 0.75, 1.25, 1.0).times[-1] == pytest.approx(0.5 + 1.75)
+    # Too short to reach the bound: a triangle of area 0.04 has a peak of 0.2.
+    assert max(settling_profile(1.0, 0.04, 0.75, 1.25, 1.0).rates) == pytest.approx(1.2)
+
+
+def run(clock, seconds, most=FASTEST, start=0.0):
+    """Tick with a robot that allows the rate `most`; returns the reference's times and the delays."""
+    out = []
+    for k in range(round(seconds / DT)):
+        time = clock.advance(start + k * DT, driving=True)
+        clock.plan(most, catch_up=True)
+        out.append((time, clock.delay, clock.rate))
+    return np.array(out).T
+
+
+def test_on_time_it_is_the_controllers_clock_to_the_last_bit():
+    clock = ReferenceClock(FASTEST, RAMP)
+    for k in range(1000):
+        t = k * 0.0202
+        assert clock.advance(t, driving=True) == t
+        clock.plan(FASTEST, catch_up=True)
+        assert clock.on_time
+
+
+@given(st.floats(0.01, 4.0))
+def test_the_delay_decays_to_zero_and_the_rate_to_one(delay):
+    clock = ReferenceClock(FASTEST, RAMP)
+    clock.set(delay, 0.0)
+    times, behind, rate = run(clock, 4.0 * (delay + 1.0) + 4.0)
+    assert (np.diff(times) >= -1e-12).all()
+    assert np.diff(times).max() <= FASTEST * DT + 1e-12
+    assert behind[-1] == 0.0
+    assert rate[-1] == 1.0
+    assert clock.on_time
+
+
+@given(rates, delays)
+def test_what_the_plan_sees_is_what_comes(rate, delay):
+    clock, reference = ReferenceClock(FASTEST, RAMP), load_trajectory("circle")
+    clock.advance(5.0, driving=True)
+    clock.set(delay, rate)
+    clock.plan(FASTEST, catch_up=True)
+    seen = clock.clocked(reference).sample(5.0 + DT * np.arange(1, 60)).pose
+    came = []
+    for k in range(1, 60):
+        time = clock.advance(5.0 + k * DT, driving=True)
+        clock.plan(FASTEST, catch_up=True)
+        came.append(reference.sample([time]).pose[0])
+    assert seen == pytest.approx(np.array(came), abs=1e-7)
+
+
+@given(rates, delays)
+def test_the_twist_is_that_of_the_slowed_motion(rate, delay):
+    clock, reference = ReferenceClock(FASTEST, RAMP), load_trajectory("circle")
+    clock.advance(6.0, driving=True)
+    clock.set(delay, rate)
+    clock.plan(FASTEST, catch_up=True)
+    times = 6.0 + np.linspace(0.0, 0.6, 601)
+    sample = clock.clocked(reference).sample(times)
+    turned = np.diff(sample.pose[:, 2]) / np.diff(times)
+    assert turned == pytest.approx(0.5 * (sample.twist[1:, 1] + sample.twist[:-1, 1]), abs=1e-3)
+
+
+def test_it_stands_for_a_robot_that_may_not_go_on():
+    clock = ReferenceClock(FASTEST, RAMP)
+    run(clock, 2.0)
+    times, behind, _ = run(clock, 1.0, most=0.0, start=2.0)
+    assert np.ptp(times[1:]) == pytest.approx(0.0, abs=1e-9)
+    assert behind[-1] == pytest.approx(0.98, abs=1e-9)
+
+
+def test_it_stands_while_nobody_drives_but_not_before_the_start():
+    clock = ReferenceClock(FASTEST, RAMP)
+    assert clock.advance(-1.0, driving=False) == -1.0
+    assert clock.advance(-0.5, driving=False) == -0.5
+    assert clock.delay == 0.0
+    assert clock.advance(0.5, driving=False) == 0.0
+    assert clock.advance(0.7, driving=False) == pytest.approx(0.0)
+    assert clock.delay == pytest.approx(0.7)
+
+
+def test_after_waiting_it_picks_up_no_faster_than_the_ramp():
+    clock = ReferenceClock(FASTEST, RAMP)
+    run(clock, 1.0, most=0.0)
+    _, _, rate = run(clock, 1.0, most=0.5, start=1.0)
+    assert rate[0] == 0.0
+    assert (np.diff(rate) <= RAMP * DT + 1e-12).all()
+    assert rate[-1] == pytest.approx(0.5)
+
+
+def test_a_profile_is_constant_after_its_end():
+    profile = RateProfile((0.0, 1.0), (0.0, 1.0), settles=False)
+    assert profile.rate([0.5, 1.0, 9.0]) == pytest.approx([0.5, 1.0, 1.0])
+    assert profile.progress([0.5, 1.0, 3.0]) == pytest.approx([0.125, 0.5, 2.5])
+
+
+SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}
+
+
+def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
+    """Commands, and distances from the path [m], where a planner speaks each second or not at all."""
+    controller = Controller(load_config(overrides=options))
+    reference, plant = load_trajectory("circle"), make_plant("mujoco", **SLIPPERY)
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, plant.time)
+    commands, errors, since = [], [], 0.0
+    for k in range(round(seconds / plant.sample_time)):
+        if each_second and k and plant.time - since >= 1.0:
+            since = plant.time
+            each_second(controller, reference, plant.time)
+        expected = reference.sample([plant.time]).pose[0]
+        errors.append(np.hypot(*(plant.true_pose[:2] - expected[:2])))
+        step = controller.step(plant.time, plant.measure())
+        commands.append(step.command.copy())
+        plant.advance(step.command)
+    return np.array(commands), np.array(errors)
+
+
+def test_the_same_reference_again_changes_nothing():
+    plain, _ = planned(None)
+    again, _ = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
+    assert np.array_equal(plain, again)
+
+
+def test_what_was_learned_outlasts_a_new_path():
+    """A start each second forgets the floor each second; going on does not."""
+    _, plain = planned(None)
+    _, goes_on = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
+    _, anew = planned(lambda controller, reference, t: controller.start(reference, 0.0))
+    late = slice(len(plain) // 2, None)
+    rms = [np.sqrt(np.mean(errors[late] ** 2)) for errors in (plain, goes_on, anew)]
+    assert rms[1] == rms[0]
+    assert rms[2] > 1.5 * rms[1]
+
+
+def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
+    controller, first = Controller(load_config()), load_trajectory("s")
+    pose = first.sample([0.0]).pose[0]
+    plant = make_plant("model:ssm")
+    plant.reset(pose)
+    controller.start(first, plant.time)
+    for _ in range(60):
+        plant.advance(controller.step(plant.time, plant.measure()).command)
+    here = plant.true_pose.copy()
+    other = load_trajectory("cane")
+    begin = other.sample([0.0]).pose[0]
+    moved = MovedReference(other, here - begin) if np.allclose(begin, 0.0) else other
+    controller.switch_reference(moved, plant.time)
+    assert controller.reference is moved
+    until = plant.time + other.duration + 4.0
+    while plant.time < until:
+        step = controller.step(plant.time, plant.measure())
+        plant.advance(step.command)
+    assert str(step.mode) == "FINISHED"
+
+
+def test_what_cannot_be_gone_on_along_is_refused():
+    controller, reference = Controller(load_config()), load_trajectory("circle")
+    with pytest.raises(RuntimeError, match="call start"):
+        controller.switch_reference(reference, 0.0)
+    controller.start(reference, 0.0)
+    with pytest.raises(ValueError, match="give its t0"):
+        controller.switch_reference(load_trajectory("s"))
+    with pytest.raises(ValueError, match="finite"):
+        controller.switch_reference(load_trajectory("s"), np.nan)
+
+
+def test_the_core_takes_no_reference_without_finite_times():
+    """As an exported controller is given one: refused, and what was tracked before goes on."""
+    tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
+    endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
+    endless.duration = np.inf
+    assert not tick.lib.ddmpc_relay(tick.c, reference.struct, 0.0), "there is none to go on from"
+    for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
+        assert not tick.lib.ddmpc_start(tick.c, *refused)
+    assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0) == 1
+    for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
+        assert not tick.lib.ddmpc_relay(tick.c, *refused)
+    assert tick.lib.ddmpc_relay(tick.c, reference.struct, 1.0) == 1
+
+
+CONFIG = load_config("ssm")
+
+
+class OwnReference:
+    """The circle by a class of the user, which C cannot sample; `change` acts from its sample number `late` on."""
+
+    def __init__(self, change, late=0):
+        self.circle, self.change, self.left = load_trajectory("circle"), change, late
+        self.name, self.duration = "own", self.circle.duration
+
+    def sample(self, times):
+        self.left -= 1
+        sample = self.circle.sample(times)
+        return sample if self.left >= 0 else self.change(sample)
+
+
+def short(sample):
+    return sample._replace(pose=sample.pose[:-1], twist=sample.twist[:-1])
+
+
+CHANGES = {
+    "one sample short": short,
+    "no heading": lambda sample: sample._replace(pose=sample.pose[:, :2]),
+    "transposed": lambda sample: sample._replace(pose=sample.pose.T),
+    "poses as twists": lambda sample: sample._replace(twist=sample.pose),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_start_says_which_shape_is_expected(change):
+    with pytest.raises(ValueError, match=r"reference 'own': (pose|twist) of sample\(times\) has shape .*; expected \("):
+        Controller(CONFIG).start(OwnReference(change), 0.0)
+
+
+def standing(change, late=30, ticks=60):
+    """Steps of a robot that stands on its first pose; the reference is wrong from its sample number `late` on."""
+    controller = Controller(CONFIG)
+    reference = OwnReference(change, late)
+    pose = reference.circle.sample([0.0]).pose[0]
+    controller.start(reference, 0.0)
+    times = CONFIG.sample_time * np.arange(ticks)
+    return [controller.step(t, Measurement(pose=Stamped(pose, t), yaw_rate=Stamped(0.0, t))) for t in times.tolist()]
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_step_never_raises_and_stops_the_robot(change):
+    steps = standing(change)
+    assert steps[1].mode is Mode.TRACKING
+    assert "there is nothing to track: reference 'own': " in steps[-1].message
+    assert steps[-1].mode in (Mode.BRAKING, Mode.STOPPED)
+    assert np.isfinite([step.command for step in steps]).all()
+
+
+@pytest.mark.parametrize("whole_numbers", [False, True])
+def test_numbers_of_another_kind_are_read_as_numbers(whole_numbers):
+    """Lists and integers have the right shape, and another layout in memory."""
+
+    def listed(sample):
+        kind = np.int64 if whole_numbers else np.float32
+        return sample._replace(pose=np.zeros(sample.pose.shape, kind), twist=np.zeros(sample.twist.shape, kind))
+
+    last = standing(listed)[-1]
+    assert last.mode is Mode.TRACKING and last.plan is not None
+
+
+def test_the_address_sanitizer_finds_nothing(tmp_path):
+    """The core reads by its own count: compiled with the sanitizer, a row too few would end the process."""
+    library = subprocess.run(["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
+    code = (
+        "from diffdrive_mpc.models.compiled import compiler\n"
+        "compiler._FLAGS = ('-std=c99', '-O0', '-fPIC', '-fsanitize=address')\n"
+        "from test_references import CHANGES, standing\n"
+        "for change in CHANGES.values(): standing(change)\n"
+        "print('driven')\n"
+    )
+    environment = os.environ | {
+        "LD_PRELOAD": library.strip(),
+        "ASAN_OPTIONS": "detect_leaks=0",
+        "DIFFDRIVE_MPC_CACHE": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    }
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment, timeout=300
+    )
+    assert result.stdout == "driven\n", result.stderr[-2000:]

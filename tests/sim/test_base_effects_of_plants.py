@@ -1,0 +1,153 @@
+"""What a base makes of its commands: effects by themselves, and in its motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+
+from diffdrive_mpc import ConfigError, ModelError, load_model, make_plant
+from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, respond
+from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.plants.base_motion import BaseCommands, BaseMotion, CommandShaping
+from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+
+DT = 0.0202
+
+
+def driven(tmp_path, text, commands, **options):
+    (tmp_path / "robot.yaml").write_text("description: a robot\n" + text)
+    plant = make_plant(f"mujoco:{tmp_path / 'robot.yaml'}", **{"sensors": "perfect"} | options)
+    return drive_open_loop(plant, commands)
+
+
+def test_levels_are_those_of_the_models_effects():
+    """Ramps end where `TwistSlew.follow` says, and each level is cut to whole steps of the wheels."""
+    slew, wheels = TwistSlew(v=2.0, omega=3.0), WheelCommand(track=0.5, resolution=0.01)
+    shaping = CommandShaping(BaseCommands(twist_slew=slew, wheel_command=wheels), DT)
+    commands = np.repeat([(0.0, 0.0), (0.5, -1.0), (-0.2, 0.7)], 12, axis=0)
+    ends = [list(shaping.levels(k * DT, command))[-1][1] for k, command in enumerate(commands)]
+    np.testing.assert_allclose(ends, wheels.apply(slew.follow(commands, DT, (0.0, 0.0))), atol=1e-9)
+
+
+def test_a_slew_limit_is_the_slope_of_the_speed(tmp_path):
+    commands = np.tile([0.8, 0.0], (60, 1))
+    speed = driven(tmp_path, "base: {twist_slew: {v: 0.5, omega: 2.0}}", commands).wheel_twist[:, 0]
+    slope = (speed[55] - speed[35]) / (20 * DT)
+    assert slope == pytest.approx(0.5, rel=0.02)
+
+
+def test_without_effects_a_base_changes_nothing(tmp_path):
+    commands = np.tile([0.3, 0.5], (10, 1))
+    plain = driven(tmp_path, "", commands)
+    np.testing.assert_array_equal(driven(tmp_path, "base: {}", commands).true_pose, plain.true_pose)
+
+
+def test_unequal_wheels_veer_as_geometry_says(tmp_path):
+    """Larger wheels on the left turn the robot right: by the difference over the track that skidding makes wider."""
+    commands = np.tile([0.5, 0.0], (150, 1))
+    difference = 0.02
+    text = f"twin: {{chassis: {{rolling_radii: [{1 + difference / 2}, {1 - difference / 2}]}}}}"
+    drive = driven(tmp_path, text, commands)
+    yaw_rate, speed = drive.true_twist[100:, 2].mean(), drive.true_twist[100:, 0].mean()
+    skidding = 1.0 + (0.14 / 0.330) ** 2
+    assert yaw_rate / speed == pytest.approx(-difference / (0.330 * skidding), rel=0.15)
+
+
+def test_rolling_radius_is_metres_for_what_encoders_count(tmp_path):
+    drive = driven(tmp_path, "twin: {chassis: {rolling_radii: [0.9, 0.9]}}", np.tile([0.5, 0.0], (100, 1)))
+    assert drive.true_twist[-1, 0] / drive.wheel_twist[-1, 0] == pytest.approx(0.9, rel=0.01)
+
+
+def test_a_robot_brings_its_own_floor_and_sensors(tmp_path):
+    """Named ones replace them."""
+    fast = np.concatenate([np.tile([1.5, 0.0], (12, 1))])
+    slippery = driven(tmp_path, "friction: 0.05", fast).true_twist[-1, 0]
+    assert driven(tmp_path, "friction: 0.05", fast, surface="grippy").true_twist[-1, 0] > 2 * slippery
+    quiet = "sensors: {gyro: {noise_sd: 0.0, bias_sd: 0.0}}"
+    still = driven(tmp_path, quiet, np.zeros((5, 2)), sensors="default")
+    assert not still.yaw_rate.any()
+    assert driven(tmp_path, quiet, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
+
+
+def test_a_mistake_in_it_is_one_line(tmp_path):
+    with pytest.raises(ConfigError, match=r"unknown key 'base\.slew'"):
+        driven(tmp_path, "base: {slew: 3}", np.zeros((1, 2)))
+
+
+TICK = load_robot().sample_time
+EFFECTS = {
+    "twist_slew": {"v": 0.8, "omega": 1.5},
+    "wheel_command": {"track": 0.5, "resolution": 0.02, "coasting_speed": 0.08},
+    "yaw_relaxation": {"angle": 0.04},
+    "veer": {"yaw_per_metre": -0.05},
+    "pose_mount": {"ahead": 0.1},
+}
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "base.yaml"
+    data = yaml.safe_load((PARAMETERS / "sm.yaml").read_text())
+    file.write_text(yaml.safe_dump({**data, "base_effects": EFFECTS}))
+    return file
+
+
+def readings(plant, commands):
+    """Twists (K, 2) of gyro and encoders before each command, and the last pose."""
+    seen = []
+    for command in commands:
+        measurement = plant.measure()
+        seen.append([measurement.wheel_twist.value[0], float(measurement.yaw_rate.value)])
+        plant.advance(command)
+    return np.array(seen), plant.true_pose
+
+
+def test_plant_of_a_file_with_effects_is_the_free_run_of_that_file(path):
+    commands = random_commands(4, duration=6.0)
+    seen, _ = readings(make_plant(f"model:{path}", surface="ideal", sensors="perfect"), commands)
+    response = respond(load_model(path), load_base_effects(path), commands, TICK)
+    np.testing.assert_allclose(seen[:, 0], response.wheels[:, 0], atol=1e-12)
+    np.testing.assert_allclose(seen[:, 1], response.body[:, 1], atol=1e-12)
+
+
+def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for_bit():
+    commands = random_commands(4, duration=3.0)
+    slip, sensors = load_surface("default").slip, load_sensor_set("slam")
+    runs = [
+        readings(ModelPlant(load_model("ssm"), slip, sensors, 3, effects=effects), commands)
+        for effects in (None, BaseEffects(pose_mount=PoseMount(ahead=0.2)))
+    ]
+    np.testing.assert_array_equal(runs[0][0], runs[1][0])
+    np.testing.assert_array_equal(runs[0][1], runs[1][1])
+
+
+def test_a_reversal_costs_heading_twice_the_angle_of_the_tyres():
+    """Settled turns to both sides: the wheels come back to where they were, the body lags twice the angle."""
+    effects = BaseEffects.model_validate({"yaw_relaxation": {"angle": 0.05}})
+    slip, sensors = load_surface("ideal").slip, load_sensor_set("perfect")
+    turn = np.concatenate([np.tile([0.0, 1.0], (200, 1)), np.tile([0.0, -1.0], (200, 1))])
+    stiff = readings(ModelPlant(load_model("sm"), slip, sensors), turn)[1][2]
+    soft = readings(ModelPlant(load_model("sm"), slip, sensors, effects=effects), turn)[1][2]
+    # It begins with tyres that are not twisted and ends with tyres twisted to the right.
+    assert soft - stiff == pytest.approx(0.05, abs=1e-3)
+
+
+def test_same_seed_same_run_with_effects(path):
+    commands = random_commands(4, duration=2.0)
+    first, second = (readings(make_plant(f"model:{path}", sensors="slam", seed=5), commands) for _ in range(2))
+    np.testing.assert_array_equal(first[0], second[0])
+    np.testing.assert_array_equal(first[1], second[1])
+
+
+def test_a_network_is_a_plant_that_obeys_it_sample_by_sample():
+    model, random = load_model("lstm"), np.random.default_rng(0)
+    motion, commands = BaseMotion(model, BaseEffects(), model.dt), random.uniform(-1, 1, (50, 2))
+    before = np.vstack([np.zeros(2), *(motion.advance(command).wheels for command in commands)])
+    assert before[:-1] == pytest.approx(model.simulate(commands), abs=1e-12)
+    with pytest.raises(ModelError, match="as a plant of 0.04 s"):
+        BaseMotion(model, BaseEffects(), 0.04)

@@ -1,0 +1,419 @@
+"""Disturbances: of a plant's commands and readings, and in the physics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loop_parts import ConstantTwist, FeedForward, trace
+
+from diffdrive_mpc import ConfigError, Measurement, RobotLostError, make_plant
+from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.disturbances.disturbance_types import Payload
+from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
+from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics, DisturbedPlant
+from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
+from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+
+PLANTS = ["mujoco", "model:ssm"]
+DT = load_robot().sample_time
+SHIPPED = sorted({path.stem for path in SCENARIOS.glob("*.yaml")} - {"none"})
+
+
+def _scenario(**parts: Any) -> Scenario:
+    return check(Scenario, {"description": "test", **parts}, "test")
+
+
+def _disturbed(name: str, **parts: Any) -> DisturbedPlant:
+    return DisturbedPlant(make_plant(name, sensors="perfect"), _scenario(**parts), load_robot())
+
+
+@pytest.mark.parametrize("name", ["patches", "push", "blocked", "sensor_dropouts"])
+def test_same_seed_same_disturbed_run_bit_for_bit(name: str) -> None:
+    plant = make_plant("mujoco", seed=5, scenario=name)
+    first = trace(plant, 300)
+    assert isinstance(plant, DisturbedPlant)
+    assert plant.disturbance is not None
+    assert first == trace(make_plant("mujoco", seed=5, scenario=name), 300)
+    plant.reset([0.0, 0.0, 0.0])
+    assert trace(plant, 300) == first
+
+
+def test_what_has_not_happened_yet_changes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "later.yaml"
+    path.write_text(
+        "description: all of it after the drive\n"
+        "patches: [{start: 90, friction: 0.3}]\n"
+        "weak_motors: [{wheel: front_left, factor: 0.1, start: 90}]\n"
+        "slipping_wheels: [{wheel: front_left, friction: 0.1, start: 90}]\n"
+        "battery: {start: [90, 95], duration: 1, after: 0.5}\n"
+        "drop_outs: [{sensor: pose, start: 90, duration: 1}]\n"
+        "false_commands: [{v: 1, omega: 1, start: 90, duration: 1}]\n"
+        "pushes: [{force: 50, height: 0, start: 90, duration: 1}]\n"
+        "blockades: [{start: 90, duration: 1, height: 0, "
+        "stiffness: 10, damping: 1, yaw_stiffness: 1, yaw_damping: 1}]\n"
+    )
+    plant = make_plant("mujoco", seed=2, scenario=path)
+    assert trace(plant, 150) == trace(make_plant("mujoco", seed=2), 150)
+    assert isinstance(plant, DisturbedPlant)
+    assert plant.disturbance is None
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_start_offset_is_taken_in_the_frame_of_the_reference(name: str) -> None:
+    plant = _disturbed(name, start_offset={"along": 0.3, "across": 0.2, "heading": -0.4})
+    plant.reset([1.0, 2.0, np.pi / 2])
+    np.testing.assert_allclose(plant.true_pose, [1.0 - 0.2, 2.0 + 0.3, np.pi / 2 - 0.4], atol=1e-12)
+    np.testing.assert_allclose(np.asarray(plant.measure().pose.value), plant.true_pose, atol=1e-12)  # type: ignore[union-attr]
+    assert plant.disturbance == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize(
+    ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
+)
+def test_a_drop_out_empties_its_fields_and_no_others(name: str, sensor: str, fields: set[str]) -> None:
+    plant = _disturbed(name, drop_outs=[{"sensor": sensor, "start": 0.2, "duration": 0.3}])
+    for _ in range(40):
+        time, measurement = plant.time, plant.measure()
+        for field in ("pose", "wheel_twist", "wheel_speeds", "yaw_rate"):
+            lost = field in fields and 0.2 <= time < 0.5
+            assert (getattr(measurement, field) is None) == lost, (field, time)
+        plant.advance([0.3, 0.2])
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_false_command_moves_the_robot_and_nobody_is_told(name: str) -> None:
+    false = {"v": 0.0, "omega": 1.0, "start": 10 * DT - 1e-6, "duration": 0.5}
+    plant, told = _disturbed(name, false_commands=[false]), make_plant(name, sensors="perfect")
+    for k in range(60):
+        acts = 10 <= k < 10 + int(np.ceil(0.5 / DT))
+        plant.advance([0.4, 0.0])
+        told.advance([0.0, 1.0] if acts else [0.4, 0.0])
+        np.testing.assert_array_equal(plant.true_pose, told.true_pose)
+        assert plant.measure().sent == (0.4, 0.0)
+    assert plant.true_pose[2] > 0.3
+
+
+def test_a_command_beyond_the_limits_is_told_as_the_link_clips_it() -> None:
+    plant = _disturbed("model:ssm", drop_outs=[{"sensor": "gyro", "start": 9.0, "duration": 1.0}])
+    assert plant.measure().sent is None
+    plant.advance([9.0, -9.0])
+    assert plant.measure().sent == (load_robot().limits.v, -load_robot().limits.omega)
+    with pytest.raises(ValueError, match="give two finite numbers"):
+        plant.advance([np.nan, 0.0])
+
+
+def test_the_plant_tells_what_has_happened_so_far() -> None:
+    push = {"sensor": "gyro", "start": 0.5, "duration": 0.4}
+    later = {"v": 0.1, "omega": 0.0, "start": 1.5, "duration": 0.1}
+    plant = _disturbed("model:ssm", drop_outs=[push], false_commands=[later])
+    told = {}
+    for _ in range(100):
+        told[plant.time] = plant.disturbance
+        plant.advance([0.0, 0.0])
+    for time, span in told.items():
+        if time < 0.5:
+            assert span is None
+        elif time < 1.5:
+            assert span == (0.5, min(time, 0.9))
+        else:
+            assert span == (0.5, pytest.approx(min(time, 1.6)))
+
+
+def test_what_lasts_to_the_end_is_never_over_and_hides_no_other_end() -> None:
+    push = {"force": 20.0, "height": 0.09, "start": 0.2, "duration": 0.1}
+    weak = {"wheel": "front_left", "factor": 0.5, "start": 0.1}
+    plant = make_plant("mujoco", sensors="perfect")
+    alone, both = (
+        DisturbedPlant(plant, _scenario(weak_motors=[weak], pushes=pushes), load_robot()) for pushes in ([], [push])
+    )
+    both.reset(np.zeros(3))
+    for _ in range(25):
+        both.advance([0.0, 0.0])
+    assert alone.disturbance == (0.1, np.inf)
+    assert both.disturbance == (0.1, pytest.approx(0.3))
+
+
+class _Remembers(FeedForward):
+    """Keeps what it was given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[Measurement] = []
+
+    def step(self, t: float, measurement: Measurement) -> Any:
+        self.seen.append(measurement)
+        return super().step(t, measurement)
+
+
+def test_the_run_carries_the_disturbance_and_the_measurements_as_given() -> None:
+    reference, controller = ConstantTwist(0.4, 0.0, 3.0), _Remembers()
+    run = simulate(controller, make_plant("model:ssm", seed=1, scenario="start_offset"), reference)
+    assert run.disturbance == (0.0, 0.0)
+    assert run.measurements == tuple(controller.seen)
+    assert abs(run.errors.lateral[0]) == pytest.approx(0.2)
+    assert simulate(FeedForward(), make_plant("model:ssm"), reference).disturbance is None
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_velocity_models_refuse_what_needs_mass_and_wheels(name: str) -> None:
+    needs = load_scenario(name).draw(0).physical
+    if not needs:
+        assert isinstance(make_plant("model:ssm", scenario=name), DisturbedPlant)
+        return
+    with pytest.raises(ConfigError) as caught:
+        make_plant("model:ssm", scenario=name)
+    assert f"scenario '{name}' needs a plant with mass, wheels and motors ({', '.join(needs)})" in str(caught.value)
+    assert "use 'mujoco'" in str(caught.value)
+
+
+G = 9.81
+ROBOT, TWIN = load_robot(), load_twin_parameters()
+STEP = ROBOT.sample_time / TWIN.substeps
+FLOOR = load_surface("default").friction or 0.0
+SLIPPERY = load_surface("slippery").friction or 0.0
+ICE = 1e-5
+LEFT, RIGHT = ("front_left", "rear_left"), ("front_right", "rear_right")
+
+
+def _plant(friction: float = FLOOR, **parts: Any) -> MujocoPlant:
+    scenario = check(Scenario, {"description": "test", **parts}, "test")
+    return MujocoPlant(friction, load_sensor_set("perfect"), scenario=scenario)
+
+
+def _drive(plant: MujocoPlant, v: float, omega: float, seconds: float) -> None:
+    for _ in range(round(seconds / ROBOT.sample_time)):
+        plant.advance([v, omega])
+
+
+@pytest.mark.parametrize("direction", [0.7, 1.5708])
+def test_a_push_on_ice_gives_force_times_time(direction: float) -> None:
+    """The begin and end of the push fall between physics steps: the momentum is that of its exact duration."""
+    push = {"force": 20.0, "direction": direction, "height": 0.09, "start": 0.1013, "duration": 0.2507}
+    plant = _plant(ICE, pushes=[push])
+    plant.reset([1.0, 2.0, 0.5])
+    _drive(plant, 0.0, 0.0, 0.5)
+    v, lateral, omega = plant.true_twist
+    course = 0.5 + direction
+    moved = plant.true_pose[:2] - [1.0, 2.0]
+    assert ROBOT.mass * np.hypot(v, lateral) == pytest.approx(20.0 * 0.2507, rel=0.02)
+    assert np.arctan2(moved[1], moved[0]) == pytest.approx(course, abs=0.02)
+    assert abs(omega) < 0.02
+
+
+def test_a_push_at_yaw_on_ice_gives_torque_times_time() -> None:
+    plant = _plant(ICE, pushes=[{"yaw_torque": 0.5, "height": 0.09, "start": 0.1, "duration": 0.3}])
+    _drive(plant, 0.0, 0.0, 0.5)
+    omega = plant.true_twist[2]
+    # Angular momentum about the vertical, I omega, from the kinetic energy I omega^2 / 2: nothing else moves.
+    assert 2 * plant.chassis.energy / omega == pytest.approx(0.5 * 0.3, rel=0.02)
+
+
+def test_the_floor_holds_a_push_that_is_weaker_than_friction() -> None:
+    limit = FLOOR * ROBOT.mass * G
+    gone = []
+    for share in (0.8, 1.3):
+        push = {"force": share * limit, "direction": 1.5708, "height": 0.05, "start": 0.1, "duration": 0.3}
+        plant = _plant(pushes=[push])
+        _drive(plant, 0.0, 0.0, 1.0)
+        gone.append(abs(plant.true_pose[1]))
+    # Coulomb: accelerates with (share - 1) mu g while pushed, brakes with mu g after.
+    speed = 0.3 * FLOOR * G * 0.3
+    assert gone[1] == pytest.approx(0.5 * speed * 0.3 + speed**2 / (2 * FLOOR * G), rel=0.25)
+    assert gone[0] < 0.2 * gone[1]
+
+
+def test_a_payload_adds_its_weight_where_it_lies() -> None:
+    x, y, mass = 0.03, -0.05, 2.5
+    load = Payload(mass=mass, x=x, y=y, z=0.1, radius=0.05)
+    with_load, without = (Chassis(ROBOT, TWIN, FLOOR, STEP, payload) for payload in (load, None))
+    for chassis in (with_load, without):
+        for _ in range(round(1.0 / STEP)):
+            chassis.step(np.zeros(4))
+    assert without.wheel_loads.sum() == pytest.approx(ROBOT.mass * G, rel=1e-3)
+    assert with_load.wheel_loads.sum() == pytest.approx((ROBOT.mass + mass) * G, rel=1e-3)
+    front, left = (
+        sum(with_load.wheel_loads[i] for i, name in enumerate(WHEELS) if part in name) for part in ("front", "left")
+    )
+    # Moments about the rear axle and about the right wheels.
+    half = 0.5 * (ROBOT.mass + mass) * G
+    assert front == pytest.approx(half + mass * G * x / TWIN.chassis.wheel_base, rel=0.02)
+    assert left == pytest.approx(half + mass * G * y / ROBOT.track, rel=0.02)
+
+
+@pytest.mark.parametrize("downhill", [np.pi / 2, -np.pi / 2])
+def test_on_a_steep_slippery_slope_the_robot_slides_as_coulomb_says(downhill: float) -> None:
+    angle, friction = 0.3, 0.1
+    plant = _plant(friction, slope={"angle": angle, "downhill": downhill})
+    _drive(plant, 0.0, 0.0, 1.0)
+    seconds = plant.time
+    expected = G * (np.sin(angle) - friction * np.cos(angle)) * seconds
+    assert plant.true_twist[1] == pytest.approx(np.sign(downhill) * expected, rel=0.03)
+
+
+def test_on_a_gentle_slope_the_robot_stands_across_and_creeps_along_no_faster_than_its_brakes_allow() -> None:
+    across, along = (_plant(slope={"angle": 0.1, "downhill": downhill}) for downhill in (np.pi / 2, 0.0))
+    for plant in (across, along):
+        _drive(plant, 0.0, 0.0, 2.0)
+    # Tyres creep below the friction limit, as rubber does.
+    assert 0.0 <= across.true_twist[1] < 0.01
+    # At zero set-point the driver shorts the motor: it brakes by back-EMF, in proportion to the speed.
+    pull = ROBOT.mass * G * np.sin(0.1)
+    damping = 4 * TWIN.motor.stall_torque / TWIN.motor.no_load_speed / ROBOT.wheel_radius**2
+    assert 0.0 < along.true_twist[0] < 1.2 * pull / damping
+    assert along.true_pose[0] > 0.01
+
+
+def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
+    def dead(wheels: tuple[str, ...]) -> MujocoPlant:
+        plant = _plant(weak_motors=[{"wheel": wheel, "factor": 0.0, "start": 0.0} for wheel in wheels])
+        _drive(plant, 0.4, 0.0, 1.0)
+        return plant
+
+    assert abs(dead(WHEELS).true_pose[0]) < 1e-3
+    # Towards the side that is dragged along.
+    assert dead(LEFT).true_pose[2] > 0.03
+    assert dead(RIGHT).true_pose[2] < -0.03
+
+
+def test_a_weak_motor_gives_its_share_while_it_is_weak() -> None:
+    weak = {"wheel": "rear_left", "factor": 0.3, "start": 1.0, "duration": 2.0}
+    disturbances, _ = _disturbances(weak_motors=[weak])
+    for time, share in ((0.5, 1.0), (1.0, 0.3), (2.9, 0.3), (3.0, 1.0)):
+        torques = disturbances.motors(np.array([1.0, -2.0, 3.0, 4.0]), time)
+        np.testing.assert_allclose(torques, [1.0, -2.0, 3.0 * share, 4.0])
+
+
+def _disturbances(**parts: Any) -> tuple[DisturbedPhysics, VelocityLoops]:
+    scenario = check(Scenario, {"description": "test", **parts}, "test")
+    chassis = Chassis(ROBOT, TWIN, FLOOR, STEP)
+    loops = VelocityLoops(TWIN.driver, TWIN.motor, 2 * np.pi / ROBOT.encoder_pulses, STEP)
+    base, torque = TWIN.chassis.wheel_base, TWIN.motor.stall_torque
+    return DisturbedPhysics(scenario, chassis, loops, FLOOR, base, torque), loops
+
+
+def test_a_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
+    """Under full throttle the sound side pulls ahead: the robot turns towards the slipping one."""
+    slipping = [{"wheel": wheel, "friction": 0.02, "start": 0.0, "duration": 1.0} for wheel in LEFT]
+    plant = _plant(slipping_wheels=slipping)
+    _drive(plant, 0.8, 0.0, 0.6)
+    assert plant.true_pose[2] > 0.05
+    all_slip = [{"wheel": wheel, "friction": 0.02, "start": 0.0, "duration": 1.0} for wheel in WHEELS]
+    plant = _plant(slipping_wheels=all_slip)
+    _drive(plant, 0.8, 0.0, 0.9)
+    moving = plant.time - 2 * TWIN.link.dead_time
+    assert 0.7 * moving < plant.true_twist[0] / (0.02 * G) < plant.time
+    assert plant.chassis.wheel_speeds.min() * ROBOT.wheel_radius > 0.7
+
+
+def test_sag_lowers_the_top_speed_in_proportion() -> None:
+    for after in (0.3, 0.5):
+        plant = _plant(battery={"start": 0.0, "duration": 0.1, "after": after})
+        _drive(plant, 1.5, 0.0, 3.0)
+        no_load = TWIN.motor.no_load_speed
+        # Without rolling resistance the no-load speed is the asymptote.
+        np.testing.assert_allclose(plant.chassis.wheel_speeds, after * no_load, rtol=1e-3)
+
+
+def test_sag_lowers_the_stall_torque_in_proportion_and_load_lowers_the_voltage() -> None:
+    disturbances, loops = _disturbances(battery={"start": 1.0, "duration": 2.0, "after": 0.5, "load_drop": 0.1})
+    stall = TWIN.motor.stall_torque * np.array(TWIN.motor.spread)
+    for time, voltage in ((0.0, 1.0), (1.0, 1.0), (2.0, 0.75), (3.0, 0.5), (9.0, 0.5)):
+        disturbances.motors(np.zeros(4), time)
+        disturbances.before_step(time, time + STEP)
+        full = loops.torque(np.full(4, 1e3), np.zeros(4), np.zeros(4))
+        np.testing.assert_allclose(full, voltage * stall)
+    disturbances.motors(TWIN.motor.stall_torque * np.array([1.0, -1.0, 1.0, -1.0]), 9.0)
+    disturbances.before_step(9.0, 9.0 + STEP)
+    assert loops.supply == pytest.approx(0.5 - 0.1)
+
+
+def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
+    lateral = {}
+    endless = {"start": 0.2, "friction": SLIPPERY}
+    for name, plant in {
+        "patch": _plant(patches=[endless]),
+        "slippery": _plant(SLIPPERY),
+        "default": _plant(),
+    }.items():
+        lateral[name] = drive_open_loop(plant, np.tile([0.5, 0.5], (250, 1))).true_twist[150:, 1].mean()
+    assert lateral["patch"] == pytest.approx(lateral["slippery"], rel=0.02)
+    assert lateral["patch"] < 2 * lateral["default"] < 0
+
+
+def test_a_patch_begins_and_ends_where_it_lies() -> None:
+    """The front wheels get onto it half a wheel base before the middle, the rear wheels leave it as much after."""
+    half = TWIN.chassis.wheel_base / 2
+    plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
+    log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))
+    ((on, off),) = plant.crossed
+    assert np.isfinite(off)
+    assert np.interp([on, off], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
+
+
+def test_one_side_on_ice_lets_that_side_slip_only() -> None:
+    """A robot that accelerates hard with one side on ice turns towards the ice."""
+    turned = {}
+    for side in ("left", "right", "both"):
+        plant = _plant(patches=[{"start": 0.0, "friction": 0.02, "side": side}])
+        _drive(plant, 0.3, 0.0, 0.8)
+        before = plant.true_pose
+        assert before[0] > TWIN.chassis.wheel_base  # all wheels are on it
+        _drive(plant, 1.2, 0.0, 0.5)
+        turned[side] = plant.true_pose[2] - before[2]
+    assert turned["left"] > 0.05
+    assert turned["right"] < -0.05
+    assert abs(turned["both"]) < 0.01
+
+
+def test_a_blockade_holds_the_robot_and_lets_it_go() -> None:
+    hold = {"height": 0.02, "stiffness": 5e3, "damping": 260.0, "yaw_stiffness": 500.0, "yaw_damping": 11.0}
+    plant = _plant(blockades=[{"start": 1.0, "duration": 1.0, **hold}])
+    log = drive_open_loop(plant, np.tile([0.5, 0.3], (200, 1)))
+    held = (log.time > 1.0) & (log.time < 2.0)
+    start = log.true_pose[np.flatnonzero(held)[0]]
+    # All wheels skidding push no harder than friction, against the spring.
+    give = FLOOR * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
+    assert np.hypot(*(log.true_pose[held] - start)[:, :2].T).max() < give
+    assert log.wheel_twist[held, 0][10:].mean() > 0.3
+    assert np.abs(log.true_twist[held, 0][10:]).mean() < 0.05
+    free = log.true_twist[log.time > 2.5]
+    assert free[:, 0].mean() == pytest.approx(0.5, rel=0.03)
+
+
+def test_a_robot_that_tips_over_ends_the_run_with_one_line() -> None:
+    push = {"force": 200.0, "direction": 1.5708, "height": 0.4, "start": 0.1, "duration": 1.0}
+    plant = _plant(pushes=[push])
+    with pytest.raises(RobotLostError, match=r"t = 0\.\d\d s: the robot has tipped over; lower the force") as caught:
+        _drive(plant, 0.0, 0.0, 2.0)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_whose_motion_diverges_is_lost_and_not_back_at_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plant = _plant(pushes=[{"force": 1e200, "height": 0.09, "start": 0.1, "duration": 0.2}])
+    plant.reset([1.0, 2.0, 0.5])
+    with pytest.raises(RobotLostError, match=r"t = 0\.1\d s: the simulation diverged"):
+        _drive(plant, 0.0, 0.0, 0.5)
+    assert not list(tmp_path.iterdir())  # MuJoCo would leave a log file
+
+
+@pytest.mark.parametrize("friction", [FLOOR, SLIPPERY])
+def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -> None:
+    drives = [
+        drive_open_loop(_plant(friction, patches=[{"start": 0.0, **kind}]), np.tile([0.5, 0.5], (100, 1))).true_pose
+        for kind in ({"factor": 0.25}, {"friction": 0.25 * friction})
+    ]
+    np.testing.assert_array_equal(*drives)

@@ -1,0 +1,275 @@
+"""Metrics against known answers, what they count, and where on its path a robot is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, Slow, run_along
+
+from diffdrive_mpc import integrate_pose
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES, GIVEN_UP_MODES
+from diffdrive_mpc.sim.metrics.path_projection import Polyline
+
+TIMES = np.arange(0.0, 10.0 + 1e-9, 0.02)
+COARSE = TIMES[::10]
+CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
+
+
+def shifted_left(pose: FloatArray, offset: float) -> FloatArray:
+    """Poses moved sideways in their own frame."""
+    return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
+
+
+@given(offset=st.floats(-0.2, 0.2))
+def test_a_constant_offset_across_a_circle_is_the_lateral_error(offset: float) -> None:
+    run = run_along(CIRCLE, shifted_left(CIRCLE.sample(COARSE).pose, offset), [0.5, 0.0, 0.5], COARSE)
+    # The path is a polyline with 5 mm spacing: at most 3.2 um inside the circle of 1 m.
+    assert run.errors.lateral == pytest.approx(np.full(len(COARSE), offset), abs=3.2e-6)
+    assert run.metrics.lateral_rmse_m == pytest.approx(abs(offset), abs=3.2e-6)
+    assert run.metrics.lateral_p95_m == pytest.approx(abs(offset), abs=3.2e-6)
+    assert run.metrics.position_rmse_m == pytest.approx(abs(offset), abs=1e-12)
+    assert run.metrics.position_std_m == pytest.approx(0.0, abs=1e-12)
+    assert run.metrics.heading_rmse_rad == pytest.approx(0.0, abs=1e-12)
+
+
+@given(delay=st.floats(0.01, 0.5))
+def test_a_delayed_motion_is_off_in_position_and_heading_but_on_the_path(delay: float) -> None:
+    late = ConstantTwist(0.5, 0.5, 20.0, start=tuple(integrate_pose([0, 0, 0], 0.5, 0.5, -delay)))
+    run = run_along(CIRCLE, late.sample(COARSE).pose, [0.5, 0.0, 0.5], COARSE)
+    chord = 2.0 * np.sin(0.5 * delay / 2)
+    assert run.metrics.position_rmse_m == pytest.approx(chord, rel=1e-9)
+    assert run.metrics.position_max_m == pytest.approx(chord, rel=1e-9)
+    assert run.metrics.heading_mean_rad == pytest.approx(0.5 * delay, rel=1e-9)
+    # Along the tangent, over the speed.
+    assert run.metrics.behind_max_s == pytest.approx(np.sin(0.5 * delay) / 0.5, rel=1e-9)
+    on_path = run.time >= delay  # earlier the robot is before the start, where the path goes on straight
+    assert np.abs(run.errors.lateral[on_path]).max() < 3.2e-6
+
+
+def test_heading_errors_are_wrapped_whatever_turn_the_angles_are_on() -> None:
+    pose = CIRCLE.sample(TIMES).pose
+    wrapped = pose.copy()
+    wrapped[:, 2] = np.arctan2(np.sin(pose[:, 2] + 0.1), np.cos(pose[:, 2] + 0.1))
+    assert pose[:, 2].max() > np.pi
+    metrics = run_along(CIRCLE, wrapped, [0.5, 0.0, 0.5], TIMES).metrics
+    assert metrics.heading_rmse_rad == pytest.approx(0.1, abs=1e-12)
+    assert metrics.heading_max_rad == pytest.approx(0.1, abs=1e-12)
+
+
+def test_side_slip_shows_in_the_course_and_not_in_the_heading() -> None:
+    run = run_along(CIRCLE, CIRCLE.sample(TIMES).pose, [0.5, -0.05, 0.5], TIMES)
+    assert run.metrics.heading_rmse_rad == pytest.approx(0.0, abs=1e-12)
+    assert run.metrics.course_rmse_rad == pytest.approx(np.arctan2(0.05, 0.5), rel=1e-12)
+
+
+def test_holding_the_path_against_side_slip_shows_in_the_heading_and_not_in_the_course() -> None:
+    slip = 0.08
+    pose = CIRCLE.sample(TIMES).pose + np.array([0.0, 0.0, slip])
+    run = run_along(CIRCLE, pose, [0.5 * np.cos(slip), -0.5 * np.sin(slip), 0.5], TIMES)
+    assert run.metrics.heading_rmse_rad == pytest.approx(slip, rel=1e-12)
+    assert run.metrics.course_rmse_rad == pytest.approx(0.0, abs=1e-12)
+
+
+def test_driving_backwards_as_the_reference_does_is_no_course_error() -> None:
+    back = ConstantTwist(v=-0.3, omega=0.2, duration=10.0)
+    run = run_along(back, back.sample(TIMES).pose, [-0.3, 0.0, 0.2], TIMES)
+    assert run.metrics.course_rmse_rad == pytest.approx(0.0, abs=1e-12)
+    assert run.metrics.lateral_max_m < 3.2e-6
+
+
+def test_course_error_is_against_the_tangent_where_the_reference_is() -> None:
+    """A robot that keeps to the circle half a second behind differs in course by the turn of half a second."""
+    circle = ConstantTwist(v=0.5, omega=0.5, duration=4.0)
+    times = np.arange(25, 200) * 0.02
+    run = run_along(circle, circle.sample(times - 0.5).pose, [0.5, 0.0, 0.5], times)
+    np.testing.assert_allclose(run.errors.course, -0.25, atol=1e-12)
+    assert np.abs(run.errors.lateral).max() < 1e-5
+
+
+def test_no_course_error_is_taken_while_the_robot_or_the_reference_stands() -> None:
+    spot = ConstantTwist(v=0.0, omega=1.0, duration=10.0)
+    turning = run_along(spot, spot.sample(TIMES).pose, [0.2, 0.1, 1.0], TIMES)
+    standing = run_along(CIRCLE, CIRCLE.sample(TIMES).pose, [0.03, 0.03, 0.5], TIMES)
+    assert np.isnan(turning.metrics.course_rmse_rad)
+    assert np.isnan(standing.errors.course).all()
+
+
+def test_turning_on_the_spot_measures_the_distance_across() -> None:
+    spot = ConstantTwist(v=0.0, omega=1.0, duration=10.0)
+    off = run_along(spot, spot.sample(TIMES).pose + np.array([0.0, 0.04, 0.0]), [0.0, 0.0, 1.0], TIMES)
+    assert off.metrics.lateral_max_m == pytest.approx(0.04, abs=1e-12)
+
+
+def test_overshooting_a_corner_is_a_lateral_error_and_lying_on_either_leg_is_none() -> None:
+    elbow = ElbowReference()
+    times = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
+    pose = elbow.sample(times).pose
+    pose[2:5, 0] += 0.03
+    lateral = run_along(elbow, pose, [0.5, 0.0, 0.0], times).errors.lateral
+    assert lateral == pytest.approx([0.0, 0.0, -0.03, -0.03, -0.03, 0.0], abs=1e-12)
+
+
+def test_a_path_that_crosses_itself_is_not_mistaken_for_its_other_branch() -> None:
+    """After three quarters of a turn the robot is far off its circle but near the straight start."""
+    circle = ConstantTwist(v=0.5, omega=0.5, duration=4 * np.pi)
+    times = np.arange(0.0, 4 * np.pi, 0.02)
+    pose = circle.sample(times).pose
+    half = np.abs(times - 2 * np.pi) < 0.5
+    pose[half] = [0.0, 0.0, 0.0]
+    run = run_along(circle, pose, [0.5, 0.0, 0.5], times)
+    assert np.abs(run.errors.lateral[half]).min() > 1.0
+
+
+def test_being_ahead_on_a_straight_line_is_no_lateral_error_even_beyond_its_end() -> None:
+    line = ConstantTwist(v=0.5, omega=0.0, duration=10.0, start=(1.0, 2.0, 0.3))
+    ahead = line.sample(TIMES).pose + 0.1 * np.array([np.cos(0.3), np.sin(0.3), 0.0])
+    metrics = run_along(line, ahead, [0.5, 0.0, 0.0], TIMES).metrics
+    assert metrics.lateral_max_m == pytest.approx(0.0, abs=1e-9)
+    assert metrics.position_mean_m == pytest.approx(0.1, rel=1e-9)
+
+
+def test_the_band_counts_the_share_of_ticks_inside_it() -> None:
+    line = ConstantTwist(v=0.5, omega=0.0, duration=10.0)
+    pose = line.sample(TIMES[:400]).pose
+    pose[:100, 1] = 0.0501
+    pose[100:200, 1] = -0.0499
+    metrics = run_along(line, pose, [0.5, 0.0, 0.0], TIMES[:400]).metrics
+    assert metrics.in_band_percent == pytest.approx(75.0)
+    assert metrics.lateral_mae_m == pytest.approx(0.025, abs=1e-9)
+
+
+@given(
+    x=st.floats(-5, 5),
+    y=st.floats(-5, 5),
+    theta=st.floats(-10, 10),
+    seed=st.integers(0, 100),
+)
+def test_moving_the_whole_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
+    offset = 0.03 * np.random.default_rng(seed).standard_normal((len(COARSE), 3))
+    moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))
+    rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    moved_offset = np.column_stack([offset[:, :2] @ rotation.T, offset[:, 2]])
+    here = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
+    there = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
+    for name in ("position_rmse_m", "position_std_m", "heading_max_rad", "course_rmse_rad", "lateral_rmse_m"):
+        assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-6), name
+
+
+LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
+SECOND = np.arange(0, 51) * 0.02
+
+
+def test_ticks_after_the_end_of_the_reference_are_not_counted() -> None:
+    controller = FeedForward({80: "BRAKING"})
+    run = simulate(controller, KinematicPlant(), LINE, extra_time=1.0)
+    assert len(run.time) == 101
+    assert run.metrics.steps == 51
+    assert run.metrics.fallbacks == 0
+    assert run.metrics.completed
+
+
+def test_fallback_ticks_are_counted_by_mode() -> None:
+    modes = {3: "REUSED_PLAN", 4: "BRAKING", 5: "STOPPED", 50: "FINISHED"}
+    run = simulate(FeedForward(modes), KinematicPlant(), LINE)
+    assert run.metrics.fallbacks == 3
+    assert run.metrics.completed
+
+
+def test_every_mode_of_the_controller_is_a_fallback_or_known_to_be_none() -> None:
+    assert FALLBACK_MODES | {"TRACKING", "FINISHED"} == {mode.value for mode in Mode}
+    assert not FALLBACK_MODES & {"TRACKING", "FINISHED"}
+    assert GIVEN_UP_MODES < FALLBACK_MODES
+
+
+@pytest.mark.parametrize("mode", ["BRAKING", "STOPPED"])
+def test_a_run_that_ends_without_tracking_is_not_completed(mode: str) -> None:
+    assert not simulate(FeedForward({50: mode}), KinematicPlant(), LINE).metrics.completed
+
+
+def test_a_run_that_ends_elsewhere_is_not_completed() -> None:
+    pose = LINE.sample(SECOND).pose
+    assert run_along(LINE, pose + np.array([0.2, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND).metrics.completed
+    assert not run_along(LINE, pose + np.array([0.3, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND).metrics.completed
+
+
+def test_a_run_cut_short_is_not_completed() -> None:
+    pose = LINE.sample(SECOND[:40]).pose
+    assert not run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND[:40]).metrics.completed
+
+
+def test_a_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
+    pose = LINE.sample(SECOND).pose
+    pose[20] = np.nan
+    metrics = run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND).metrics
+    assert not metrics.completed
+    assert np.isnan(metrics.position_rmse_m)
+    assert metrics.in_band_percent == pytest.approx(100 * 50 / 51)
+
+
+def test_a_step_longer_than_the_sample_is_a_missed_deadline() -> None:
+    assert simulate(FeedForward(), KinematicPlant(), LINE).metrics.deadline_misses == 0
+    slow = simulate(Slow(), KinematicPlant(), LINE).metrics
+    assert slow.deadline_misses == slow.steps == 51
+    assert slow.step_time_p99_s == pytest.approx(0.03)
+
+
+def test_step_times_can_be_exchanged_for_those_of_a_timing_pass() -> None:
+    run = simulate(Slow(), KinematicPlant(), LINE)
+    times = np.linspace(0.0, 0.01, 51)
+    retimed = run.with_step_time(times)
+    assert retimed.metrics.step_time_max_s == 0.01
+    assert retimed.metrics.step_time_p50_s == pytest.approx(0.005)
+    assert retimed.metrics.step_time_p95_s == pytest.approx(0.0095)
+    assert retimed.metrics.step_time_p99_s == pytest.approx(0.0099)
+    assert retimed.metrics.position_rmse_m == run.metrics.position_rmse_m
+    with_gaps = run.with_step_time(np.where(times < 0.006, times, np.nan), 0.5 * times).metrics
+    assert with_gaps.step_time_max_s == pytest.approx(0.0058)
+    assert with_gaps.step_time_p50_s == pytest.approx(0.0029)
+    assert (with_gaps.solve_time_p50_s, with_gaps.deadline_misses) == (pytest.approx(0.0025), 0)
+    with pytest.raises(ValueError, match="51 ticks"):
+        run.with_step_time(times[1:])
+
+
+WINDOW = 0.6
+
+
+def one_after_the_other(path, points, arc_length):
+    """As `Polyline.lateral` describes it: (n,) distances [m] without their sides."""
+    distances, piece = [], None
+    for i, point in enumerate(points):
+        near = (path.arc_end >= arc_length[i] - WINDOW) & (path.arc_start <= arc_length[i] + WINDOW)
+        if piece is not None:
+            # Between there and the place where the point before was nearest, widened by twice the way since.
+            by = min(WINDOW, 2.0 * np.hypot(*(point - points[i - 1])))
+            before = (path.arc_end >= path.arc_start[piece] - by) & (path.arc_start <= path.arc_end[piece] + by)
+            looked_at = np.flatnonzero(near | before)
+            near[looked_at[0] : looked_at[-1] + 1] = True
+        away = point - path.start
+        along = np.clip((away * path.direction).sum(axis=1), 0.0, path.length)
+        gaps = np.where(near, np.hypot(*(away - along[:, None] * path.direction).T), np.inf)
+        piece = int(gaps.argmin())
+        distances.append(gaps[piece])
+    return distances
+
+
+def test_points_are_projected_as_one_after_the_other():
+    """Along a drawn path, on it, beside it, and far behind, where each search hangs on the one before."""
+    draw = np.random.default_rng(0)
+    for _ in range(60):
+        corners = np.cumsum(draw.normal(0.0, 0.3, (40, 2)) + [0.1, 0.0], axis=0)
+        steps = np.diff(corners, axis=0)
+        length = np.hypot(*steps.T)
+        arc = np.concatenate([[0.0], np.cumsum(length)])
+        path = Polyline(corners[:-1], steps / length[:, None], length, arc[:-1], arc[1:])
+        # The robot falls behind the place where it is expected, by a share that is drawn, and is led away at times.
+        expected = np.linspace(0.0, 0.9 * arc[-1], draw.integers(2, 80))
+        there = expected * draw.uniform(0.3, 1.0)
+        points = np.column_stack([np.interp(there, arc, corners[:, i]) for i in (0, 1)])
+        points = points + draw.choice([0.0, 0.02, 0.5]) * draw.normal(size=points.shape)
+        wanted = one_after_the_other(path, points, expected)
+        assert np.allclose(np.abs(path.lateral(points, expected, WINDOW)), wanted, rtol=0.0, atol=1e-9)

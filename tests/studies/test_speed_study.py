@@ -1,0 +1,242 @@
+"""The speed study: what it measures, the cost of its closed loops, its report, and runs of it."""
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from bench_parts import META
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive_mpc import ConfigError, load_config, load_model
+from diffdrive_mpc.bench.study import carry_out, write_report
+from diffdrive_mpc.models.interface import ReferenceSample
+from studies.speed.closed_loop_cost import closed_loop_cost
+from studies.speed.process.subject import Subject, SubjectError
+from studies.speed.results import (
+    Missing,
+    SpeedRecord,
+    SpeedResults,
+    growth_exponent,
+    speed_tables,
+    time_statistics,
+)
+from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
+from studies.speed.study import SpeedStudy
+
+
+def measured(solver, horizon, whole, inside=1e-4, model="ssm", clean=1.0):
+    times = np.full((2, 4), whole)
+    return SpeedRecord(
+        solver=solver,
+        model=model,
+        horizon=horizon,
+        iterations_p50=3.0,
+        iterations_max=5,
+        closed_loop_cost=0.25,
+        gap_v_p50=1e-6,
+        gap_v_max=1e-5,
+        gap_omega_p50=math.nan,
+        gap_omega_max=math.nan,
+        active_share=0.5,
+        unsolved=0,
+        samples=8,
+        clean_share=clean,
+        ticks=4,
+        build_s=0.1,
+        memory_bytes=5e7,
+        memory_growth_bytes=1e6,
+        whole=times,
+        **time_statistics(times, np.full((2, 4), inside)),
+    )
+
+
+def results():
+    records = [measured("ours", n, 1e-5 * n) for n in (20, 50, 100)]
+    records += [measured("acados", n, 4e-5 * n, inside=2e-5 * n) for n in (20, 50, 100)]
+    missing = (Missing("do-mpc", "ssm", 20, "no network"), Missing("do-mpc", "ssm", 50, "no network"))
+    return SpeedResults(tuple(records), missing, 0, (0.0, 1.0))
+
+
+@given(st.floats(0.2, 3.0), st.floats(1e-6, 1.0))
+def test_the_exponent_of_a_power_law_is_found(exponent, scale):
+    horizons = np.array([20.0, 30.0, 50.0, 100.0])
+    assert growth_exponent(horizons, scale * horizons**exponent) == pytest.approx(exponent, abs=1e-9)
+
+
+def test_one_horizon_has_no_growth():
+    assert math.isnan(growth_exponent(np.array([20.0]), np.array([1.0])))
+
+
+def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
+    whole = np.full((3, 200), 1e-3)
+    whole[0, 7] = 1.0  # the machine was elsewhere
+    whole[:, 9] = 5e-3  # a hard tick, every time
+    statistics = time_statistics(whole, whole / 2)
+    assert statistics["step_max_s"] == 1.0
+    assert statistics["tick_max_s"] == 5e-3
+    assert statistics["step_p50_s"] == 1e-3
+    assert statistics["solver_p50_s"] == 5e-4
+
+
+def test_ratios_refer_to_acados_at_the_same_horizon():
+    tables = {table.title: table for table in speed_tables(results())}
+    assert tables["Against acados inside SSM"].rows[0] == ("ours", "0.50", "0.50", "0.50")
+    assert tables["Against acados whole SSM"].rows[0] == ("ours", "0.25", "0.25", "0.25")
+    assert tables["Growth and memory"].rows[0][:2] == ("ours", "1.00")
+
+
+def test_models_and_tails_are_held_against_their_own_median():
+    records = [measured("ours", 30, 1e-3), measured("ours", 30, 1.2e-3, model="mbm")]
+    tables = {table.title: table for table in speed_tables(SpeedResults(tuple(records), ()))}
+    assert tables["Against SSM"].rows == (("MBM", "ours", "1.20"),)
+    assert tables["Tail by horizon MBM"].rows == (("ours", "1.0 (1.0)"),)
+
+
+def test_a_median_with_disturbed_steps_is_marked_and_they_do_not_count():
+    whole = np.array([[1e-3, np.nan, 3e-3], [np.nan, np.nan, 5e-3]])
+    statistics = time_statistics(whole, whole / 2)
+    assert (statistics["step_p50_s"], statistics["step_max_s"], statistics["solver_max_s"]) == (3e-3, 5e-3, 2.5e-3)
+    assert statistics["tick_max_s"] == 4e-3
+    (table, *_) = speed_tables(SpeedResults((measured("ours", 30, 1e-3, clean=0.9), measured("b", 30, 1e-3)), ()))
+    assert table.rows == (("ours", "1.000* (0.100)"), ("b", "1.000 (0.100)"))
+
+
+def test_a_missing_peer_is_named_with_its_reason():
+    (table,) = [table for table in speed_tables(results()) if table.title == "Missing"]
+    assert table.rows == (("do-mpc", "ssm 20, ssm 50", "no network"),)
+
+
+def test_without_acados_there_are_no_ratios():
+    alone = SpeedResults((measured("ours", 10, 1e-3),), ())
+    assert not [table.title for table in speed_tables(alone) if "acados" in table.title]
+
+
+def test_the_files_hold_every_record_and_say_what_is_unknown(tmp_path):
+    study = SpeedStudy(load_speed_settings(quick=True))
+    report = study.report(results(), 1.0)
+    write_report(study, report, META | {"revision": None} | report.meta, tmp_path)
+    content = json.loads((tmp_path / "speed.json").read_text())
+    assert len(content["records"]) == 6
+    wanted = {"solver", "model", "horizon", "step_p50_s", "step_p95_s", "step_p99_s", "step_max_s", "solver_p50_s"}
+    assert wanted | {"iterations_p50", "closed_loop_cost"} <= set(content["records"][0])
+    assert content["records"][0]["gap_omega_p50"] is None
+    assert content["growth"][0] == {"solver": "ours", "model": "ssm", "exponent": 1.0}
+    assert content["missing"][0]["reason"] == "no network"
+    text = (tmp_path / "speed.md").read_text()
+    assert "Missing: do-mpc (no network)." in text
+    for name in ("horizon.png", "tail.png"):
+        assert f"(figures/{name})" in text
+        assert (tmp_path / "figures" / name).stat().st_size > 10_000
+
+
+@pytest.fixture(scope="module")
+def small():
+    settings = chosen(load_speed_settings(quick=True), ["ours/daqp", "casadi/sqpmethod"])
+    return settings.model_copy(update={"horizons": (10,), "ticks": 30, "gap_every": 5})
+
+
+@pytest.fixture(scope="module")
+def report(small, tmp_path_factory):
+    out = tmp_path_factory.mktemp("speed")
+    broken = SubjectSettings(kind="nlpsol", settings={"plugin": "nobody", "options": {}})
+    carry_out(SpeedStudy(small.model_copy(update={"subjects": {**small.subjects, "broken": broken}})), out)
+    return json.loads((out / "speed.json").read_text())
+
+
+@pytest.mark.long
+def test_everyone_solves_the_same_problem(report):
+    ours, peer = report["records"]
+    assert (ours["solver"], peer["solver"]) == ("ours/daqp", "casadi/sqpmethod")
+    assert ours["unsolved"] == peer["unsolved"] == 0
+    assert peer["gap_v_max"] < 1e-6
+    assert peer["gap_omega_max"] < 1e-6
+    assert ours["gap_v_p50"] < 1e-3
+    assert ours["gap_omega_p50"] < 1e-3
+    assert ours["closed_loop_cost"] == pytest.approx(peer["closed_loop_cost"], rel=0.01)
+
+
+def test_limits_are_active_for_part_of_the_drive(report):
+    assert all(record["active_share"] > 0.05 for record in report["records"])
+
+
+def test_times_are_in_order_and_counted(report):
+    for record in report["records"]:
+        assert 0 < record["solver_p50_s"] <= record["step_max_s"]
+        assert record["step_p50_s"] <= record["step_p95_s"] <= record["step_p99_s"] <= record["step_max_s"]
+        assert 0 < record["samples"] <= 60
+        assert 0 <= record["clean_share"] <= 1
+        assert record["memory_bytes"] > record["memory_growth_bytes"] > 0
+
+
+def test_a_subject_that_cannot_be_built_is_named_and_the_others_go_on(report):
+    (missing,) = report["missing"]
+    assert missing["solver"] == "broken"
+    assert "nobody" in missing["reason"]
+
+
+def test_a_process_that_dies_leaves_its_last_words(tmp_path):
+    with Subject("nlpsol", tmp_path / "work", python="/bin/false") as subject, pytest.raises(SubjectError):
+        subject.build({}, {}, None)
+
+
+def test_groups_of_subjects_are_chosen_by_their_common_name():
+    settings = load_speed_settings()
+    assert list(chosen(settings, ["ours"]).subjects) == [name for name in settings.subjects if name.startswith("ours/")]
+    assert list(chosen(settings, ["acados"]).subjects) == ["acados", "acados/hard"]
+    with pytest.raises(ConfigError, match="nobody"):
+        chosen(settings, ["nobody"])
+
+
+CONFIG, MODEL = load_config("ssm"), load_model("ssm")
+TICKS = 40
+
+
+def straight(times):
+    """A reference at 0.4 m/s along x, for ever."""
+    times = np.asarray(times)
+    pose = np.column_stack([0.4 * times, 0 * times, 0 * times])
+    return ReferenceSample(pose, np.tile([0.4, 0.0], (len(times), 1)), 0.4 * times)
+
+
+REFERENCE = SimpleNamespace(sample=straight)
+
+
+def cost(across=0.0, along=0.0, turned=0.0, v=0.4, omega=0.0, steady=True, config=CONFIG):
+    """Cost of a drive that keeps a constant error, with the commands that hold the reference's twist."""
+    pose = straight(CONFIG.sample_time * np.arange(TICKS)).pose + [along, across, turned]
+    command = np.tile(np.linalg.solve(MODEL.dc_gain, [0.4, 0.0]), (TICKS, 1))
+    value = closed_loop_cost(pose, np.tile([v, omega], (TICKS, 1)), command, REFERENCE, config, MODEL)
+    first = command[0] ** 2 @ [config.weights.v_increment, config.weights.omega_increment] / 2 / TICKS
+    return value - first
+
+
+def test_on_the_reference_only_the_start_costs():
+    assert cost() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_errors_cost_half_their_weighted_squares():
+    w = CONFIG.weights
+    assert cost(along=0.02) == pytest.approx(w.along * 0.02**2 / 2)
+    assert cost(across=-0.03) == pytest.approx(w.across * 0.03**2 / 2)
+    assert cost(turned=0.1 + 2 * np.pi) == pytest.approx(w.heading * 0.1**2 / 2)
+
+
+def test_exceeded_soft_limits_cost_their_exact_and_quadratic_penalty():
+    w, lim = CONFIG.weights, CONFIG.limits
+    over = 0.1
+    expected = w.soft * over + w.soft_quadratic * over**2 / 2
+    assert cost(omega=lim.predicted_omega + over, v=0.0) == pytest.approx(expected)
+    # One side turns too fast while v and omega alone are inside their limits.
+    narrow = load_config("ssm", {"limits.wheel_speed": 0.55})
+    v = 0.55 - 0.5 * CONFIG.wheels.track * 1.0 + over
+    assert cost(v=v, omega=1.0, config=narrow) == pytest.approx(expected)
+
+
+def test_a_drive_that_failed_has_no_cost():
+    with pytest.raises(ValueError, match="must be finite"):
+        cost(across=np.nan)
+    with pytest.raises(ValueError, match="give"):
+        closed_loop_cost(np.zeros((3, 3)), np.zeros((2, 2)), np.zeros((2, 2)), REFERENCE, CONFIG, MODEL)
