@@ -42,6 +42,7 @@ class StackSettings(StrictModel):
     min_blocks: int = Field(ge=2, description="of readings, to estimate a noise [-]")
     phase_margin: Positive = Field(lt=60, description="of pure pursuit on a straight path [degrees]")
     controller_frequency: Positive = Field(description="of Nav2's controller server [Hz]")
+    delay_widening: Annotated[float, Field(ge=1)] = Field(description="of the intervals of delays [-]")
     slow_speed: Positive = Field(description="speed of the least look-ahead [m/s]")
 
 

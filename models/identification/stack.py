@@ -239,7 +239,9 @@ def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Q
             estimate.derived(["delay"], late), "s", f"dead time of {dead:.3g} s and lag of the answer of {channel}"
         )
         if delay.value is not None:
-            delay = replace(delay, interval=(max(0.0, delay.interval[0]), delay.interval[1]))
+            # Errors that stay through a log, such as a slow disturbance, are larger than the residuals tell.
+            half = 0.5 * identification_settings().stack.delay_widening * (delay.interval[1] - delay.interval[0])
+            delay = replace(delay, interval=(max(0.0, delay.value - half), delay.value + half))
         result[f"delay.{channel}"] = delay
     return result
 
