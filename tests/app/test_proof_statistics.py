@@ -17,6 +17,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, cvar, mean, median
 
 PROBE = Definition(Case())
+BAND = 0.05  # m
 
 
 def driven(definition: Definition = PROBE, **row: object) -> CampaignRun:
@@ -112,7 +113,7 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
         "robot.robot.mass": search(holds=5.0, beyond=37.0, within=0.5),
         "sensors.pose.latency": search(holds=0.0, beyond=0.5, within=0.02),
     }
-    mass, latency = find_boundaries(asked, PROBE, (1, 2), robot.drive)
+    mass, latency = find_boundaries(asked, PROBE, (1, 2), robot.drive, BAND)
     assert mass.held is not None
     assert mass.failed is not None
     assert mass.held <= 17.29 < mass.failed
@@ -128,7 +129,7 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
 def test_a_boundary_may_lie_below() -> None:
     robot = Robot(downwards=True, surface__friction=0.23)
     (found,) = find_boundaries(
-        {"surface.friction": search(holds=0.8, beyond=0.0, within=0.05)}, PROBE, (1,), robot.drive
+        {"surface.friction": search(holds=0.8, beyond=0.0, within=0.05)}, PROBE, (1,), robot.drive, BAND
     )
     assert found.held is not None
     assert found.failed is not None
@@ -138,9 +139,9 @@ def test_a_boundary_may_lie_below() -> None:
 
 def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None:
     asked = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
-    (never,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=0.1).drive)
+    (never,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
     assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])
-    (always,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=9.0).drive)
+    (always,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
     assert (always.held, always.failed, list(always.values)) == (2.0, None, [0.8, 2.0])
 
 
@@ -152,6 +153,7 @@ def test_a_run_that_does_not_end_does_not_hold() -> None:
         PROBE,
         (1,),
         lambda runs: [driven(run, completed=False) for run in runs],
+        BAND,
     )
     assert found.held is None
 
@@ -179,7 +181,7 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     assert [one.definition.case.seed for one in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
     assert [is_unsafe(one) for one in runs].index(True) == 4
-    of = Outcomes.of(runs)
+    of = Outcomes.of(runs, BAND)
     assert (of.unsafe.count, of.completed.count, of.stopped.count, of.in_band.count) == (1, 17, 1, 17)
     said = "\n".join(facts(runs, 5))
     assert "1 of 20 runs had an unsafe command: with 95 % confidence fewer than 21.6 %" in said
