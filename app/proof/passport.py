@@ -224,8 +224,9 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         """The speeds, what stands behind them, and the passport as a file."""
         spec, searches, text = self._proof.passport, results.searches, self._text(results.searches)
         words = (
-            f"At these speeds at least {100 * spec.share:g} % of the robots stay within the tolerance, "
-            f"each with a confidence of {100 * spec.confidence:g} %."
+            f"At these speeds at least {100 * spec.share:g} % of the robots stay within the tolerance "
+            f"on a straight line and an arc to each side, each with a confidence of {100 * spec.confidence:g} %. "
+            "A path with many turns or several classes of curvature may do worse."
         )
         remedy = "allow more, or leave out such turns: a path that needs them is refused"
         warnings = [Warned(f"{_name(one)}: no speed is proven.", remedy) for one in searches if one.speed is None]
@@ -292,14 +293,17 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
                 "inside, search": lambda one: "-" if one.number is None else _count(one.searched.get(one.number)),
                 "inside, fresh": lambda one: _count(one.fresh[-1][1]) if one.fresh else "-",
                 "share [%]": lambda one: f"{100 * one.fresh[-1][1].share:.1f}" if one.fresh else "-",
-                "95 % interval [%]": lambda one: _interval(one.fresh[-1][1]) if one.fresh else "-",
+                "95 % interval [%]": lambda one: (
+                    _interval(one.fresh[-1][1]) if one.fresh and one.fresh[-1][1].of == spec.proof_runs else "-"
+                ),
                 "tries": lambda one: str(len(one.fresh)),
             },
             [((one.surface, _words(one.curvature), f"{1e3 * one.tolerance:g} mm"), one) for one in searches],
             f"Search: {spec.search_runs} robots at each speed. Fresh: {spec.proof_runs} others in each try; intervals "
             f"by Clopper and Pearson. A speed is proven where {100 * spec.share:g} % is at most its lower bound, "
             f"one-sided with {100 * (1 - (1 - spec.confidence) / spec.tries):.1f} %, as there are {spec.tries} tries. "
-            "Not shown at: the next speed of the grid; -: limits allow no greater one.",
+            "Not shown at: the next speed of the grid; -: limits allow no greater one. "
+            "A try that cannot pass any more ends early, and has no interval.",
         )
 
 

@@ -98,6 +98,8 @@ class PassportPlan(StrictModel):
         most = self.share**self.proof_runs
         if most > (1.0 - self.confidence) / self.tries:
             raise ValueError(f"proof_runs: {self.proof_runs} cannot show a share of {self.share:g}; give more")
+        if self.share**self.search_runs > 1.0 - self.confidence:
+            raise ValueError(f"search_runs: {self.search_runs} cannot show a share of {self.share:g}; give more")
         return self
 
 

@@ -145,7 +145,9 @@ def lay_for_robot(
         )
 
     try:
-        return lay(limits) if predictor is None else lay_within_limit(lay, limits, settings, predictor, config)
+        if predictor is None:
+            return lay(limits)
+        return lay_within_limit(lay, limits, settings, predictor, config, abs(twist[0]))
     except ConfigError:
         left = poses_left(poses, robot)
         length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())

@@ -94,13 +94,19 @@ def lay_within_limit(
     settings: NodeSettings,
     predictor: ErrorPredictor,
     config: ControllerConfig,
+    speed: float = 0.0,
 ) -> Laid:
     """Lay a path whose predicted error keeps to `follow_error_limit`, slower where the settings allow that.
 
+    A reference that began below the present `speed` [m/s] of the robot would pull it back: a moving robot is slowed
+    no further than that, and otherwise refused, so that it stands when the next path comes.
+
     Raises ConfigError, which says by how much and where, if no allowed speed keeps to it.
     """
+    slower = _SLOWER if settings.follow_error_response == "slow" else ()
+    shares = (1.0, *(share for share in slower if share * limits.v >= speed))
     complaints = []
-    for share in (1.0, *(_SLOWER if settings.follow_error_response == "slow" else ())):
+    for share in shares:
         laid = lay(_slowed(limits, share))
         try:
             complaint = _complaint(predictor.predict(laid.reference, config), settings.follow_error_limit)
@@ -109,7 +115,7 @@ def lay_within_limit(
         if not complaint:
             return replace(laid, speed_share=share)
         complaints.append(complaint)
-    slowest = f"; at {100 * _SLOWER[-1]:g} % of this speed: {complaints[-1]}" if complaints[1:] else ""
+    slowest = f"; at {100 * shares[-1]:g} % of this speed: {complaints[-1]}" if complaints[1:] else ""
     raise ConfigError(
         f"path: {complaints[0]}{slowest}. Plan an easier path, lower follow_speed_share, or raise follow_error_limit"
     )

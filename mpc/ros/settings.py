@@ -170,8 +170,8 @@ class NodeSettings(StrictModel, strict=True):
 
     follow_error_limit: NotNegative = Field(
         0.0,
-        description="a path beside which fewer than 95 % of drives stay this near all the way, as predicted, is slowed "
-        "or refused; 0: none is [m]",
+        description="a path is slowed or refused if its predicted lateral tube, of the share of drives that the "
+        "calibration states (95 % as shipped), is wider than this; 0: never [m]",
     )
     follow_error_response: Literal["slow", "refuse"] = Field(
         "slow",

@@ -7,6 +7,7 @@ after the other, until the other end closes, however it ends.
 from __future__ import annotations
 
 import os
+import pickle
 import socket
 import subprocess
 import sys
@@ -146,6 +147,8 @@ class SideProcess:
                     return bool(well), content
         except (OSError, EOFError):
             pass
+        except (pickle.PicklingError, TypeError, AttributeError, MemoryError) as error:
+            why = f"it cannot be sent to the process that reads it: {error}"
         with self._changed:
             if self._link is not None and not self._closed:
                 self._link.close()

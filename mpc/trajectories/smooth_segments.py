@@ -67,6 +67,11 @@ def lay_smooth(
     laid: list[Nodes] = [(np.zeros(1), pose[None], np.zeros((1, 3)), np.zeros(1))]
     for sense, group in groupby(segments, _sense):
         run = list(group)
+        if caps is not None and sense <= 0:
+            raise ConfigError(
+                f"{where}: speed_passport covers no backward driving and no turn on the spot; "
+                "drive forwards, or leave it out"
+            )
         pieces = (_driven(run, sense, pose, limits, distance, caps),) if sense else turned(run, pose, limits)
         for times, poses, rates, drawn in pieces:
             if time + float(times[-1]) == time:  # a phase that rounding has left over

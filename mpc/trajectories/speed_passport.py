@@ -33,7 +33,7 @@ class PassportUse(StrictModel):
 class PassportRow(StrictModel):
     """The speeds of one surface and tolerance."""
 
-    surface: str = Field(description="what the floor is called")
+    surface: str = Field(description="name of the surface")
     tolerance: float = Field(gt=0, description="largest lateral error [m]")
     speeds: list[Annotated[float, Field(gt=0)] | None] = Field(
         description="greatest speed of each class of curvature [m/s]; null where none was proven"
@@ -58,6 +58,8 @@ class SpeedPassport(StrictModel):
             raise ValueError("curvatures have to rise")
         if any(len(row.speeds) != len(self.curvatures) for row in self.rows):
             raise ValueError(f"each row needs a speed for each of the {len(self.curvatures)} curvatures")
+        if len({(row.surface, row.tolerance) for row in self.rows}) < len(self.rows):
+            raise ValueError("two rows have the same surface and tolerance")
         return self
 
 
@@ -80,7 +82,7 @@ class SpeedCaps:
     where: str
 
     def at(self, bend: FloatArray) -> FloatArray:
-        """Greatest speed [m/s] for |curvature| `bend` (m,) [1/m]: that of its class, and of no wider one less.
+        """Greatest speed [m/s] for |curvature| `bend` (m,) [1/m]: the least of its class and all wider ones.
 
         Raises
         ------
@@ -90,14 +92,17 @@ class SpeedCaps:
         tightest = float(bend.max())
         if tightest > self.curvatures[-1] + _STRAIGHT:
             raise ConfigError(
-                f"{self.where}: the path turns with a radius of {1 / tightest:.3g} m, the passport knows none below "
-                f"{1 / self.curvatures[-1]:.3g} m; widen the turn, or measure a passport with such radii"
+                f"{self.where}: the path turns with a curvature of {tightest:.3g} 1/m, the passport knows none above "
+                f"{self.curvatures[-1]:.3g} 1/m; widen the turn, or measure a passport with such curvatures"
             )
         # Between two classes the slower one counts, also where chance made the tighter one faster.
         speeds = np.minimum.accumulate(self.speeds)[np.searchsorted(self.curvatures + _STRAIGHT, bend)]
         if np.isnan(speeds).any():
             curvature = float(bend[np.isnan(speeds)].min())
-            raise ConfigError(f"{self.where}: no speed is proven for a curvature of {curvature:.3g} 1/m; allow more")
+            raise ConfigError(
+                f"{self.where}: no speed is proven for a curvature of {curvature:.3g} 1/m or less; "
+                "choose a larger speed_passport.tolerance, or a wider turn"
+            )
         return np.asarray(speeds)
 
 

@@ -195,13 +195,20 @@ def update(out: Path) -> str:
     shown = next((one for one in present if one.name == out.name), present[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
-    if not shown.page:
-        return shown.name
-    report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page
-    page.write_text(with_report(shown, page.read_text(encoding="utf-8"), report), encoding="utf-8")
+    show(shown)
     return shown.name
+
+
+def show(shown: ShownReport) -> None:
+    """Write the tables of docs/NAME into its page, if it has one."""
+    if shown.page:
+        report, page = Path("docs") / shown.name / f"{shown.name}.md", Path("docs") / shown.page
+        text = with_report(shown, page.read_text(encoding="utf-8"), report.read_text(encoding="utf-8"))
+        page.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
     made = [update(Path(argument)) for argument in sys.argv[1:]]
     twelve_drives.record(Path("docs"), made, [shown.name for shown in SHOWN])
+    for shown in SHOWN:
+        show(shown)

@@ -7,7 +7,7 @@ import re
 from latex2mathml.converter import convert
 
 _CODE_OR_FORMULA = re.compile(
-    r"(?P<code>^```.*?^```$|`[^`\n]+`)|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^\s$](?:[^$\n]*[^\s$])?)\$",
+    r"(?P<code>^```.*?^```$|^ {4}[^\n]*$|`[^`\n]+`)|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^\s$](?:[^$\n]*[^\s$])?)\$",
     re.MULTILINE | re.DOTALL,
 )
 

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from diffdrive_mpc.app.lab.build import has_compiler, page_text
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.site.formulas import with_mathml
 from studies.site.reference import reference_pages
 from studies.site.repository_links import pages_outside, with_site_links
@@ -23,7 +24,11 @@ def stage(root: Path, out: Path) -> None:
     """Write the documents of the repository at `root`, the pages made from its code, and the laboratory to `out`.
 
     What was in `out` before is removed. Links lead to pages of the site, and formulas are MathML.
+
+    Raises ConfigError if `out` is a folder that was not written by this.
     """
+    if out.exists() and not (out / _LABORATORY).is_file():
+        raise ConfigError(f"{out}: has no {_LABORATORY}, so it is no folder of the site's pages; name another")
     documents = {
         f"docs/{path.relative_to(root / 'docs').as_posix()}": path.read_text(encoding="utf-8")
         for path in sorted((root / "docs").rglob("*.md"))

@@ -176,7 +176,8 @@ def error_table(rows: Sequence[Mapping[str, object]], drives: PeerDrives) -> Tab
     ended = sum(bool(row["ended"]) for row in rows)
     note = (
         f"Means over {len(drives.seeds)} seeds: for rpp RMSE of the distance from the path, for mppi of the position. "
-        f"Intervals: 95 %, paired bootstrap over the seeds. {ended} of {len(rows)} drives were ended early."
+        f"Intervals: 95 %, paired bootstrap over the seeds, with one log for each robot. "
+        f"{ended} of {len(rows)} drives were ended early."
     )
     return Table("Peers with identified parameters", columns, tuple(lines), text_columns=3, note=note)
 

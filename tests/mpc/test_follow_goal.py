@@ -225,7 +225,7 @@ def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
 BENT = np.column_stack([2 * X, 0.3 * np.sin(6 * X), np.arctan(0.9 * np.cos(6 * X))])
 
 
-def error_limit(limit, response="slow"):
+def error_limit(limit, response="slow", v=0.0):
     """Lay a bent path whose predicted error at full speed is 63 mm, by coefficients that stay as they are."""
     scale = ErrorScale(coefficients={"floor": 0.01, "turning": 0.07}, at_each_place=1.0, everywhere=1.0)
     shipped = load_calibration()
@@ -234,7 +234,7 @@ def error_limit(limit, response="slow"):
     settings = NodeSettings(follow_error_limit=limit, follow_error_response=response, error_population="own")
     predictor = replace(ErrorPredictor.of(Controller("ssm"), settings), calibration=calibration)
     limits = path_limits(CONFIG, np.eye(2), settings)
-    return lay_for_robot(BENT, BENT[0], (0.0, 0.0), limits, settings, CONFIG, predictor), predictor
+    return lay_for_robot(BENT, BENT[0], (v, 0.0), limits, settings, CONFIG, predictor), predictor
 
 
 def test_a_path_is_slowed_until_its_predicted_error_keeps_to_the_limit():
@@ -244,6 +244,18 @@ def test_a_path_is_slowed_until_its_predicted_error_keeps_to_the_limit():
     slow, _ = error_limit(0.7 * width)
     assert slow.speed_share in (0.4, 0.6) and slow.reference.duration > 1.5 * laid.reference.duration
     assert predictor.predict(slow.reference, CONFIG).lateral.everywhere.max() <= 0.7 * width
+
+
+def test_a_moving_robot_is_slowed_no_further_than_it_drives():
+    """A reference that begins below its speed would pull it back."""
+    laid, predictor = error_limit(1.0)
+    width = predictor.predict(laid.reference, CONFIG).lateral.everywhere.max()
+    limit = path_limits(CONFIG, np.eye(2), SETTINGS).v
+    driven, _ = error_limit(0.7 * width, v=0.39 * limit)
+    assert driven.speed_share >= 0.4
+    assert driven.reference.sample([0.0]).twist[0, 0] == pytest.approx(0.39 * limit, rel=0.02)
+    with pytest.raises(ConfigError, match="follow_error_limit"):
+        error_limit(0.7 * width, v=0.9 * limit)
 
 
 @pytest.mark.parametrize(

@@ -78,8 +78,22 @@ def test_what_it_does_not_know_is_one_line(use: dict[str, object], timing: str, 
 
 def test_a_tighter_turn_than_it_knows_is_refused(tmp_path: Path) -> None:
     drawn = "segments:\n- {v: 0.4, omega: 1.0, duration: 2}\n"
-    with pytest.raises(ConfigError, match=r"radius of 0\.4 m, the passport knows none below 0\.5 m"):
+    with pytest.raises(ConfigError, match=r"curvature of 2\.5 1/m, the passport knows none above 2 1/m"):
         load_trajectory(write(tmp_path, drawn, {"tolerance": 0.02}))
+
+
+@pytest.mark.parametrize("segment", ["{v: -0.4, omega: 0.1, duration: 2}", "{v: 0.0, omega: 0.5, duration: 2}"])
+def test_what_was_never_measured_is_refused(segment: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="covers no backward driving and no turn on the spot"):
+        load_trajectory(write(tmp_path, f"segments:\n- {segment}\n", {"tolerance": 0.02}))
+
+
+def test_two_rows_for_one_tolerance_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, SEGMENTS, {"tolerance": 0.02})
+    twice = {**PASSPORT, "rows": [*PASSPORT["rows"], PASSPORT["rows"][0]]}
+    (tmp_path / "passport.yaml").write_text(yaml.safe_dump(twice), encoding="utf-8")
+    with pytest.raises(ConfigError, match="two rows have the same surface and tolerance"):
+        load_trajectory(path)
 
 
 def test_a_passport_that_is_not_trusted_is_not_opened(tmp_path: Path) -> None:
