@@ -144,6 +144,15 @@ def test_ci_runs_what_the_documents_leave_to_it():
     assert all(f'"$root/{named(page)}"' in tour for page in TOURED)
 
 
+def test_files_of_tests_that_documents_and_ci_name_are_there():
+    texts = [page.read_text(encoding="utf-8") for page in LINKING] + [CI_SCRIPT]
+    named_files = {name for text in texts for name in re.findall(r"tests/[a-z_0-9/]+\.py", text)}
+    on_the_robot = re.search(r'robot="(.*)"', CI_SCRIPT)[1].split()
+    named_files |= {f"tests/mpc/test_{name}.py" for name in on_the_robot}
+    assert len(named_files) > 10
+    assert [name for name in sorted(named_files) if not (ROOT / name).is_file()] == []
+
+
 @pytest.mark.parametrize(("line", "part"), PART_OF_CI.items())
 def test_what_ci_runs_with_more_is_run_there(line, part):
     scripts = CI_SCRIPT + (ROOT / ".ci" / "long").read_text(encoding="utf-8")
