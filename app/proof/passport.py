@@ -115,14 +115,11 @@ class SpeedSearch:
         """
         assert self.query is not None
         number, block, _ = self.query
-        inside, driven = (
-            self._begun[0] + int(np.count_nonzero(lateral <= self.tolerance)),
-            self._begun[1] + len(lateral),
-        )
+        inside = self._begun[0] + int(np.count_nonzero(lateral <= self.tolerance))
+        driven = self._begun[1] + len(lateral)
         whole = block_size(self.plan, block)
-        if driven < whole and self._shows(
-            Rate.of_runs(inside + whole - driven, whole), self.plan.tries if block else 1
-        ):
+        at_best = Rate.of_runs(inside + whole - driven, whole)
+        if driven < whole and self._shows(at_best, self.plan.tries if block else 1):
             self._begun = inside, driven
             return
         self._begun, rate = (0, 0), Rate.of_runs(inside, driven)
