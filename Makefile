@@ -31,6 +31,8 @@ MARKED ?= not system and not long
 HASHED := --no-config --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
 	--no-header --no-annotate --quiet
 PEERS_LIST := studies/speed/subjects/requirements
+# Packages that build on this one, each with its own pyproject.toml.
+PACKAGES := $(wildcard packages/*/.)
 BIN := $(VENV)/bin
 # What `make bench` needs: the package alone, 50 packages of some 300.
 CORE := $(VENV)/.core
@@ -64,6 +66,7 @@ $(READY): $(CORE) requirements.txt
 	@$(BIN)/python -c 'print("uv==" + open("requirements.txt").read().split("\nuv==")[1].split("\n    #")[0])' >$(VENV)/uv.txt
 	$(PIP_INSTALL) $(LOCKED) $(VENV)/uv.txt
 	$(BIN)/uv pip install --quiet --no-config --python $(BIN)/python $(LOCKED) requirements.txt || $(PIP_INSTALL) $(LOCKED) requirements.txt
+	$(PIP_INSTALL) --no-deps --no-build-isolation $(addprefix --editable ,$(PACKAGES))
 	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
 	@touch $(READY)
 
@@ -173,7 +176,7 @@ site: $(READY) ## the documents as a site: out/site
 	@echo "$(SITE_OUT)/index.html"
 
 lab: $(LAB_READY) ## the laboratory, one page for a browser that needs nothing else: out/lab.html
-	$(BIN)/python -m diffdrive_mpc.app.lab.build $(LAB_OUT)
+	$(BIN)/python -m diffdrive_mpc_lab.build $(LAB_OUT)
 
 notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages
 	$(BIN)/python -m studies.site.notebooks

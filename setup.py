@@ -32,8 +32,8 @@ class BuildWithCore(build_py):
             bare_packages()
             from diffdrive_mpc.models.compiled.compiler import NotCompiledError  # noqa: PLC0415
             from diffdrive_mpc.mpc.core.packaged import write_packaged as write_core  # noqa: PLC0415
-            from diffdrive_mpc.mpc.monitor.judge import write_packaged as write_judge  # noqa: PLC0415
             from diffdrive_mpc.sim.core.library import write_packaged as write_twin  # noqa: PLC0415
+            from diffdrive_mpc_monitor.judge import write_packaged as write_judge  # noqa: PLC0415
 
             package = Path(self.build_lib, "diffdrive_mpc")
             try:

@@ -7,13 +7,13 @@ from pathlib import Path
 import yaml
 from pydantic import Field
 
-from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.drive import TIME, Row
-from diffdrive_mpc.bench.campaign.engine import CampaignRun
-from diffdrive_mpc.bench.campaign.identity import environment, key_of
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.draws import Value
+from diffdrive_mpc_extras.campaign.drive import TIME, Row
+from diffdrive_mpc_extras.campaign.engine import CampaignRun
+from diffdrive_mpc_extras.campaign.identity import environment, key_of
 
 _HEAD = (
     "# A run: drive it again with `diffdrive-mpc simulate --from-run FILE`. Units are those of the files and options.\n"

@@ -104,7 +104,7 @@ def load_reference(case: Case) -> Trajectory:
     that the world's file says, where it says one.
     """
     if case.world != NO_WORLD:
-        from diffdrive_mpc.sim.worlds.world_file import load_world  # noqa: PLC0415 - most cases are in none
+        from diffdrive_mpc_extras.worlds.world_file import load_world  # noqa: PLC0415 - most cases are in none
 
         way = load_world(case.world, case.seed).way
         if way is not None and case.trajectory != case.world:

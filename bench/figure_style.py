@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patches import Polygon as Patch
 
-from diffdrive_mpc.sim.worlds.world import World
+from diffdrive_mpc_extras.worlds.world import World
 
 # Okabe and Ito's palette: told apart with every kind of colour vision, and by brightness in print.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
-from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
+from diffdrive_mpc_extras.free_space import MovingDisc, Surroundings
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

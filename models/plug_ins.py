@@ -1,35 +1,78 @@
-"""Plug-ins: parts that nobody imports by name. What they register is found here, and imported when it is asked for.
+"""Entry points by which other packages extend this one.
 
-A distribution registers in its `pyproject.toml`, this project's own parts in `extras/` as anybody's:
+A distribution registers a part in its `pyproject.toml`:
 
-    [project.entry-points."diffdrive_mpc.structures"]
-    mine = "my_package.my_structure:STRUCTURE"
+    [project.entry-points."diffdrive_mpc.peers"]
+    mine = "my_package.my_peer:PEER"
 
-Groups: `structures` (`models.function_structure.FunctionStructure`), `files` (`models.file_kind.FileKind`), `commands`
-(`bench.command_line.options.PluggedCommand`).
+`GROUPS` names the groups. The name of an entry is the word by which users ask for the part: a command, a controller
+feature and its configuration group, a peer, a plant. Listing the names imports nothing; a part is imported when it is
+asked for.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
+
+import yaml
+
+from diffdrive_mpc.models.errors import MissingPackageError
+
+GROUPS = ("commands", "structures", "features", "node_parts", "plants", "peers", "columns", "dimensions", "files")
 
 
 @cache
-def plug_ins(group: str) -> tuple[Any, ...]:
-    """What is registered in a group, in the order of the names; a part that was taken out is left out.
+def _entries(group: str) -> Mapping[str, EntryPoint]:
+    entries = entry_points(group=f"diffdrive_mpc.{group}")
+    return {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
+
+
+def plug_in_names(group: str) -> tuple[str, ...]:
+    """Return the names registered in a group, sorted; import nothing."""
+    return tuple(_entries(group))
+
+
+@cache
+def plug_in(group: str, name: str) -> Any:  # noqa: ANN401 - each group has its own type
+    """Import and return the part `name` of a group.
 
     Raises
     ------
+    MissingPackageError
+        If no installed package registers it; the message names the package that has it, if one is known.
     ImportError
-        If a part is there and lacks a module that it needs.
+        If the part lacks a module that it needs.
     """
-    parts = []
-    for entry in sorted(entry_points(group=f"diffdrive_mpc.{group}"), key=lambda entry: entry.name):
-        try:
-            parts.append(entry.load())
-        except ModuleNotFoundError as error:
-            if error.name is None or not f"{entry.module}.".startswith(f"{error.name}."):
-                raise
-    return tuple(parts)
+    entry = _entries(group).get(name)
+    if entry is None:
+        raise MissingPackageError(missing_part(group, name))
+    return entry.load()
+
+
+def plug_ins(group: str) -> tuple[Any, ...]:
+    """Import and return all parts of a group, in the order of their names; raises ImportError as `plug_in`."""
+    return tuple(plug_in(group, name) for name in plug_in_names(group))
+
+
+@cache
+def known_packages() -> Mapping[str, Mapping[str, str]]:
+    """Return the package of every part that this project's own packages register, by group and name."""
+    data = yaml.safe_load(Path(__file__).with_name("known_packages.yaml").read_text(encoding="utf-8"))
+    return {
+        group: {name: package for package, names in packages.items() for name in names}
+        for group, packages in data.items()
+    }
+
+
+def missing_part(group: str, name: str) -> str:
+    """Return one line that says which package has a part and how to install it."""
+    kind = {"node_parts": "node part", "columns": "column"}.get(group, group.removesuffix("s"))
+    package = known_packages().get(group, {}).get(name)
+    if package is None:
+        return f"{kind} '{name}': no installed package has it; installed: {', '.join(_entries(group)) or 'none'}"
+    extra = package.removeprefix("diffdrive-mpc-")
+    return f"{kind} '{name}' is in the package {package}: pip install 'diffdrive-mpc[{extra}]'"

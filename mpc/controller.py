@@ -44,12 +44,12 @@ from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.mpc.free_space.feature import KeepClear
-    from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
-    from diffdrive_mpc.mpc.predicted_error.predicted_error import PredictedError
-    from diffdrive_mpc.mpc.rehearsal.feature import Rehearse
-    from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
-    from diffdrive_mpc.mpc.rehearsal.rehearsal import LapLearner
+    from diffdrive_mpc_extras.free_space.feature import KeepClear
+    from diffdrive_mpc_extras.free_space.surroundings import Surroundings
+    from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError
+    from diffdrive_mpc_extras.rehearsal.feature import Rehearse
+    from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
+    from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
 _CHANGEABLE = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
@@ -313,8 +313,8 @@ class Controller:
             As `start`, and where there is no such population, the model's numbers are assumed or its lag is outside
             of what was calibrated, or the reference lasts no time or over two hours.
         """
-        from diffdrive_mpc.mpc.predicted_error import predicted_error  # noqa: PLC0415 - rarely needed
-        from diffdrive_mpc.mpc.predicted_error.calibration import load_calibration  # noqa: PLC0415
+        from diffdrive_mpc_extras.predicted_error import predicted_error  # noqa: PLC0415 - rarely needed
+        from diffdrive_mpc_extras.predicted_error.calibration import load_calibration  # noqa: PLC0415
 
         predicted_error.check_origin(self.model)
         reference = self._named(reference)

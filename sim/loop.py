@@ -19,8 +19,8 @@ from diffdrive_mpc.sim.recorder import Recorder
 from diffdrive_mpc.sim.run import Run
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.plants.world_plant import WorldPlant
-    from diffdrive_mpc.sim.worlds.sight import Seen
+    from diffdrive_mpc_extras.worlds.sight import Seen
+    from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
 
 _SAME_PERIOD = 1e-3
 """Two sample times that differ by less are the same [-]."""

@@ -15,11 +15,11 @@ from diffdrive_mpc.models.errors import load_pandas
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.step_scalars import step_scalars
-from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
 from diffdrive_mpc.sim.sensing.power_readings import READINGS
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
 
 if TYPE_CHECKING:
     from typing import Self
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from diffdrive_mpc.sim.worlds.passage import Contact, Passage
-    from diffdrive_mpc.sim.worlds.world import World
+    from diffdrive_mpc_extras.worlds.passage import Contact, Passage
+    from diffdrive_mpc_extras.worlds.world import World
 
 NO_SOLVER = "none"
 """Path of a tick at which no solver ran, or of a controller without one."""
@@ -188,7 +188,7 @@ class Run(ReadOnlyArrays):
         """How it went through its world; None without one."""
         if self.world is None:
             return None
-        from diffdrive_mpc.sim.worlds.passage import passage_of  # noqa: PLC0415 - most runs are in no world
+        from diffdrive_mpc_extras.worlds.passage import passage_of  # noqa: PLC0415 - most runs are in no world
 
         goal = self.reference.sample([self.reference.duration]).pose[0]
         return passage_of(self.world, self.outline, self.contacts, goal, self.time, self.true_pose, self.true_twist)

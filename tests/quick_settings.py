@@ -5,9 +5,9 @@ from contextlib import contextmanager
 import pytest
 
 from diffdrive_mpc.app.identification import trial_drives
-from diffdrive_mpc.extras.hybrids import finding as hybrid
 from diffdrive_mpc.mpc.trajectories import model_excitation
-from diffdrive_mpc.sim.twin import fitting
+from diffdrive_mpc_extras.hybrids import finding as hybrid
+from diffdrive_mpc_extras.twin import fitting
 
 SHORTER = (
     (model_excitation, "model_excitation_settings", {"population": 6, "generations": 1}),

@@ -35,8 +35,8 @@ class Watch:
 def drive(settings):
     """Names of the modules that the steps imported, and every message."""
     from diffdrive_mpc.mpc import Controller, Hold, Measurement, load_config, load_trajectory
-    from diffdrive_mpc.mpc.free_space import Surroundings
     from diffdrive_mpc.sim import make_plant
+    from diffdrive_mpc_extras.free_space import Surroundings
 
     controller, reference = Controller(load_config("ssm", settings)), load_trajectory("circle")
     robot, dt = make_plant("model:ssm+0.08"), controller.config.sample_time

@@ -52,8 +52,8 @@ def campaign(
 
     The exit code is 1 when a run ended in an error; its row says which.
     """
-    from diffdrive_mpc.app.campaign_command import Part, run_campaign  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
+    from diffdrive_mpc_extras.campaign.command import Part, run_campaign  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
 
     driven = run_campaign(file, CampaignPlace(out, jobs, scheduler), runs, None if part is None else Part.read(part))
     if failed(driven):

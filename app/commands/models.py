@@ -73,8 +73,8 @@ def compare(
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.table import rich_table  # noqa: PLC0415
     from diffdrive_mpc.models.identification.log_data import read_data  # noqa: PLC0415
-    from diffdrive_mpc.models.identification.model_comparison import ModelComparison, compare_models  # noqa: PLC0415
     from diffdrive_mpc.models.identification.settings import identification_settings  # noqa: PLC0415
+    from diffdrive_mpc_extras.model_comparison.model_comparison import ModelComparison, compare_models  # noqa: PLC0415
 
     settings = identification_settings()
     with ProgressBar("comparison (minutes)") as bar:

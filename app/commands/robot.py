@@ -199,8 +199,8 @@ def _model(
     plant: str,
     seed: int,
 ) -> None:
-    from diffdrive_mpc.app.excitation import excite_into  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.mpc.trajectories.model_excitation import Room  # noqa: PLC0415
+    from diffdrive_mpc_extras.excitation.command import excite_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.excitation.model_excitation import Room  # noqa: PLC0415
 
     excite_into(
         config, Room(*room), out, seconds=seconds, speed=speed, yaw_rate=yaw_rate, seed=seed, log=log, plant=plant
@@ -243,7 +243,7 @@ def twin(
     force: Annotated[bool, typer.Option("--force", help="Go on where the logs speak against it.")] = False,
 ) -> None:
     """Fit the physics plant to a log: what it tells, what not, and a plant file for `simulate --plant mujoco:FILE`."""
-    from diffdrive_mpc.app.twin.study import twin_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.twin.study import twin_into  # noqa: PLC0415 - --help does without it
 
     twin_into(
         logs,
@@ -345,15 +345,15 @@ def prove(
 
     The exit code is 1 when a command was unsafe or a run ended in an error; the report is written all the same.
     """
-    from diffdrive_mpc.app.proof.proof_file import load_proof  # noqa: PLC0415
-    from diffdrive_mpc.app.proof.report import is_unsafe  # noqa: PLC0415
-    from diffdrive_mpc.app.proof.study import ProofStudy, keep  # noqa: PLC0415
-    from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.proof.proof_file import load_proof  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.report import is_unsafe  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.study import ProofStudy, keep  # noqa: PLC0415
 
     proof, place = load_proof(campaign), CampaignPlace(out, jobs, scheduler)
     if tolerance:
-        from diffdrive_mpc.app.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
+        from diffdrive_mpc_extras.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
 
         measured = carry_out(PassportStudy(config, proof, place, read_tolerances(tolerance)), out, jobs)
         if complaint := failed(measured.driven):
@@ -393,7 +393,7 @@ def predict_error(
     out: Annotated[Path, out_option("predicted-error.png and predicted-error.csv")],
 ) -> None:
     """Predict the tracking error of a trajectory before it is driven: tubes in which 95 % of drives stay, and why."""
-    from diffdrive_mpc.app.predicted_error import predict_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.predicted_error.command import predict_into  # noqa: PLC0415 - --help does without it
 
     predict_into(config, trajectory, population, out, calibration)
 
@@ -452,7 +452,7 @@ def commission(
     from diffdrive_mpc.app.commission.commissioning import CommissionRequest, NeedsAPersonError  # noqa: PLC0415 - --help
     from diffdrive_mpc.app.commission.ledger import commission_settings  # noqa: PLC0415
     from diffdrive_mpc.app.commission.run import commission_into  # noqa: PLC0415
-    from diffdrive_mpc.mpc.trajectories.model_excitation import Room  # noqa: PLC0415
+    from diffdrive_mpc_extras.excitation.model_excitation import Room  # noqa: PLC0415
 
     if drawn is not None and robot is not None:
         raise ValueError(f"--drawn {drawn}: it draws the robot; leave '{robot}' out")

@@ -164,13 +164,13 @@ def monitor(
     """
     arguments = ros_arguments(context)
     if export is not None:
-        from diffdrive_mpc.mpc.monitor.export import export_judge  # noqa: PLC0415 - --help does without it
-        from diffdrive_mpc.mpc.monitor.rules import load_rules  # noqa: PLC0415
+        from diffdrive_mpc_monitor.export import export_judge  # noqa: PLC0415 - --help does without it
+        from diffdrive_mpc_monitor.rules import load_rules  # noqa: PLC0415
 
         echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
         return
-    from diffdrive_mpc.mpc.monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
-    from diffdrive_mpc.mpc.monitor.ros.node import MonitorSettings  # noqa: PLC0415
+    from diffdrive_mpc_monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
+    from diffdrive_mpc_monitor.ros.node import MonitorSettings  # noqa: PLC0415
 
     run(arguments, MonitorSettings(rules=rules))
 
@@ -200,7 +200,7 @@ def export(
     ] = False,
 ) -> None:
     """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
-    from diffdrive_mpc.app.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc_extras.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
 
     export_library(
         out,

@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, commission_settings
-from diffdrive_mpc.app.excitation import Excitation, check_drive, driven, excite_model, in_room
 from diffdrive_mpc.app.identification.figures import draw_identification
 from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE, first_circle
 from diffdrive_mpc.app.identification.verdict import judge_by_drives
-from diffdrive_mpc.app.proof.proof_file import Proof, load_proof
-from diffdrive_mpc.app.proof.report import Outcomes, is_unsafe, percent
-from diffdrive_mpc.app.proof.study import ProofStudy, keep
-from diffdrive_mpc.app.twin.study import twin_into
-from diffdrive_mpc.bench.campaign.definition import stated
-from diffdrive_mpc.bench.campaign.engine import CampaignPlace, failed
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE, Setting
@@ -29,8 +22,15 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml
-from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.log_csv import write_log
+from diffdrive_mpc_extras.campaign.definition import stated
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed
+from diffdrive_mpc_extras.excitation.command import Excitation, check_drive, driven, excite_model, in_room
+from diffdrive_mpc_extras.excitation.model_excitation import Room
+from diffdrive_mpc_extras.proof.proof_file import Proof, load_proof
+from diffdrive_mpc_extras.proof.report import Outcomes, is_unsafe, percent
+from diffdrive_mpc_extras.proof.study import ProofStudy, keep
+from diffdrive_mpc_extras.twin.study import twin_into
 
 DRIVE, LOG = "drive.yaml", "log.csv"
 

@@ -25,7 +25,6 @@ from diffdrive_mpc.app.commission.ledger import (
 from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
 from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.app.twin.report import PLANT
 from diffdrive_mpc.bench.report_folder import alone_in, staged
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
@@ -39,8 +38,9 @@ from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.stated_robot import FOLDER as MAKERS
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.whole_file import new_folder
-from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, SimulatedRobot, load_simulated_robot
+from diffdrive_mpc_extras.excitation.model_excitation import Room
+from diffdrive_mpc_extras.twin.report import PLANT
 
 RESULT = "robot"
 """Folder of what is to be used: model, configuration, twin, proof, report."""

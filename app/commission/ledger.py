@@ -15,13 +15,13 @@ from typing import Any
 from joblib.externals.loky import get_reusable_executor
 from pydantic import Field
 
-from diffdrive_mpc.bench.campaign.identity import environment
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked, parse_json
 from diffdrive_mpc.models.compiled.cache import content_digest
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.whole_file import UNFINISHED, whole_file
+from diffdrive_mpc_extras.campaign.identity import environment
 
 FILE = "commission.json"
 SAID = "said.txt"

@@ -12,9 +12,6 @@ import yaml
 
 from diffdrive_mpc.app.commission.commissioning import RESULT, TWIN_FILE, CommissionRequest
 from diffdrive_mpc.app.commission.ledger import Done, steps_table
-from diffdrive_mpc.app.proof.study import told_of
-from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.engine import CampaignPlace, drive_all
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.html_report.document import picture
@@ -49,6 +46,9 @@ from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, drive_all
+from diffdrive_mpc_extras.proof.study import told_of
 
 # A controller that was given the true parameters of a simulated robot: what a commissioning is held against.
 

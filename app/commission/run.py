@@ -22,13 +22,13 @@ from diffdrive_mpc.app.commission.page import (
     commission_page,
     compare,
 )
-from diffdrive_mpc.bench.campaign.draws import Draw, read_factor
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.report_folder import REPORT
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
 from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc_extras.campaign.draws import Draw, read_factor
 
 # A robot of the physics that nobody knows, drawn from a seed.
 

@@ -11,7 +11,6 @@ from typing import Any
 
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
-from diffdrive_mpc.app.identification.stack import chosen_packages, package_file, package_text, stack_table
 from diffdrive_mpc.app.identification.trial_drives import (
     FIRST_CIRCLE,
     first_circle,
@@ -39,6 +38,7 @@ from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc_extras.stack.stack import chosen_packages, package_file, package_text, stack_table
 
 
 def identify_into(

@@ -17,32 +17,32 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from diffdrive_mpc.app.proof.proof_file import Proof
 from diffdrive_mpc.app.tune.tune_file import TunePlan
-from diffdrive_mpc.bench.campaign.campaign_file import CONDITION, Campaign
-from diffdrive_mpc.bench.campaign.definition import FACTORS_OF_A_CASE, GROUPS
-from diffdrive_mpc.bench.campaign.draws import KINDS as DRAWS
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.conditions import Conditions
 from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.stated_robot import MakersRobot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from diffdrive_mpc.models.turn_costs import TurnCosts
-from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, Vehicle
 from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
 from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, digital_twin
 from diffdrive_mpc.sim.plants.surface import Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
-from diffdrive_mpc.sim.worlds.settings import world_settings
-from diffdrive_mpc.sim.worlds.world import World
+from diffdrive_mpc_extras.campaign.campaign_file import CONDITION, Campaign
+from diffdrive_mpc_extras.campaign.conditions import Conditions
+from diffdrive_mpc_extras.campaign.definition import FACTORS_OF_A_CASE, GROUPS
+from diffdrive_mpc_extras.campaign.draws import KINDS as DRAWS
+from diffdrive_mpc_extras.proof.proof_file import Proof
+from diffdrive_mpc_extras.turn_costs import TurnCosts
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, Vehicle
+from diffdrive_mpc_extras.worlds.settings import world_settings
+from diffdrive_mpc_extras.worlds.world import World
+from diffdrive_mpc_monitor.rules import Rules
 
 # JSON Schemas of files that say less, or other things, than the whole that they stand for.
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from diffdrive_mpc.app.run_file import compared, load_run
 from diffdrive_mpc.app.run_log import holds_plans, run_log
 from diffdrive_mpc.app.simulate.single import draw, report
-from diffdrive_mpc.bench.campaign.drive import drive_whole
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.models.trust import only_trusted
+from diffdrive_mpc_extras.campaign.drive import drive_whole
 
 
 def simulate_again(

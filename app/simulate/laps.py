@@ -25,10 +25,10 @@ from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
-from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
-from diffdrive_mpc.mpc.rehearsal.rehearsal import LapLearner
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.laps import lap_parts
+from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
+from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
 _ENABLED = "rehearsal.enabled"
 

@@ -10,16 +10,16 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.app.proof.report import is_unsafe
 from diffdrive_mpc.app.tune.tune_file import Constraint, Figure, Objective, StepTime, Weighted
-from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import CampaignRun
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller, run_case
 from diffdrive_mpc.bench.statistics import cvar, mean
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc_extras.campaign.draws import Value
+from diffdrive_mpc_extras.campaign.engine import CampaignRun
+from diffdrive_mpc_extras.proof.report import is_unsafe
 
 Side = Literal["error", "effort"]
 _FIGURES = {"mean": mean, "cvar": cvar}

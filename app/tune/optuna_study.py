@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.app.tune.tune_file import SearchRange
-from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.whole_file import reason
+from diffdrive_mpc_extras.campaign.draws import Value
 
 JOURNAL = "study.journal"
 STARTUP = 16

@@ -13,7 +13,6 @@ import yaml
 from diffdrive_mpc.app.tune.search import Searched, TunePoint
 from diffdrive_mpc.app.tune.tune_file import TunePlan
 from diffdrive_mpc.app.tune.verdict import PutBack, TuneVerdict
-from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -31,6 +30,7 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.rooms import plain_key
+from diffdrive_mpc_extras.campaign.draws import Value
 
 _LISTED = 12
 

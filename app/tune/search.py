@@ -36,14 +36,14 @@ from diffdrive_mpc.app.tune.optuna_study import (
     values_of,
 )
 from diffdrive_mpc.app.tune.tune_file import TunePlan, TuneRuns
-from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import CampaignPlace, CampaignRun, drive_all
-from diffdrive_mpc.bench.campaign.identity import key_of
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.rooms import plain_key
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.draws import Value
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
+from diffdrive_mpc_extras.campaign.identity import key_of
 
 # The points that a search tried: which can be used, which none beats, and how much each parameter matters.
 

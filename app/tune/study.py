@@ -6,14 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
 from diffdrive_mpc.app.tune.report import configuration, facts, front_chart, search_chart, shown, tables
 from diffdrive_mpc.app.tune.search import ConfigurationSearch, Searched
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.app.tune.verdict import TuneVerdict, judge
-from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.bench.campaign.engine import CampaignPlace
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -22,6 +19,9 @@ from diffdrive_mpc.bench.runner import lasting_processes
 from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.whole_file import check_not_read
+from diffdrive_mpc_extras.campaign.draws import Value
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace
+from diffdrive_mpc_extras.proof.study import told_of
 
 CONFIG = "config.yaml"
 

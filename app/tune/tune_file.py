@@ -9,13 +9,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, Campaign, whole_paths
-from diffdrive_mpc.bench.campaign.definition import Definition, check_factor, stated
-from diffdrive_mpc.bench.campaign.draws import Value, read_factor
 from diffdrive_mpc.bench.case import check_count
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
+from diffdrive_mpc_extras.campaign.campaign_file import MOST_RUNS, Campaign, whole_paths
+from diffdrive_mpc_extras.campaign.definition import Definition, check_factor, stated
+from diffdrive_mpc_extras.campaign.draws import Value, read_factor
 
 DEFAULT = Path(__file__).with_name("default.yaml")
 Count = Annotated[int, Field(ge=1, le=10_000)]

@@ -19,10 +19,10 @@ from diffdrive_mpc.app.tune.objective import (
 )
 from diffdrive_mpc.app.tune.search import ConfigurationSearch, RunSet, TunePoint
 from diffdrive_mpc.app.tune.tune_file import TunePlan
-from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.campaign.draws import Value
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,7 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
     with only_trusted(log, trusted):
         model_path(config.model)
         if config.energy.turn_costs:
-            from diffdrive_mpc.models.turn_costs import load_turn_costs  # noqa: PLC0415 - loads CasADi
+            from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415 - loads CasADi
 
             load_turn_costs(config.energy.turn_costs)
         for term in config.terms:

@@ -11,11 +11,11 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
-from diffdrive_mpc.mpc.config.energy import Energy
-from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
-from diffdrive_mpc.mpc.config.rehearsal import DrivableWeights, Rehearsal
 from diffdrive_mpc.mpc.config.solver import Solver
+from diffdrive_mpc_extras.energy_term.config import Energy
+from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.rehearsal.config import DrivableWeights, Rehearsal
 
 # Limits and sample time default to those of the shipped robot file.
 _ROBOT = load_robot()

@@ -11,12 +11,12 @@ from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
 from diffdrive_mpc.mpc.ros.bond import Bond
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
-from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
 from diffdrive_mpc.mpc.ros.latency import Durations
 from diffdrive_mpc.mpc.ros.recording import ActivationRecording
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc_extras.ros.drive_energy import DriveEnergy
 
 
 def diagnostics(

@@ -18,12 +18,12 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState, LoopTick
-from diffdrive_mpc.mpc.ros.path_error import ErrorPredictor, lay_within_limit
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.planned.lay import Laid, lay_poses, poses_left
+from diffdrive_mpc_extras.ros.path_error import ErrorPredictor, lay_within_limit
 
 _STANDING = 0.02
 """A slower robot stands [m/s]."""

@@ -21,7 +21,6 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.controller import Controller
@@ -30,7 +29,6 @@ from diffdrive_mpc.mpc.ros.command_output import command_topic
 from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, LoopTick, RefusedError
 from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, check_frame, message_type, subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
-from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
 from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameters import (
@@ -42,7 +40,6 @@ from diffdrive_mpc.mpc.ros.parameters import (
     read,
     refuse_what_is_not_allowed,
 )
-from diffdrive_mpc.mpc.ros.path_error import ErrorPredictor
 from diffdrive_mpc.mpc.ros.publishers import Publishers, deaf_to_commands, publishers_of
 from diffdrive_mpc.mpc.ros.recording import ActivationRecording, TickRecords
 from diffdrive_mpc.mpc.ros.reference_input import (
@@ -60,13 +57,16 @@ from diffdrive_mpc.mpc.ros.reference_input import (
 from diffdrive_mpc.mpc.ros.rivals import Others, Rivals, drive_too, publish_too, speak_together
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
-from diffdrive_mpc.mpc.ros.surroundings_input import SurroundingsInput
 from diffdrive_mpc.mpc.ros.transform_listener import listen
 from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import Frames, Placement, moved_poses
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
+from diffdrive_mpc_extras.ros.drive_energy import DriveEnergy
+from diffdrive_mpc_extras.ros.path_error import ErrorPredictor
+from diffdrive_mpc_extras.ros.surroundings_input import SurroundingsInput
+from diffdrive_mpc_extras.turn_costs import TurnCosts, load_turn_costs
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import TextTable, number
-from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, papers_drive
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, papers_drive
 
 TIME_TOLERANCE = 1e-9
 """Two instants closer than this [s] are the same tick: sums of sample times do not meet the duration exactly."""

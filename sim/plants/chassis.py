@@ -16,8 +16,8 @@ from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.worlds.scene import WorldScene
-    from diffdrive_mpc.sim.worlds.world import World
+    from diffdrive_mpc_extras.worlds.scene import WorldScene
+    from diffdrive_mpc_extras.worlds.world import World
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""
@@ -220,7 +220,7 @@ class Chassis:
 
 def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
     """Length and width of the robot as seen from above [m]: body and wheels."""
-    from diffdrive_mpc.sim.worlds.settings import world_settings  # noqa: PLC0415 - most plants are in no world
+    from diffdrive_mpc_extras.worlds.settings import world_settings  # noqa: PLC0415 - most plants are in no world
 
     length, width, _ = twin.chassis.body_size
     return (
@@ -230,7 +230,7 @@ def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
 
 
 def _placed(world: World, robot: Robot, twin: TwinParameters) -> WorldScene:
-    from diffdrive_mpc.sim.worlds.scene import WorldScene  # noqa: PLC0415 - as above
+    from diffdrive_mpc_extras.worlds.scene import WorldScene  # noqa: PLC0415 - as above
 
     return WorldScene(world, *outline(robot, twin))
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.velocity_model import VelocityModel
     from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
-    from diffdrive_mpc.sim.worlds.world import World
+    from diffdrive_mpc_extras.worlds.world import World
 
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""
@@ -167,7 +167,7 @@ def _physics_plant(setting: _Setting, world: World | None, sample_time: float | 
     scene = robot.chassis.scene
     if scene is None:
         return plant
-    from diffdrive_mpc.sim.plants.world_plant import WorldPlant  # noqa: PLC0415 - most plants are in no world
+    from diffdrive_mpc_extras.worlds.world_plant import WorldPlant  # noqa: PLC0415 - most plants are in no world
 
     return WorldPlant(plant, scene, setting.seed)
 
@@ -257,7 +257,7 @@ def drawn_robot(name: str) -> DrawnRobot | None:
 def _world(name: str | Path, seed: int) -> World | None:
     if str(name) == NO_WORLD:
         return None
-    from diffdrive_mpc.sim.worlds.world_file import load_world  # noqa: PLC0415 - most plants are in none
+    from diffdrive_mpc_extras.worlds.world_file import load_world  # noqa: PLC0415 - most plants are in none
 
     return load_world(name, seed)
 

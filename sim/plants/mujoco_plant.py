@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
-from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, papers_drive
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
@@ -22,9 +21,10 @@ from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, l
 from diffdrive_mpc.sim.sensing.power_readings import Battery, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, papers_drive
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.worlds.world import World
+    from diffdrive_mpc_extras.worlds.world import World
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
-from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
 
 
 class RobotLostError(DiffdriveMpcError, ValueError):

@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_variation
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
-from diffdrive_mpc.models.turn_costs.vehicle import NamedDrive, papers_drive
 from diffdrive_mpc.sim.plants.base_motion import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.power_readings import Battery
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
+from diffdrive_mpc_extras.turn_costs.vehicle import NamedDrive, papers_drive
 
 ROBOTS = Path(__file__).parent / "robots"
 DEFAULT = "default"

@@ -25,9 +25,9 @@ from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.messages import MessageRecorder
-from diffdrive_mpc.sim.ros.navigation_topics import SCAN, TRANSFORMS, Scanner, TransformSender
 from diffdrive_mpc.sim.sensing.odometry import Odometry
-from diffdrive_mpc.sim.worlds.world import World
+from diffdrive_mpc_extras.ros.navigation_topics import SCAN, TRANSFORMS, Scanner, TransformSender
+from diffdrive_mpc_extras.worlds.world import World
 
 # Settings of the simulated base: topics' rates, command timeout, lock step.
 

@@ -10,8 +10,8 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative, Positive
-from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants
 from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
 
 # A battery as voltage and current make it: what its drive takes, through its own resistance.
 

@@ -17,11 +17,11 @@ import numpy as np
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.study import run_facts
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.extras.costs_from_log.costs_from_log import learn_log
-from diffdrive_mpc.extras.energy import identify_constants
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs
+from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log
+from diffdrive_mpc_extras.energy import identify_constants
+from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs
 from studies.documents.documents import insert
 from studies.torque.measurements import diagnostic_commands, drawn, driven, plant_of, record, write_diagnostic_log
 from studies.torque.settings import load_study

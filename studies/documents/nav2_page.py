@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.figure_style import colour, line_style, new_figure
-from diffdrive_mpc.bench.peers.rpp import RegulatedPurePursuit, load_parameters, path_of
 from diffdrive_mpc.models.interface import FloatArray, Reference, TrackingController
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit, load_parameters, path_of
 from studies.documents.documents import insert, measured_on
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "nav2.md"

@@ -12,13 +12,13 @@ import numpy as np
 
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import quiet_core
-from diffdrive_mpc.extras.networks.network import NETWORK
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.load import load_linear_model, load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.open_loop import random_commands
+from diffdrive_mpc_extras.networks.network import NETWORK
 from studies.reproduce.drives import predict_path
 from studies.reproduce.published import CostStudy, PaperFinding, Published, PublishedCost
 

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.extras.drives.drive_model import Kind
-from diffdrive_mpc.extras.drives.fitting import DriveFit, fit_drive
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record, read_log
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import simulate_records
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
+from diffdrive_mpc_extras.drives.drive_model import Kind
+from diffdrive_mpc_extras.drives.fitting import DriveFit, fit_drive
 from studies.real_logs.protocol import divide, load_protocol
 from studies.reproduce.drives import record_of
 from studies.reproduce.published import DriveStudy, PaperFinding, Published, PublishedDriveErrors

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.extras.networks.finding import simulate_records
-from diffdrive_mpc.extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
-from diffdrive_mpc.extras.networks.training import train, training_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
 from diffdrive_mpc.models.structures.ssm import identify_ssm
+from diffdrive_mpc_extras.networks.finding import simulate_records
+from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
+from diffdrive_mpc_extras.networks.training import train, training_settings
 from studies.reproduce.drives import (
     QUANTITIES,
     STATISTICS,

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.extras.energy import predict_energy
-from diffdrive_mpc.extras.terrain import load_terrain
-from diffdrive_mpc.extras.torque import TorqueCurves, load_torque_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import LIMIT_SHARE
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
+from diffdrive_mpc_extras.energy import predict_energy
+from diffdrive_mpc_extras.terrain import load_terrain
+from diffdrive_mpc_extras.torque import TorqueCurves, load_torque_settings
+from diffdrive_mpc_extras.turn_costs import LIMIT_SHARE
 from studies.reproduce.published import PaperFinding, Published, TurningStudy
 from studies.reproduce.turning import planning_times
 from studies.torque.measurements import (

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.extras.planner import PlanError, plan
-from diffdrive_mpc.extras.terrain import load_terrain, side_torques
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc_extras.planner import PlanError, plan
+from diffdrive_mpc_extras.terrain import load_terrain, side_torques
+from diffdrive_mpc_extras.turn_costs import load_turn_costs
 from studies.reproduce.published import PaperFinding, Published, TurningStudy
 from studies.torque.measurements import plant_of, steady_turns
 from studies.torque.outcome import parts_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.conditions import Condition
 from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
 from diffdrive_mpc.sim.plants.make import DRAWN
+from diffdrive_mpc_extras.campaign.conditions import Condition
 
 MARKET = "market"
 """Name of the condition of drawn robots: one condition, another robot in each run."""

@@ -10,7 +10,6 @@ import numpy as np
 from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case, check_count
-from diffdrive_mpc.bench.conditions import Condition
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
 from diffdrive_mpc.bench.experiment import ExperimentRun, by, drive_all, json_rows
 from diffdrive_mpc.bench.peers import PEERS
@@ -20,6 +19,7 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
+from diffdrive_mpc_extras.campaign.conditions import Condition
 from studies.robustness.market import MARKET, market_cases
 from studies.robustness.results import FALSE_ALARM_RATE, measured, study_tables
 

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean
-from diffdrive_mpc.extras.planner import Objective, PlanError, plan, plan_each
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.metrics.tracking_errors import tracking_errors
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+from diffdrive_mpc_extras.planner import Objective, PlanError, plan, plan_each
+from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
 from studies.saving.settings import Pair, SavingStudySettings, Standstill
 from studies.torque.measurements import plant_of
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.extras.planner import Plan
+    from diffdrive_mpc_extras.planner import Plan
 
 
 _KEPT = 400

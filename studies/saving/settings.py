@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.stats import qmc
 
-from diffdrive_mpc.extras.planner import PlanSettings, load_plan_settings
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative, Positive, Share
+from diffdrive_mpc_extras.planner import PlanSettings, load_plan_settings
 
 FOLDER = Path(__file__).parent
 

@@ -20,12 +20,6 @@ from scipy.optimize import minimize_scalar
 
 from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.extras.drives.content import drive_content
-from diffdrive_mpc.extras.drives.drive_model import write_drive
-from diffdrive_mpc.extras.drives.fitting import fit_drive
-from diffdrive_mpc.extras.networks.network import Architecture, divided, fit_percent, windows_of
-from diffdrive_mpc.extras.networks.network_model import network_content, write_network
-from diffdrive_mpc.extras.networks.training import method, train, training_settings
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.interface import FloatArray
@@ -40,6 +34,12 @@ from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands, step_commands
+from diffdrive_mpc_extras.drives.content import drive_content
+from diffdrive_mpc_extras.drives.drive_model import write_drive
+from diffdrive_mpc_extras.drives.fitting import fit_drive
+from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, windows_of
+from diffdrive_mpc_extras.networks.network_model import network_content, write_network
+from diffdrive_mpc_extras.networks.training import method, train, training_settings
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
 from studies.reproduce.drives import RobotLogs
 from studies.reproduce.published import load_study

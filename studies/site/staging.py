@@ -10,8 +10,8 @@ import shutil
 import sys
 from pathlib import Path
 
-from diffdrive_mpc.app.lab.build import has_compiler, page_text
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc_lab.build import has_compiler, page_text
 from studies.site.formulas import with_mathml
 from studies.site.reference import reference_pages
 from studies.site.repository_links import pages_outside, with_site_links

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.extras.costs_from_log.figures import torque_axes
-from diffdrive_mpc.extras.terrain import Terrain, side_torques
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import DriveConstants, Vehicle
+from diffdrive_mpc_extras.costs_from_log.figures import torque_axes
+from diffdrive_mpc_extras.terrain import Terrain, side_torques
+from diffdrive_mpc_extras.turn_costs import DriveConstants, Vehicle
 from studies.torque.measurements import sides
 from studies.torque.outcome import CLOSE, FloorOutcome, PayloadOutcome
 

@@ -13,8 +13,6 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.turn_costs import DriveConstants
-from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -24,6 +22,8 @@ from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings, power_read
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc_extras.turn_costs import DriveConstants
+from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE
 from studies.torque.settings import Diagnostic, Measured, Unseen, load_study
 
 KEPT_SHARE = 0.90

@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.extras.energy import predict_energy
-from diffdrive_mpc.extras.terrain import FittedShear, Terrain, fit_shear, load_terrain, side_torques
-from diffdrive_mpc.extras.torque import TorqueCurves, TorqueSettings, load_torque_settings
-from diffdrive_mpc.extras.torque.torque_curves import costs_of_curves
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import (
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc_extras.energy import predict_energy
+from diffdrive_mpc_extras.terrain import FittedShear, Terrain, fit_shear, load_terrain, side_torques
+from diffdrive_mpc_extras.torque import TorqueCurves, TorqueSettings, load_torque_settings
+from diffdrive_mpc_extras.torque.torque_curves import costs_of_curves
+from diffdrive_mpc_extras.turn_costs import (
     DriveConstants,
     IdentifiedSlip,
     TurnCosts,
@@ -21,8 +23,6 @@ from diffdrive_mpc.models.turn_costs import (
     least_radius,
     load_vehicle,
 )
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
-from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from studies.torque.measurements import (
     Steady,
     diagnostic_drive,

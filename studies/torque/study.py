@@ -12,9 +12,9 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Draw, Report, Study
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import turn_costs_text
+from diffdrive_mpc_extras.terrain import load_terrain
+from diffdrive_mpc_extras.turn_costs import turn_costs_text
 from studies.torque.measurements import plant_of
 from studies.torque.outcome import (
     CLOSE,

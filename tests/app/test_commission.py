@@ -24,8 +24,8 @@ from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key
 from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.stated_robot import load_stated_robot
-from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc_extras.excitation.model_excitation import Room
 from quick_settings import quick_settings
 
 STEPS = ["excite-slow", "record-slow", "learn", "excite", "record", "identify", "twin", "prove"]

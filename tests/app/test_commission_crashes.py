@@ -14,7 +14,7 @@ from diffdrive_mpc.app.commission.ledger import Gate
 from diffdrive_mpc.bench.report_folder import alone_in
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import UNFINISHED
-from diffdrive_mpc.mpc.trajectories.model_excitation import Room
+from diffdrive_mpc_extras.excitation.model_excitation import Room
 
 FILES = {
     "excite": ("drive.yaml",),

@@ -28,13 +28,13 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.commission.ledger import FILE as LEDGER
 from diffdrive_mpc.app.commission.ledger import Ledger
-from diffdrive_mpc.bench.campaign.engine import Store
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.table_file import read_table
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.log_csv import read_rows
+from diffdrive_mpc_extras.campaign.engine import Store
 from studies.site.notebooks import write_all
 
 ROOT = Path(__file__).parents[2]

@@ -18,26 +18,26 @@ from typer.testing import CliRunner
 from commands import invoke
 from diffdrive_mpc import ModelError, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.schemas.generate import json_schema
 from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.spec import load_experiment
-from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import EDITOR_LINE, kept_editor_line
 from diffdrive_mpc.models.stated_robot import load_stated_robot
-from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
-from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.worlds.world_file import load_world
+from diffdrive_mpc_extras.campaign.campaign_file import load_campaign
+from diffdrive_mpc_extras.campaign.conditions import load_conditions
+from diffdrive_mpc_extras.proof.proof_file import load_proof
+from diffdrive_mpc_extras.terrain import load_terrain
+from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
+from diffdrive_mpc_extras.worlds.world_file import load_world
+from diffdrive_mpc_monitor.rules import load_rules
 
 ROOT = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {

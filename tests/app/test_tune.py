@@ -20,12 +20,12 @@ from diffdrive_mpc.app.tune.objective import broken, exceeded, in_words, predict
 from diffdrive_mpc.app.tune.search import Searched, TunePoint
 from diffdrive_mpc.app.tune.study import tune
 from diffdrive_mpc.app.tune.tune_file import Constraint, Objective, StepTime, load_plan
-from diffdrive_mpc.bench.campaign.check import check_definitions
-from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.engine import CampaignRun, drive_all
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.campaign.check import check_definitions
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.engine import CampaignRun, drive_all
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_a_tuning_leaves_configuration_report_and_study(
     assert text.startswith(f"# Tuned from ssm: {sentence}.\n")
     assert ("# was " in text) == found["meta"]["improved"]
     # A repeated tuning drives nothing, and says the same.
-    monkeypatch.setattr("diffdrive_mpc.bench.campaign.engine.drive", None)
+    monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
     call(*words, "--points", 11)
     assert (out / "tune.md").read_text(encoding="utf-8").partition("## ")[2] == report.partition("## ")[2]
     assert (out / "config.yaml").read_text(encoding="utf-8") == text

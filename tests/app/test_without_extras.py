@@ -8,7 +8,7 @@ import sys
 
 class Gone:
     def find_spec(self, name, path, target=None):
-        if name.startswith("diffdrive_mpc.extras"):
+        if name.startswith("diffdrive_mpc_extras"):
             raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
 sys.meta_path.insert(0, Gone())

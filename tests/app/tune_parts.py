@@ -9,8 +9,8 @@ import yaml
 
 from diffdrive_mpc.app.tune.search import ConfigurationSearch, Searched
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
-from diffdrive_mpc.bench.campaign.engine import CampaignPlace
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace
 
 SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
 PLAN = """

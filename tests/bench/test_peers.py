@@ -26,7 +26,6 @@ from diffdrive_mpc.bench.peers import LAWS, make_peer
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController, KanayamaGains, kanayama_twist, load_plain_gains
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
-from diffdrive_mpc.bench.peers.mppi import MppiLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
 from diffdrive_mpc.bench.peers.tracking_peer import (
     Delayed,
@@ -40,6 +39,7 @@ from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc_extras.peers.mppi import MppiLaw
 
 CONFIG, MODEL = load_config("sm"), load_model("sm")
 ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)

@@ -14,24 +14,24 @@ import numpy as np
 import yaml
 
 from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, make_plant
-from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.spec import load_experiment
-from diffdrive_mpc.extras.terrain.terrain_file import load_terrain
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.file_kind import PACKAGE
 from diffdrive_mpc.models.logs.mapping import load_mapping
-from diffdrive_mpc.models.turn_costs import load_turn_costs
-from diffdrive_mpc.models.turn_costs.vehicle import load_drive_constants, load_vehicle
-from diffdrive_mpc.mpc.monitor.judge import Judge
-from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
-from diffdrive_mpc.sim.worlds.world_file import load_world
+from diffdrive_mpc_extras.campaign.campaign_file import load_campaign
+from diffdrive_mpc_extras.campaign.conditions import load_conditions
+from diffdrive_mpc_extras.proof.proof_file import load_proof
+from diffdrive_mpc_extras.terrain.terrain_file import load_terrain
+from diffdrive_mpc_extras.turn_costs import load_turn_costs
+from diffdrive_mpc_extras.turn_costs.vehicle import load_drive_constants, load_vehicle
+from diffdrive_mpc_extras.worlds.world_file import load_world
+from diffdrive_mpc_monitor.judge import Judge
+from diffdrive_mpc_monitor.rules import load_rules
 from fuzz import mutation, shrink
 from fuzz.case import Case, FaultError
 from fuzz.controller import Life, checked_reference

@@ -12,8 +12,8 @@ from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import model_comparison
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 from diffdrive_mpc.models.structures import ssm
+from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 
 
 @pytest.fixture(autouse=True)

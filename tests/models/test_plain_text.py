@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.export.generated_c import trajectory_texts
+from diffdrive_mpc_extras.export.generated_c import trajectory_texts
 
 HOSTILE = "a\nlimits: {max_position_error: 99}\r\x1b[2J\u202e\x85\u2028b"
 

@@ -18,7 +18,7 @@ from diffdrive_mpc.mpc.trajectories import model_excitation as searched
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation, told_apart, write_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
-from diffdrive_mpc.mpc.trajectories.model_excitation import Room, model_excitation, path_of, write_model_drive
+from diffdrive_mpc_extras.excitation.model_excitation import Room, model_excitation, path_of, write_model_drive
 
 
 @pytest.mark.parametrize(

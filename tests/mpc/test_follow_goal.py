@@ -9,12 +9,12 @@ import pytest
 from diffdrive_mpc import Controller
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.mpc.predicted_error.calibration import ErrorScale, load_calibration
 from diffdrive_mpc.mpc.ros import follow_goal
 from diffdrive_mpc.mpc.ros.control_loop import LoopState, LoopTick
 from diffdrive_mpc.mpc.ros.follow_goal import Code, FollowGoal, Following, GoalOutcome, lay_for_robot, path_limits
-from diffdrive_mpc.mpc.ros.path_error import ErrorPredictor
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc_extras.predicted_error.calibration import ErrorScale, load_calibration
+from diffdrive_mpc_extras.ros.path_error import ErrorPredictor
 
 X = np.linspace(0.0, 1.0, 21)
 STRAIGHT = np.column_stack([X, 0 * X, 0 * X])

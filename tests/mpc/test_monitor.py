@@ -460,8 +460,8 @@ def test_the_controller_knows_nothing_of_it():
 def test_what_runs_has_none_of_it_loaded(what):
     """The whole command, up to where it would wait for messages."""
     code = {
-        "judge": "from diffdrive_mpc.mpc.monitor.judge import Judge\n"
-        "from diffdrive_mpc.mpc.monitor.rules import load_rules\n"
+        "judge": "from diffdrive_mpc_monitor.judge import Judge\n"
+        "from diffdrive_mpc_monitor.rules import load_rules\n"
         "Judge(load_rules()).command(0.0, 0.0, 1.0, 0.0)\n",
         "process": "import sys\n"
         "from rclpy.executors import SingleThreadedExecutor\n"
@@ -475,9 +475,9 @@ def test_what_runs_has_none_of_it_loaded(what):
     code += "import sys\nprint(*sorted(sys.modules), sep='\\n')\n"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     loaded = set(result.stdout.split())
-    assert "diffdrive_mpc.mpc.monitor.judge" in loaded
+    assert "diffdrive_mpc_monitor.judge" in loaded
     if what == "process":
-        assert "diffdrive_mpc.mpc.monitor.ros.node" in loaded, result.stderr
+        assert "diffdrive_mpc_monitor.ros.node" in loaded, result.stderr
     found = {name for name in map(ours, loaded) if name and name.startswith(("mpc.", "models.", "sim."))}
     assert {name for name in found if not allowed(name)} == set()
     assert {name for name in HEAVY if name in loaded} == set()

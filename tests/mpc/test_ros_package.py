@@ -19,13 +19,13 @@ from ros_parts import stack
 from rosgraph_msgs.msg import Clock
 
 from diffdrive_mpc.app.commands.ros import monitor
-from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED, MonitorNode, MonitorSettings
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.ros.pace import WallClock
 from diffdrive_mpc.sim.ros.run_robot import NODE_NAME
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase, load_base_settings
+from diffdrive_mpc_monitor.ros.node import CHECKED, UNCHECKED, MonitorNode, MonitorSettings
 from imports import imported
 
 ROOT = Path(__file__).parents[2]

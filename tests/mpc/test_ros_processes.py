@@ -18,8 +18,8 @@ from ros_parts import DT, PATIENCE, FakeBase, in_name_space, stack
 from commands import invoke
 from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.mpc.monitor.ros.node import MonitorNode, MonitorSettings
 from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 

@@ -14,13 +14,13 @@ from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from diffdrive_mpc.mpc.monitor.judge import Judge
-from diffdrive_mpc.mpc.monitor.ros.node import planar, seconds
-from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.solver.backend import Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc_monitor.judge import Judge
+from diffdrive_mpc_monitor.ros.node import planar, seconds
+from diffdrive_mpc_monitor.rules import load_rules
 
 LIMITS = CONFIG.limits
 WITHIN_SLEW = np.array([LIMITS.v_slew, LIMITS.omega_slew]) * DT + 1e-9

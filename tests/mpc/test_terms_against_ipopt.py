@@ -9,7 +9,7 @@ from ideal_robot import IdealRobot
 from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
 
 from diffdrive_mpc import Controller, Term, load_config, load_trajectory
-from diffdrive_mpc.mpc.free_space import Surroundings
+from diffdrive_mpc_extras.free_space import Surroundings
 
 CIRCLE = load_trajectory("circle")
 HORIZON = 15

@@ -27,13 +27,13 @@ from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
 from diffdrive_mpc.sim.ros.messages import nanoseconds
-from diffdrive_mpc.sim.ros.navigation_topics import Scanner
 from diffdrive_mpc.sim.ros.pace import SteppedClock
 from diffdrive_mpc.sim.ros.run_robot import run_robot
 from diffdrive_mpc.sim.ros.simulated_base import BaseSettings, SimulatedBase, load_base_settings
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.worlds.shapes import Mover
-from diffdrive_mpc.sim.worlds.world import World
+from diffdrive_mpc_extras.ros.navigation_topics import Scanner
+from diffdrive_mpc_extras.worlds.shapes import Mover
+from diffdrive_mpc_extras.worlds.world import World
 
 DT = load_robot().sample_time
 TICKS = 60

@@ -17,10 +17,10 @@ from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
 
 from diffdrive_mpc import ConfigError, DiffdriveMpcError, Measurement, MissingPackageError, make_plant
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import load_drive_constants
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc_extras.turn_costs import load_drive_constants
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
 

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.turn_costs import load_vehicle
+from diffdrive_mpc_extras.turn_costs import load_vehicle
 from studies.reproduce.cost import measure_cost
 from studies.reproduce.drive_models import (
     EXPERIMENTAL,

@@ -13,12 +13,12 @@ from tracking_parts import recovery, statistics
 from commands import invoke
 from diffdrive_mpc import ConfigError, make_plant
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
+from diffdrive_mpc_extras.campaign.conditions import load_conditions
 from studies.cli import app
 from studies.robustness.market import market_cases
 from studies.robustness.results import alarms_interval, measured, ratios, share_interval, study_tables

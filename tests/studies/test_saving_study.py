@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from commands import invoke
 from diffdrive_mpc import ConfigError, load_config
-from diffdrive_mpc.extras.planner import Plan, plan
-from diffdrive_mpc.models.turn_costs import load_turn_costs, load_vehicle
+from diffdrive_mpc_extras.planner import Plan, plan
+from diffdrive_mpc_extras.turn_costs import load_turn_costs, load_vehicle
 from studies.cli import app
 from studies.saving.drives import PairOutcome, PlanDrive, Saved, drive_closed, drive_open, standing_from, worse_arrival
 from studies.saving.scenarios import gap_to_posts, loaded_costs

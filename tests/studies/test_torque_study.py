@@ -10,8 +10,8 @@ import pytest
 
 from commands import invoke
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.turn_costs import load_drive_constants, load_vehicle
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_vehicle
 from studies.cli import app
 from studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands
 from studies.torque.outcome import measure_floor, parts_of

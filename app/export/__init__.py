@@ -1,1 +1,0 @@
-"""The command `export`: the library in its folder, and how large it is."""

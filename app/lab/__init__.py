@@ -1,1 +1,0 @@
-"""The laboratory: the controller, a simulated robot and a peer as one page for a browser."""

@@ -1,1 +1,0 @@
-"""`diffdrive-mpc twin`: a plant fitted to a log of a robot."""

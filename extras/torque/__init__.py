@@ -1,7 +1,0 @@
-"""Torque of each side against turn radius, learned while driving."""
-
-from diffdrive_mpc.extras.torque.mran import MranNetwork
-from diffdrive_mpc.extras.torque.settings import MranSettings, TorqueSettings, load_torque_settings
-from diffdrive_mpc.extras.torque.torque_curves import TorqueCurves
-
-__all__ = ["MranNetwork", "MranSettings", "TorqueCurves", "TorqueSettings", "load_torque_settings"]

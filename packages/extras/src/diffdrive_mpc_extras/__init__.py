@@ -1,0 +1,11 @@
+"""Features beside the main job of diffdrive-mpc: models of the papers, obstacles, planning, campaigns, export to C."""
+
+from importlib.metadata import version
+
+_ROOT = "0.3"
+"""Minor version of diffdrive-mpc that this package is built on."""
+
+if not version("diffdrive-mpc").startswith(f"{_ROOT}."):
+    raise ImportError(
+        f"diffdrive-mpc-extras {_ROOT} needs diffdrive-mpc {_ROOT}, found {version('diffdrive-mpc')}: install both of one version"
+    )

@@ -1,0 +1,143 @@
+"""A campaign as its YAML file states it, and the runs that are drawn from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.stats import qmc
+
+from diffdrive_mpc.bench.case import MOST_SEEDS
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.campaign.conditions import Conditions, load_conditions
+from diffdrive_mpc_extras.campaign.definition import Definition, check_factor
+from diffdrive_mpc_extras.campaign.draws import Draw, Value, read_factor
+
+CONDITION = "condition"
+"""Factor whose value is a condition of the robustness study: plant, surface, sensors, scenario and what is told."""
+MOST_RUNS = 100 * MOST_SEEDS
+_SEED = "seed"
+_INSIDE = 2.0**-33
+
+
+class Campaign(StrictModel):
+    """A list of runs, as distributions of what they are made of."""
+
+    description: str = Field(min_length=1, description="what it is for, in one line")
+    runs: Annotated[int, Field(ge=1, le=MOST_RUNS)] = Field(description="how many runs")
+    sampler: Literal["sobol", "latin_hypercube", "random"] = Field(
+        "sobol",
+        description="how points are spread, random: independently; only with latin_hypercube other runs for fewer",
+    )
+    draw_seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the points, not of a run's noise")
+    conditions: str | None = Field(None, description="file of conditions in place of the shipped one")
+    factors: dict[str, object] = Field(
+        default_factory=dict, description="a value, a choice or a distribution for each factor"
+    )
+
+    @model_validator(mode="after")
+    def _readable(self) -> Campaign:
+        for name, data in self.factors.items():
+            if name != CONDITION:
+                check_factor(name, "factors")
+            read_factor(data, f"factors.{name}")
+        return self
+
+    @property
+    def draws(self) -> dict[str, Draw | Value]:
+        """Every factor, in the order of the file; each run has a seed of its own where the file does not say."""
+        read = {name: read_factor(data, f"factors.{name}") for name, data in self.factors.items()}
+        return read if _SEED in read else read | {_SEED: read_factor({"each": 0}, _SEED)}
+
+    @property
+    def varying(self) -> dict[str, Draw]:
+        """The factors that differ from run to run."""
+        return {name: draw for name, draw in self.draws.items() if isinstance(draw, Draw)}
+
+    def definitions(self, runs: int | None = None) -> list[Definition]:
+        """The runs in order, `runs` of them or as many as the file says.
+
+        Raises ConfigError if there are too many, two factors contradict each other, or a value is of another kind than
+        its factor.
+        """
+        count = self.runs if runs is None else runs
+        if count > MOST_RUNS:
+            raise ConfigError(f"--runs {count}: give at most {MOST_RUNS}")
+        conditions = load_conditions(None if self.conditions is None else Path(self.conditions))
+        sampled = [name for name, draw in self.varying.items() if draw.sampled]
+        points = spread_points(self.sampler, count, len(sampled), self.draw_seed)
+        definitions = []
+        for index, row in enumerate(points):
+            at = dict(zip(sampled, row.tolist(), strict=True))
+            values = {
+                name: draw.value(at.get(name, math.nan), index) if isinstance(draw, Draw) else draw
+                for name, draw in self.draws.items()
+            }
+            definitions.append(Definition.of(_with_condition(values, conditions), f"run {index}"))
+        return definitions
+
+
+def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> FloatArray:
+    """(count, dimensions) points in (0, 1), evenly spread by `sampler`."""
+    if not dimensions:
+        return np.zeros((count, 0))
+    if sampler == "sobol":
+        # A whole power of two is balanced, and its beginning is that of every larger one.
+        power = max(count - 1, 1).bit_length()
+        points = qmc.Sobol(dimensions, scramble=True, seed=seed).random_base2(power)[:count]
+    elif sampler == "random":
+        points = np.random.default_rng(seed).random((count, dimensions))
+    else:
+        points = qmc.LatinHypercube(dimensions, seed=seed).random(count)
+    # A normal distribution has no quantile at the ends.
+    return np.asarray(np.clip(points, _INSIDE, 1.0 - _INSIDE), dtype=float)
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Read a campaign; files that stand beside it may be named by their path from there.
+
+    Raises ConfigError when the file has a mistake.
+    """
+    read = load_checked(Campaign, path)
+    return read.model_copy(update=files_beside(read, Path(path)))
+
+
+def files_beside(campaign: Campaign, path: Path) -> dict[str, object]:
+    """Factors and conditions of a campaign whose file is `path`, with whole paths for files that stand beside it."""
+    return {name: whole_paths(getattr(campaign, name), path.parent) for name in ("factors", "conditions")}
+
+
+def whole_paths(value: object, folder: Path) -> object:
+    """Plain data with whole paths in place of names of files in `folder`."""
+    if isinstance(value, Mapping):
+        return {whole_paths(key, folder): whole_paths(inner, folder) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [whole_paths(inner, folder) for inner in value]
+    if not isinstance(value, str) or not Path(value).suffix:
+        return value
+    kind, colon, rest = value.rpartition(":")
+    file = folder / rest
+    return f"{kind}{colon}{file.resolve()}" if file.is_file() else value
+
+
+def _with_condition(values: dict[str, Value], conditions: Conditions) -> dict[str, Value]:
+    """The values with what a condition stands for in its place."""
+    name = values.pop(CONDITION, None)
+    if name is None:
+        return values
+    one = conditions.chosen([str(name)], f"factors.{CONDITION}")[str(name)]
+    places: dict[str, Value] = {
+        "plant": one.plant,
+        "surface": one.surface,
+        "sensors": one.sensors,
+        "scenario": one.scenario,
+    }
+    twice = [place for place in places if place in values]
+    if twice:
+        raise ConfigError(f"factors.{twice[0]}: a condition says that already; give one of them")
+    return places | {f"config.{key}": value for key, value in one.settings.items()} | values

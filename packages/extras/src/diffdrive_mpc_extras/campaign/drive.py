@@ -1,0 +1,189 @@
+"""Drive one run of a campaign: build what its definition names, and watch the controller's commands."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+from threadpoolctl import threadpool_limits
+
+from diffdrive_mpc.bench.case import Overrides
+from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
+from diffdrive_mpc.bench.controllers import build, settings_of
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.run_row import CLOCK, run_columns
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
+from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
+from diffdrive_mpc.mpc.config.config_file import PARAMETERS
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.sim import Plant, Run, simulate
+from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, load_simulated_robot
+from diffdrive_mpc.sim.plants.surface import SURFACES
+from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
+from diffdrive_mpc_extras.campaign.definition import Definition
+
+# The row of a run: metrics, completion, counts of what the controller did, unsafe commands, and times.
+
+
+TIME = "time_"
+"""Beginning of the names of all columns that differ when a run is repeated."""
+_WORDS = {str(status): f"solver_{status.name.lower()}" for status in SolverStatus}
+
+Row = dict[str, bool | int | float | str | None]
+
+
+def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float, wall: float) -> Row:
+    """The row of one run.
+
+    Parameters
+    ----------
+    run
+        What was driven; None where it ended in an error.
+    unsafe
+        Counts by the checker; None where the controller is not this project's.
+    error
+        Why it could not be driven or driven on, in one line; empty where it could.
+    processor, wall
+        What it took of the processor and of the clock [s].
+    """
+    row: Row = {"completed": run is not None and run.metrics.completed, "error": error}
+    row |= {f"unsafe_{name}": count for name, count in (asdict(unsafe) if unsafe else {}).items()}
+    row |= {f"{TIME}processor_s": processor, f"{TIME}wall_s": wall}
+    if run is None:
+        return row
+    for name, value in plain(run_columns(run)).items():
+        row[f"{TIME}{name.replace('_time', '')}" if name.startswith(CLOCK) else name] = value
+    modes, statuses = Counter(run.modes), Counter(run.solver_statuses)
+    row |= {f"ticks_{mode.lower()}": modes[mode] for mode in Mode}
+    return row | {column: statuses[words] for words, column in _WORDS.items()}
+
+
+OnTick = Callable[[int, int], None]
+_PHYSICS = "mujoco"
+
+
+class RecordedController:
+    """A controller, and what it commanded when: also commands that the loop refuses."""
+
+    def __init__(self, controller: TrackingController) -> None:
+        self._controller = controller
+        self.times: list[float] = []
+        self.commands: list[tuple[float, float]] = []
+        self.modes: list[str] = []
+        self.pose_came: list[bool] = []
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Pass on."""
+        self._controller.start(reference, t0)
+
+    def step(self, t: float, measurement: Measurement) -> ControlStep:
+        """Pass on, and keep what was said."""
+        step = self._controller.step(t, measurement)
+        pose = measurement.pose
+        values = np.asarray(step.command, dtype=float).ravel()
+        self.times.append(t)
+        self.commands.append((float(values[0]), float(values[1])) if values.size == 2 else (np.nan, np.nan))
+        self.modes.append(str(step.mode))
+        self.pose_came.append(pose is not None and bool(np.isfinite(pose.value).all()))
+        return step
+
+    def unsafe(self, definition: Definition) -> Unsafe | None:
+        """What the checker counts; None for a peer, which states no limits."""
+        case = definition.case
+        if case.controller in PEERS or not self.times:
+            return None
+        named = case.config or (case.model if is_shipped(case.model) else "ssm")
+        limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(settings_of(case)))
+        return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
+
+
+@contextmanager
+def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, Reference]]:
+    """Controller, plant and reference of a run.
+
+    Raises ConfigError or ValueError if a name is unknown, or a file or a value that replaces one has a mistake.
+    """
+    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, also_trusted(Path(folder)):
+        yield build(_with_files(definition, Path(folder)))
+
+
+def drive(definition: Definition) -> Row:
+    """Drive the run and keep its row; whatever goes wrong with it becomes the row's `error`."""
+    return drive_whole(definition)[1]
+
+
+def drive_whole(
+    definition: Definition, on_tick: OnTick | None = None, *, keep_plans: bool = False
+) -> tuple[Run | None, Row]:
+    """The same, with the run, where there is one; `on_tick` and `keep_plans` are those of `sim.simulate`."""
+    began, processor = time.perf_counter(), time.process_time()
+    run: Run | None = None
+    watched: RecordedController | None = None
+    error = ""
+    with threadpool_limits(limits=1):
+        try:
+            with built(definition) as (controller, plant, reference):
+                watched = RecordedController(controller)
+                run = simulate(watched, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
+                _ = run.errors
+        except (MemoryError, OSError, UntrustedFileError):
+            raise  # the machine's or the caller's fault, not the run's: it is to be done again
+        except Exception as fault:
+            error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
+        unsafe = watched.unsafe(definition) if watched else None
+        return run, row_of(run, unsafe, error, time.process_time() - processor, time.perf_counter() - began)
+
+
+def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - a Case
+    """The case, with files in `folder` in place of those of which single values are replaced."""
+    case = definition.case
+    if definition.robot:
+        kind, _, name = case.plant.partition(":")
+        if kind != _PHYSICS:
+            raise ConfigError(
+                f"robot.{definition.robot[0][0]}: the plant '{case.plant}' has no robot file; use 'mujoco'"
+            )
+        base = read_yaml(named_file("robot", ROBOTS, name)) if name else {}
+        changed = _changed({"description": "drawn by a campaign"} | base, definition.robot)
+        case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
+    # A robot file may have a floor and sensors of its own in place of the default ones: they are what is changed.
+    kind, _, name = case.plant.partition(":")
+    own = load_simulated_robot(name) if kind == _PHYSICS and name else None
+    if definition.surface:
+        base = read_yaml(named_file("surface", SURFACES, case.surface))
+        if own and own.friction and case.surface == DEFAULT:
+            base = base | {"friction": own.friction}
+        case = replace(case, surface=_written(_changed(base, definition.surface), folder / "surface.yaml"))
+    if definition.sensors:
+        base = read_yaml(named_file("sensor set", SENSOR_SETS, case.sensors))
+        if own and case.sensors == DEFAULT:
+            base = own.sensors.model_dump(mode="json")
+        case = replace(case, sensors=_written(_changed(base, definition.sensors), folder / "sensors.yaml"))
+    return case
+
+
+def _changed(data: Mapping[str, Any], values: Overrides) -> dict[str, Any]:
+    changed = dict(data)
+    for key, value in values:
+        first, dot, rest = key.partition(".")
+        inner = changed.get(first)
+        changed[first] = _changed(inner if isinstance(inner, Mapping) else {}, ((rest, value),)) if dot else value
+    return changed
+
+
+def _written(data: Mapping[str, Any], path: Path) -> str:
+    path.write_text(yaml.safe_dump(dict(data)), encoding="utf-8")
+    return str(path)

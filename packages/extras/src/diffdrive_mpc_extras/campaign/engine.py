@@ -1,0 +1,266 @@
+"""Drive the runs of a campaign that are not there yet, and give the rows of all of them.
+
+Every command that drives many runs goes through `drive_all`: what was interrupted goes on, what was driven before
+costs nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import (
+    OnDone,
+    StudyFailedError,
+    WorkerDiedError,
+    available_cores,
+    processes_last,
+    run_tasks,
+)
+from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
+from diffdrive_mpc.models.input_file import MEGABYTE
+from diffdrive_mpc.models.whole_file import reason, whole_file
+from diffdrive_mpc_extras.campaign.check import check_definitions
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.drive import Row, drive
+from diffdrive_mpc_extras.campaign.identity import LIBRARIES, identify, key_of
+
+# One run on its way to whoever drives it.
+
+
+class OtherVersionError(StudyFailedError):
+    """Who drives a run has other code, libraries or files than who asked for it."""
+
+
+@dataclass(frozen=True)
+class CampaignTask:
+    """A run, and the key under which it is kept."""
+
+    definition: Definition
+    key: str
+
+    @classmethod
+    def of(cls, definition: Definition) -> CampaignTask:
+        """The task for a run."""
+        return cls(definition, key_of(definition))
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What the key is the hash of."""
+        return identify(self.definition)
+
+
+def do(task: CampaignTask) -> Row:
+    """Drive the run and give its row; raises OtherVersionError where it would not be the run that was asked for."""
+    if key_of(task.definition) != task.key:
+        raise OtherVersionError(
+            f"{platform.node()} has another version of this product, of Python or of {', '.join(LIBRARIES)}, or other "
+            "files than where the campaign was started; install the same, and share the files that the campaign names"
+        )
+    return drive(task.definition)
+
+
+# Rows of runs in a folder, one file for each, under the hash of what defines the run.
+
+
+RUNS = "runs"
+_ALWAYS = {"completed", "error"}
+"""Columns of every row."""
+_CELL = (bool, int, float, str, type(None))
+_LEFT_OVER = 3600.0
+"""A draft that is older [s] has lost its writer."""
+
+
+class Store:
+    """The runs in `folder`/runs, which is made where missing; raises ConfigError if that cannot be."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / RUNS
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {folder}: cannot be written to ({reason(error)}); give a folder") from error
+
+    def clear_drafts(self) -> None:
+        """Remove what writers left that were ended from outside."""
+        for draft in self._folder.glob("*/.unfinished-*"):
+            with suppress(FileNotFoundError):  # another process has just put its file in place
+                if time.time() - draft.stat().st_mtime > _LEFT_OVER:
+                    shutil.rmtree(draft, ignore_errors=True)
+
+    def keys(self) -> set[str]:
+        """Of all runs that are there."""
+        return {path.stem for path in self._folder.glob("*/*.json")}
+
+    def save(self, key: str, identity: dict[str, object], row: Row) -> None:
+        """Keep the row of the run with `key`, and beside it all that the key is the hash of."""
+        record = {"key": key, **identity, "row": row}
+        with whole_file(self._path(key)) as draft:
+            draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    def load(self, key: str) -> Row | None:
+        """The row of a run; None where there is none, or a file that holds none (cut off by a disk that was full)."""
+        path = self._path(key)
+        try:
+            with path.open("rb") as file:
+                row: Any = parse_json(file.read(MEGABYTE))["row"]
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            return None
+        whole = isinstance(row, dict) and row.keys() >= _ALWAYS
+        return row if whole and all(isinstance(value, _CELL) for value in row.values()) else None
+
+    def _path(self, key: str) -> Path:
+        return self._folder / key[:2] / f"{key}.json"
+
+
+# Drive runs in processes of this machine.
+
+
+_WORTH = 8
+"""A process that starts, and ends with the runs, costs as much as so many of them."""
+_TRIES = 3
+"""So many pools in a row may break without a run done in between."""
+
+
+def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: OnDone) -> None:
+    """Drive every run that the store in `folder` does not have, in `jobs` processes at most; each keeps its own.
+
+    Runs of a process that was ended from outside are done again. Raises WorkerDiedError when that does not help,
+    OtherVersionError if a file that a run names changed meanwhile.
+    """
+    left, tries = list(tasks), 0
+    while left:
+        try:
+            processes = min(jobs, max(1, len(left) // (1 if processes_last() else _WORTH)))
+            run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
+            return
+        except WorkerDiedError:
+            kept = Store(folder).keys()
+            fewer = [task for task in left if task.key not in kept]
+            tries = 0 if len(fewer) < len(left) else tries + 1
+            if tries == _TRIES:
+                raise
+            left = fewer
+
+
+def _keep(task: CampaignTask, folder: Path) -> None:
+    row = do(task)
+    Store(folder).save(task.key, task.identity, row)
+
+
+@dataclass(frozen=True)
+class CampaignRun:
+    """A run of a campaign and what came of it.
+
+    Attributes
+    ----------
+    definition
+        What was driven.
+    key
+        The hash under which it is stored.
+    row
+        Metrics, counts and times by column; see docs/prove.md.
+    """
+
+    definition: Definition
+    key: str
+    row: Row
+
+    def number(self, column: str) -> float:
+        """A figure of the row; NaN where it could not be computed."""
+        value = self.row.get(column)
+        return float("nan") if value is None or isinstance(value, str) else float(value)
+
+    @property
+    def columns(self) -> dict[str, object]:
+        """Definition and row by column, as the table holds them."""
+        return {"run": self.key, **self.definition.columns, **self.row}
+
+
+@dataclass(frozen=True)
+class CampaignPlace:
+    """Where runs are driven, and where their rows are kept.
+
+    Attributes
+    ----------
+    folder
+        Of the store.
+    jobs
+        Processes on this machine; None for one for each core.
+    scheduler
+        Address of a Dask scheduler, "tcp://..."; empty to drive here.
+    patience
+        How long to wait for a scheduler that is gone, or for a worker [s].
+    """
+
+    folder: Path
+    jobs: int | None = None
+    scheduler: str = ""
+    patience: float = 600.0
+
+
+def drive_all(
+    definitions: Sequence[Definition],
+    place: CampaignPlace,
+    bar: ProgressBar,
+    text: str = "driving",
+) -> list[CampaignRun]:
+    """Drive those runs that the store does not have, and give all in order; a run that is named twice counts once.
+
+    Parameters
+    ----------
+    definitions
+        What to drive.
+    place
+        Where.
+    bar
+        Shows how far it is.
+    text
+        What the bar says.
+
+    Raises ConfigError where the store cannot be written to or a run cannot be built, before anything is driven;
+    StudyFailedError where runs could not be driven.
+    """
+    tasks = list({task.key: task for task in map(CampaignTask.of, definitions)}.values())
+    store = Store(place.folder)
+    store.clear_drafts()
+    kept = store.keys()
+    missing = [task for task in tasks if task.key not in kept or store.load(task.key) is None]
+    check_definitions([task.definition for task in missing])
+    jobs = place.jobs or available_cores()
+    bar.begin(f"{text}, {place.scheduler or f'{jobs} at a time'}", len(missing))
+    if missing and place.scheduler:
+        from diffdrive_mpc_extras.campaign.dask_pool import drive_there  # noqa: PLC0415 - needs Dask
+
+        def keep(task: CampaignTask, row: Row) -> None:
+            store.save(task.key, task.identity, row)
+            bar.advance()
+
+        drive_there(missing, place.scheduler, keep, place.patience)
+    elif missing:
+        drive_here(missing, place.folder, jobs, bar.advance)
+    driven = []
+    for task in tasks:
+        row = store.load(task.key)
+        if row is None:
+            raise StudyFailedError(f"{place.folder}: run {task.key[:12]} was taken away while the campaign went on")
+        driven.append(CampaignRun(task.definition, task.key, row))
+    return driven
+
+
+def failed(driven: Sequence[CampaignRun]) -> str:
+    """How many runs ended in an error, and the first of them, in one line; empty without any."""
+    errors = [run for run in driven if run.row["error"]]
+    if not errors:
+        return ""
+    first = errors[0]
+    return f"{len(errors)} of {len(driven)} runs ended in an error; run {first.key[:12]}: {first.row['error']}"

@@ -1,0 +1,353 @@
+"""A drive model as the velocity model of controller and plants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+from pydantic import Field
+from scipy.linalg import expm
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, check
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.robot import NotNegative, Positive
+from diffdrive_mpc.models.structures.model_file import FunctionFile, write_parameters
+from diffdrive_mpc_extras.drives.smoothing import DriveFunctions, Sharp, Smooth
+
+# One channel of a drive from sample to sample, v or omega: what the reference becomes, and how the robot follows it.
+
+
+STATES = 4
+"""Of a channel: both models have the slope-limited reference first and the speed second."""
+SLOPE_LAG = 0.1
+"""Time constant with which the slope of the reference is told [s]: the sample time of the paper."""
+FORGETTING = 10.0
+"""After this time at rest [s] the last direction of travel no longer counts: a state must not stay for ever."""
+
+
+class Channel(NamedTuple):
+    """What both models need of a channel besides their own numbers."""
+
+    dt: float
+    """[s]"""
+    still: float
+    """speed below which the robot stands [m/s or rad/s]; the threshold is rounded over as much"""
+
+
+def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
+    """x, u, c -> x one sample later, by section 2.2 and Figure 8.
+
+    x: slope-limited reference, speed, slope of the reference, last direction of travel (-1 to 1). u: command after the
+    dead time. c: gain [-], largest slope when speeding up and when slowing down, lag [s], threshold without slope and
+    by slope [s]. After a change of direction the robot stands while the reference rises and is below the threshold.
+    """
+    shapes: DriveFunctions = Sharp() if sharp else Smooth()
+    x, u, c = ca.SX.sym("x", STATES), ca.SX.sym("u"), ca.SX.sym("c", 6)
+    reference, speed, slope, direction = ca.vertsplit(x)
+    gain, quicker, slower, lag, least, by_slope = ca.vertsplit(c)
+    dt, still = channel
+    ramped = _ramped(shapes, channel, reference, u, quicker, slower)
+    slope = slope + (1 - np.exp(-dt / SLOPE_LAG)) * (shapes.size((ramped - reference) / dt, still / SLOPE_LAG) - slope)
+    # Only against the last direction, and only while the reference rises and has not passed the threshold.
+    against = shapes.positive(-direction * shapes.sign(ramped, still))
+    steady = still / SLOPE_LAG
+    rising = shapes.exceeds(slope - steady, steady)
+    below = shapes.exceeds(least + by_slope * slope - shapes.size(ramped, still), still)
+    speed = speed + (1 - ca.exp(-dt / lag)) * (gain * ramped * (1 - against * rising * below) - speed)
+    # Rounded with a high power: what leaks through the threshold must not count as travel.
+    pace = speed / (2 * still)
+    moving = shapes.exceeds(shapes.size(speed, still) - still, still) if sharp else pace**4 / (pace**4 + 1)
+    direction = direction * np.exp(-dt / FORGETTING)
+    direction = direction + moving * (shapes.sign(speed, still) - direction)
+    after = ca.vertcat(ramped, speed, slope, direction)
+    return ca.Function("step", [x, u, c], [after], ["x", "u", "c"], ["after"])
+
+
+def physical_step(channel: Channel, *, sharp: bool) -> ca.Function:
+    """x, u, c -> x one sample later, by equations 14 to 17 with PI control and the lag of the actuator.
+
+    x: slope-limited reference, speed, torque and integral of the error of `wheel_response`. u: command after the dead
+    time. c: gain [-], largest slope when speeding up and when slowing down, then the response by columns (3, 4).
+    """
+    shapes: DriveFunctions = Sharp() if sharp else Smooth()
+    x, u, c = ca.SX.sym("x", STATES), ca.SX.sym("u"), ca.SX.sym("c", 15)
+    gain, quicker, slower = ca.vertsplit(c[:3])
+    ramped = _ramped(shapes, channel, x[0], u, quicker, slower)
+    after = ca.vertcat(ramped, ca.reshape(c[3:], 3, 4) @ ca.vertcat(x[1:], gain * ramped))
+    return ca.Function("step", [x, u, c], [after], ["x", "u", "c"], ["after"])
+
+
+def wheel_response(
+    stiffness: float, friction: float, integral_time: float, actuator_lag: float, dt: float
+) -> FloatArray:
+    """(3, 4) one sample of both wheels together or against each other: columns state (3), reference held meanwhile.
+
+    Equations 14 and 15 added and subtracted: (A + B) and (A - B) are the inertias that both wheels have together
+    and against each other, so speed' = torque - friction speed, with everything divided by that inertia.
+    torque' = (stiffness (error + integral / integral_time) - torque) / actuator_lag; integral' = error.
+
+    Parameters
+    ----------
+    stiffness
+        Gain of the controller over inertia [1/s].
+    friction
+        Viscous friction over inertia [1/s].
+    integral_time, actuator_lag, dt
+        [s].
+    """
+    continuous = np.array(
+        [
+            [-friction, 1.0, 0.0, 0.0],
+            [
+                -stiffness / actuator_lag,
+                -1 / actuator_lag,
+                stiffness / integral_time / actuator_lag,
+                stiffness / actuator_lag,
+            ],
+            [-1.0, 0.0, 0.0, 1.0],
+            [0.0, 0.0, 0.0, 0.0],
+        ]
+    )
+    return np.asarray(expm(dt * continuous)[:3])
+
+
+def _ramped(
+    shapes: DriveFunctions, channel: Channel, reference: ca.SX, u: ca.SX, quicker: ca.SX, slower: ca.SX
+) -> ca.SX:
+    """The reference one sample later, on its way to `u`, with slopes up to `quicker` and, towards zero, `slower`."""
+    dt, still = channel
+    towards = (1 - shapes.sign(reference, still) * shapes.sign(u - reference, still)) / 2
+    most = dt * (quicker + (slower - quicker) * towards)
+    return reference + most * shapes.limited((u - reference) / most)
+
+
+Kind = Literal["drive_experimental", "drive_physical"]
+STEPS = {"drive_experimental": experimental_step, "drive_physical": physical_step}
+"""One channel of each."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DriveModel(NonlinearModel):
+    """A `NonlinearModel` with a sharp twin; make it with `drive_model`.
+
+    Attributes
+    ----------
+    kind
+        Which of the paper's two models.
+    sharp
+        `step` without what rounds it off.
+    """
+
+    kind: Kind = field(kw_only=True)
+    sharp: ca.Function = field(kw_only=True)
+
+    @property
+    def structure(self) -> str:
+        """Name of its kind for tables and files."""
+        return self.kind
+
+    @property
+    def plant_step(self) -> ca.Function:
+        """A robot has no reason to be differentiable."""
+        return self.sharp
+
+
+def drive_model(
+    name: str,
+    kind: Kind,
+    dt: float,
+    dead_samples: Sequence[int],
+    still: Sequence[float],
+    coefficients: Sequence[FloatArray],
+    provenance: Mapping[str, object] | None = None,
+) -> DriveModel:
+    """The velocity model of two channels.
+
+    Parameters
+    ----------
+    dt
+        Sample time [s].
+    dead_samples, still, coefficients
+        For v and omega: dead time in samples, and what `Channel` and the step of the kind say.
+
+    Raises
+    ------
+    ModelError
+        As `NonlinearModel`.
+    """
+    memory = max(1, *dead_samples)
+    x, window = ca.SX.sym("x", 2 * STATES), ca.SX.sym("window", 2 * (memory + 1))
+    steps = []
+    for sharp in (False, True):
+        after = [
+            STEPS[kind](Channel(dt, still[row]), sharp=sharp)(
+                x[STATES * row : STATES * (row + 1)], window[2 * (memory - dead_samples[row]) + row], coefficients[row]
+            )
+            for row in (0, 1)
+        ]
+        steps.append(ca.Function("step", [x, window], [ca.vertcat(*after)], ["x", "window"], ["after"]))
+    output = ca.Function("output", [x], [x[[1, STATES + 1]]], ["x"], ["y"])
+    return DriveModel(name, steps[0], output, dt, memory, kind=kind, sharp=steps[1], provenance=dict(provenance or {}))
+
+
+def settled_state(kind: Kind, speed: float, coefficients: FloatArray) -> FloatArray:
+    """(4,) state of a channel that has been going at `speed` for long."""
+    reference = speed / coefficients[0]
+    if kind == "drive_experimental":
+        return np.array([reference, speed, 0.0, np.sign(speed)])
+    response = coefficients[3:].reshape(4, 3).T
+    rest = np.linalg.lstsq(
+        (np.eye(3) - response[:, :3])[:, 1:], (response[:, 3] - np.eye(3)[:, 0] + response[:, 0]) * speed, rcond=None
+    )[0]
+    return np.array([reference, speed, *rest])
+
+
+# Parameter files of drive models.
+
+
+_HEAD = "A drive model: dead time in samples, slopes [m/s^2, rad/s^2], times [s], SI units elsewhere."
+Samples = Annotated[int, Field(ge=0, le=100)]
+
+
+class DriveChannel(StrictModel):
+    """What both models say of a channel; lengths in m for v, angles in rad for omega."""
+
+    gain: Positive = Field(description="speed over reference; the paper has none [-]")
+    dead_samples: Samples = Field(description="dead time in samples [-]")
+    quicker: Positive = Field(description="largest slope when speeding up [m/s^2 or rad/s^2]")
+    slower: Positive = Field(description="largest slope when slowing down [m/s^2 or rad/s^2]")
+    still: Positive = Field(description="speed below which the robot stands; kinks are rounded over as much")
+
+
+class ExperimentalChannel(DriveChannel):
+    """A channel of the experimental model."""
+
+    lag: Positive = Field(description="first-order lag [s]")
+    threshold: NotNegative = Field(description="of the reference after a change of direction, at slope zero")
+    threshold_by_slope: NotNegative = Field(description="its growth with the slope of the reference [s]")
+
+
+class DriveChassis(StrictModel):
+    """Equations 16 and 17."""
+
+    mass: Positive = Field(description="m [kg]")
+    wheel_radius: Positive = Field(description="r [m]")
+    track: Positive = Field(description="b [m]")
+    centre_ahead: float = Field(ge=-100, le=100, description="d, centre of mass ahead of the axle [m]")
+    yaw_inertia: Positive = Field(description="I_A [kg m^2]")
+    wheel_inertia: NotNegative = Field(description="I_0, of a wheel with its rotor [kg m^2]")
+
+    @property
+    def own(self) -> float:
+        """A of equation 16 [kg m^2]."""
+        return self._forward + self._turning + self.wheel_inertia
+
+    @property
+    def other(self) -> float:
+        """B of equation 17 [kg m^2]."""
+        return self._forward - self._turning
+
+    @property
+    def _forward(self) -> float:
+        return self.mass * self.wheel_radius**2 / 4
+
+    @property
+    def _turning(self) -> float:
+        return (self.yaw_inertia + self.mass * self.centre_ahead**2) * self.wheel_radius**2 / self.track**2
+
+
+class WheelDrive(StrictModel):
+    """PI control of a wheel's speed, and its actuator."""
+
+    proportional_gain: Positive = Field(description="torque per error, K_R with motor and gear [N m s/rad]")
+    integral_time: Positive = Field(description="T_I [s]")
+    actuator_lag: Positive = Field(description="T_A [s]")
+    friction: NotNegative = Field(description="K, viscous [N m s/rad]")
+
+
+class ExperimentalFile(FunctionFile):
+    """The parameter file of an experimental drive model."""
+
+    structure: Literal["drive_experimental"]
+    v: ExperimentalChannel
+    omega: ExperimentalChannel
+
+    def coefficients(self) -> list[FloatArray]:
+        """What the steps of both channels take."""
+        return [
+            np.array([one.gain, one.quicker, one.slower, one.lag, one.threshold, one.threshold_by_slope])
+            for one in (self.v, self.omega)
+        ]
+
+
+class PhysicalFile(FunctionFile):
+    """The parameter file of a physical drive model."""
+
+    structure: Literal["drive_physical"]
+    chassis: DriveChassis
+    wheel_drive: WheelDrive
+    v: DriveChannel
+    omega: DriveChannel
+
+    def coefficients(self) -> list[FloatArray]:
+        """What the steps of both channels take."""
+        drive, own, other = self.wheel_drive, self.chassis.own, self.chassis.other
+        return [
+            np.concatenate(
+                [
+                    [one.gain, one.quicker, one.slower],
+                    wheel_response(
+                        drive.proportional_gain / inertia,
+                        drive.friction / inertia,
+                        drive.integral_time,
+                        drive.actuator_lag,
+                        self.sample_time,
+                    ).T.ravel(),
+                ]
+            )
+            for one, inertia in ((self.v, own + other), (self.omega, own - other))
+        ]
+
+
+DRIVE_FILES: dict[str, type[ExperimentalFile] | type[PhysicalFile]] = {
+    "drive_experimental": ExperimentalFile,
+    "drive_physical": PhysicalFile,
+}
+"""By the structure that a file names."""
+
+
+def load_drive(path: Path, data: Any) -> DriveModel:  # noqa: ANN401 - what a YAML file may hold
+    """The model of the parameter file at `path`, whose content is `data`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the file has a mistake.
+    models.velocity_model.ModelError
+        If it cannot be a robot's.
+    """
+    return drive_of(check(DRIVE_FILES[data["structure"]], data, str(path)))
+
+
+def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
+    """The model that a parameter file describes; raises ModelError if it cannot be a robot's."""
+    channels: tuple[DriveChannel, DriveChannel] = (content.v, content.omega)
+    return drive_model(
+        content.name,
+        content.structure,
+        content.sample_time,
+        [channel.dead_samples for channel in channels],
+        [channel.still for channel in channels],
+        content.coefficients(),
+        content.origins,
+    )
+
+
+def write_drive(path: Path, content: ExperimentalFile | PhysicalFile) -> None:
+    """Write a parameter file; raises OSError where that cannot be done."""
+    write_parameters(path, _HEAD, content)

@@ -1,0 +1,266 @@
+"""The few numbers of a drive model from logs: least squares on the free run, from several starts.
+
+Each stretch is simulated once from its commands, in the settled state that gives its first reading, as everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import least_squares
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc_extras.drives.drive_model import (
+    STEPS,
+    Channel,
+    DriveModel,
+    Kind,
+    drive_model,
+    settled_state,
+    wheel_response,
+)
+from diffdrive_mpc_extras.drives.settings import ParameterRange, fit_settings
+
+_COARSE, _CLOSE = 1e-3, 1e-4
+"""Relative change of cost or numbers at which a search ends: while dead times are compared, and at last."""
+
+
+@dataclass(frozen=True)
+class DriveFit:
+    """What was found for both channels.
+
+    Attributes
+    ----------
+    kind, dt
+        Which model, and the sample time [s] that it is for.
+    values
+        Numbers of v and of omega by name, units as in `settings.yaml`.
+    dead_samples
+        Dead time of each, in samples.
+    at_bound
+        Names of numbers that lie on a bound of the search: the data do not determine them.
+    """
+
+    kind: Kind
+    dt: float
+    values: tuple[dict[str, float], dict[str, float]]
+    dead_samples: tuple[int, int]
+    at_bound: tuple[str, ...] = field(default=())
+
+    @property
+    def coefficients(self) -> list[FloatArray]:
+        """What the steps of both channels take."""
+        return [step_coefficients(self.kind, values, self.dt) for values in self.values]
+
+    def model(self, name: str) -> DriveModel:
+        """The velocity model, without sensor offsets."""
+        return drive_model(name, self.kind, self.dt, self.dead_samples, fit_settings().still, self.coefficients)
+
+    def simulate(self, records: Sequence[Record], yaw: YawSource = "gyro", *, sharp: bool = False) -> list[FloatArray]:
+        """For each record v [m/s] and omega [rad/s] (K, 2) from its commands alone, sensor offsets included."""
+        experiments = twist_experiments(records, yaw)
+        runs = joined(experiments)
+        columns = []
+        for row in (0, 1):
+            simulated = [
+                _free_run(
+                    self.kind, row, run.channel(row, row), self.coefficients[row], self.dead_samples[row], sharp=sharp
+                )
+                for run in runs
+            ]
+            columns.append([y + self.values[row].get("offset", 0.0) for y in simulated])
+        return parted([np.column_stack(pair) for pair in zip(*columns, strict=True)], experiments)
+
+
+def step_coefficients(kind: Kind, values: dict[str, float], dt: float) -> FloatArray:
+    """What a channel's step takes for its numbers."""
+    shared = [values["gain"], values["quicker"], values["slower"]]
+    if kind == "drive_experimental":
+        return np.array([*shared, values["lag"], values["threshold"], values["threshold_by_slope"]])
+    lag = fit_settings().actuator_lag
+    response = wheel_response(values["stiffness"], values.get("friction", 0.0), values["integral_time"], lag, dt)
+    return np.array([*shared, *response.T.ravel()])
+
+
+def fit_drive(kind: Kind, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
+    """Fit a drive model to records.
+
+    The dead time in samples is searched downhill from where a plain delay fits best; both channels of the physical
+    model share the integral time, because each wheel has one controller.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks a signal, or sample times differ.
+    """
+    runs = joined(twist_experiments(records, yaw))
+    dt = runs[0].dt
+    if any(run.dt != dt for run in runs):
+        raise ValueError("the records have different sample times; a drive model is for one")
+    channels = [_fit_channel(kind, row, [run.channel(row, row) for run in runs]) for row in (0, 1)]
+    values, dead = [channel[0] for channel in channels], (channels[0][1], channels[1][1])
+    if kind == "drive_physical":
+        values = _share_integral_time(values, dead, runs)
+    return DriveFit(kind, dt, (values[0], values[1]), dead, numbers_at_bounds(values))
+
+
+def numbers_at_bounds(values: Sequence[dict[str, float]]) -> tuple[str, ...]:
+    """Names "v gain" and so on of numbers that lie on a bound of the search."""
+    bounds = fit_settings().bounds
+    return tuple(
+        f"{channel} {name}"
+        for channel, numbers in zip(("v", "omega"), values, strict=True)
+        for name, value in numbers.items()
+        if name != "friction" and _near_bound(value, bounds[name])
+    )
+
+
+def parameter_names(kind: Kind, row: int) -> list[str]:
+    """Of v (`row` 0) or omega."""
+    own = {
+        "drive_experimental": ["lag", "threshold", "threshold_by_slope"],
+        "drive_physical": ["stiffness", "integral_time"],
+    }[kind]
+    return ["gain", "quicker", "slower", *own, *(["offset"] if row == 1 else [])]
+
+
+def _fit_channel(kind: Kind, row: int, runs: Sequence[SampledExperiment]) -> tuple[dict[str, float], int]:
+    """Numbers and dead time of one channel."""
+    names, starts = parameter_names(kind, row), fit_settings().starts
+    known: dict[int, tuple[float, FloatArray]] = {}
+
+    def solved(dead: int, begin: FloatArray, close: float = _COARSE) -> tuple[float, FloatArray]:
+        def residuals(values: FloatArray) -> FloatArray:
+            return _errors(kind, row, runs, dict(zip(names, values, strict=True)), dead)
+
+        return _least(residuals, names, begin, close)
+
+    first = _plain_delay(runs)
+    tried = [solved(first, np.array([start[name] for name in names])) for start in starts]
+    known[first] = min(tried, key=lambda row: row[0])
+    best = first
+    while True:  # until neither neighbour is better
+        for dead in (best - 1, best + 1):
+            if dead not in known and 0 <= dead <= round(fit_settings().most_dead_time / runs[0].dt):
+                known[dead] = solved(dead, known[best][1])
+        lowest = min(known, key=lambda dead: known[dead][0])
+        if lowest == best:
+            _, values = solved(best, known[best][1], _CLOSE)
+            return dict(zip(names, values.tolist(), strict=True)), best
+        best = lowest
+
+
+def _share_integral_time(
+    values: Sequence[dict[str, float]], dead: Sequence[int], runs: Sequence[SampledExperiment]
+) -> list[dict[str, float]]:
+    names = [parameter_names("drive_physical", row) for row in (0, 1)]
+    own = [[name for name in group if name != "integral_time"] for group in names]
+    channels = [[run.channel(row, row) for run in runs] for row in (0, 1)]
+    # Errors of both channels count by what each left on its own.
+    scale = [
+        np.sqrt(np.mean(_errors("drive_physical", row, channels[row], values[row], dead[row]) ** 2)) for row in (0, 1)
+    ]
+
+    def apart(flat: FloatArray) -> list[dict[str, float]]:
+        cut = len(own[0])
+        pair = [
+            dict(zip(group, part, strict=True)) for group, part in zip(own, (flat[:cut], flat[cut:-1]), strict=True)
+        ]
+        return [
+            {name: float(value) for name, value in one.items()} | {"integral_time": float(flat[-1])} for one in pair
+        ]
+
+    def residuals(flat: FloatArray) -> FloatArray:
+        pair = apart(flat)
+        return np.concatenate(
+            [_errors("drive_physical", row, channels[row], pair[row], dead[row]) / scale[row] for row in (0, 1)]
+        )
+
+    begin = [values[row][name] for row in (0, 1) for name in own[row]]
+    tried = [
+        _least(residuals, [*own[0], *own[1], "integral_time"], np.array([*begin, values[row]["integral_time"]]), _CLOSE)
+        for row in (0, 1)
+    ]
+    return apart(min(tried, key=lambda row: row[0])[1])
+
+
+def _least(
+    residuals: Callable[[FloatArray], FloatArray], names: Sequence[str], begin: FloatArray, close: float
+) -> tuple[float, FloatArray]:
+    """Cost and numbers within their bounds."""
+    bounds = fit_settings().bounds
+    low, high = np.array([[bounds[name].low, bounds[name].high] for name in names]).T
+    size = np.array([bounds[name].size for name in names])
+    solution = least_squares(
+        lambda x: residuals(x * size),
+        np.clip(begin, low + 1e-6 * size, high - 1e-6 * size) / size,
+        bounds=(low / size, high / size),
+        diff_step=1e-4,
+        xtol=close,
+        ftol=close,
+        max_nfev=fit_settings().most_steps,
+    )
+    return float(solution.cost), np.asarray(solution.x * size)
+
+
+def _near_bound(value: float, bound: ParameterRange) -> bool:
+    return value - bound.low < 1e-2 * bound.size or bound.high - value < 0.05 * (bound.high - bound.low)
+
+
+def _errors(kind: Kind, row: int, runs: Sequence[SampledExperiment], values: dict[str, float], dead: int) -> FloatArray:
+    return np.concatenate(channel_errors(kind, row, runs, values, dead))
+
+
+def channel_errors(
+    kind: Kind, row: int, runs: Sequence[SampledExperiment], values: dict[str, float], dead: int
+) -> list[FloatArray]:
+    """For each run of one channel (K,) simulated less measured, at its readings."""
+    offset = values.get("offset", 0.0)
+    parts = []
+    for run in runs:
+        coefficients = step_coefficients(kind, values, run.dt)
+        simulated = _free_run(kind, row, replace(run, outputs=run.outputs - offset), coefficients, dead) + offset
+        parts.append((simulated - run.outputs[:, 0])[run.counts[:, 0]])
+    return parts
+
+
+def _free_run(
+    kind: Kind, row: int, run: SampledExperiment, coefficients: FloatArray, dead: int, *, sharp: bool = False
+) -> FloatArray:
+    """(K,) speed from the commands (K, 1) alone, after a time at the first reading's speed."""
+    start = settled_state(kind, float(run.outputs[np.argmax(run.counts[:, 0]), 0]), coefficients)
+    late = np.concatenate([np.full(dead, start[0]), run.inputs[:, 0]])[: run.samples]
+    simulation = _simulation(kind, Channel(run.dt, fit_settings().still[row]), run.samples, sharp=sharp)
+    return np.asarray(simulation(start, late[None, :], coefficients)).reshape(-1)
+
+
+@lru_cache(maxsize=64)
+def _simulation(kind: Kind, channel: Channel, samples: int, *, sharp: bool) -> ca.Function:
+    """x, u (1, K), c -> speed (1, K) at samples 0 to K - 1."""
+    step = STEPS[kind](channel, sharp=sharp)
+    x, u, c = ca.MX.sym("x", step.size1_in(0)), ca.MX.sym("u", 1, samples), ca.MX.sym("c", step.size1_in(2))
+    later = step.mapaccum(samples)(x, u, ca.repmat(c, 1, samples))
+    return ca.Function("free_run", [x, u, c], [ca.horzcat(x[1], later[1, :-1])])
+
+
+def _plain_delay(runs: Sequence[SampledExperiment]) -> int:
+    """The delay in samples after which commands, scaled and lagged, fit best: where the search begins."""
+    longest = round(fit_settings().most_dead_time / runs[0].dt)
+    costs = []
+    for dead in range(longest + 1):
+        power = []
+        for run in runs:
+            late = np.concatenate([np.full(dead, run.inputs[0, 0]), run.inputs[:, 0]])[: run.samples]
+            keep = run.counts[:, 0]
+            power.append((late[keep], run.outputs[keep, 0]))
+        u, y = (np.concatenate(part) for part in zip(*power, strict=True))
+        scale = float(u @ y) / max(float(u @ u), 1e-12)
+        costs.append(float(np.sum((y - scale * u) ** 2)))
+    # A plain delay stands for dead time and lag together; about half of it is a fair beginning.
+    return int(np.argmin(costs)) // 2

@@ -1,0 +1,103 @@
+"""What turning costs, attached to a controller: a term of the cost, and the least radius by the motors' torque."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.features.feature import Feature
+from diffdrive_mpc.mpc.problem.terms import Term
+
+if TYPE_CHECKING:
+    from diffdrive_mpc_extras.turn_costs import TurnCosts
+
+
+# The power that turning takes as a residual of the cost, and the least radius that motors have torque for.
+
+
+NAME = "energy"
+"""Of the term; its one stage parameter is the weight [1/W]."""
+
+# Power [W] and yaw rate [rad/s] over which the residual goes through zero where the robot drives straight on: the root
+# of a power would have a kink there.
+_SOFT_POWER, _SOFT_YAW_RATE = 0.05, 0.02
+
+
+def turning_power(costs: TurnCosts, v: ca.SX, omega: ca.SX) -> ca.SX:
+    """What the battery gives for a command beyond what the same speed takes straight on [W].
+
+    That rest, drag over the length of the path, is not saved by another curve.
+    """
+    return ca.SX(costs.symbolic_power(v, omega) - costs.symbolic_power(v, ca.SX(0.0)))
+
+
+def energy_function(costs: TurnCosts) -> ca.Function:
+    """The residual of a command (2) and the weight [1/W]: its square is the weight times the power of turning.
+
+    It has the sign of the yaw rate, and is smooth and increasing where that is small: so the Gauss-Newton step sees the
+    true gradient of the power, and a curvature that is never negative.
+    """
+    command, weight = ca.SX.sym("command", 2), ca.SX.sym("parameters", 1)
+    omega = command[1]
+    power = turning_power(costs, command[0], omega)
+    positive = 0.5 * (power + ca.sqrt(power**2 + _SOFT_POWER**2))
+    residual = ca.sqrt(weight * positive) * omega / ca.sqrt(omega**2 + _SOFT_YAW_RATE**2)
+    return ca.Function(NAME, [command, weight], [residual], ["command", "parameters"], ["residual"])
+
+
+def energy_terms(config: ControllerConfig) -> tuple[Term, ...]:
+    """The term of a configuration; none with a weight of zero."""
+    if not config.energy.weight:
+        return ()
+    function = energy_function(_load(config))
+    return (Term(NAME, function, "residual", defaults=(config.energy.weight,)),)
+
+
+def with_least_radius(config: ControllerConfig) -> ControllerConfig:
+    """The configuration with the least commanded radius of its turn costs, where it asks for that and gives none.
+
+    Raises
+    ------
+    ConfigError
+        If there are no such turn costs, or the robot has no torque for any turn.
+    """
+    if not config.energy.use_min_radius or config.limits.min_commanded_radius is not None:
+        return config
+    costs = _load(config)
+    radius = costs.least_radius()
+    if math.isinf(radius):
+        raise ConfigError(
+            f"energy.use_min_radius: by the turn costs '{costs.name}' the motors have no torque for any turn; give "
+            "limits.min_commanded_radius, or other turn costs"
+        )
+    if radius == 0.0:
+        return config
+    limits = config.limits.model_copy(update={"min_commanded_radius": radius})
+    return config.model_copy(update={"limits": limits})
+
+
+def _load(config: ControllerConfig) -> TurnCosts:
+    from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415 - most configurations name none
+
+    return load_turn_costs(config.energy.turn_costs)
+
+
+class EnergyFeature(Feature):
+    """See `Feature`."""
+
+    @classmethod
+    def prepare(cls, config: ControllerConfig) -> ControllerConfig:
+        """See `Feature`: with the least radius of the turn costs."""
+        return with_least_radius(config)
+
+    @classmethod
+    def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
+        """See `Feature`."""
+        return energy_terms(config)
+
+
+FEATURE = EnergyFeature

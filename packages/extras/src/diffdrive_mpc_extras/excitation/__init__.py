@@ -1,0 +1,1 @@
+"""Optimised excitation of a robot for identification."""

@@ -1,0 +1,126 @@
+"""Write the folder of an exported controller."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.solver import Solver
+from diffdrive_mpc.mpc.core.generate import generated_functions
+from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
+from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
+from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
+from diffdrive_mpc_extras.export.generated_c import constants_text, operations_bound, sizes_text, trajectory_texts
+
+_SOURCES = Path(__file__).parent / "sources"
+
+FOLDERS, FILES = ("ddmpc", "examples", "stm32f4"), ("CMakeLists.txt",)
+"""Names of what is written."""
+
+
+class Precision(StrEnum):
+    """Number type of the exported controller."""
+
+    DOUBLE = "double"
+    FLOAT = "float"
+
+
+@dataclass(frozen=True)
+class ExportedLibrary:
+    """What was written.
+
+    Attributes
+    ----------
+    model
+        Name of the velocity model.
+    states
+        Its order.
+    terms
+        Names of the user's functions.
+    operations_bound
+        Operations of the active set that no tick exceeds; `SolverReport.operations` says what they are.
+    """
+
+    model: str
+    states: int
+    terms: tuple[str, ...]
+    operations_bound: int
+
+
+def export_controller(
+    config: ControllerConfig,
+    reference: Reference,
+    folder: Path,
+    precision: Precision = Precision.DOUBLE,
+    *,
+    model: VelocityModel | NonlinearModel | str | None = None,
+    terms: Sequence[Term] = (),
+) -> ExportedLibrary:
+    """Write the controller of `config` as a C99 library into `folder`, with `reference` in closed form.
+
+    The sources are those that Python compiles for itself; sizes become macros, and numbers constants.
+
+    Parameters
+    ----------
+    config, model, terms
+        As of `Controller`; weights and limits become constants. There is no re-entry, and no backend.
+    reference
+        Trajectory for the table and the examples; the application may track any other.
+    folder
+        An existing folder; files of the same names are replaced.
+    precision
+        Number type; instants are double in both.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, models.velocity_model.ModelError, ValueError
+        If the controller cannot be built, the reference is too fast for its limits, or the configuration wants a
+        backend at every tick.
+    """
+    _check(config.solver)
+    if config.free_space.enabled:
+        raise ConfigError(
+            "free_space.enabled: an exported controller sees no surroundings; set it to false, and keep the robot "
+            "clear of things by other means"
+        )
+    chosen = chosen_model(config, model)
+    config = prepared(config)
+    everything = all_terms(config.terms, (*terms, *feature_terms(config)))
+    # Off its path an exported controller chases the reference, or brakes.
+    alone = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})
+    problem = build_problem(alone, chosen, everything)
+    check_speeds(reference, config.limits, config.sample_time)
+    functions = generated_functions(chosen, everything)
+    texts = {
+        **core_texts(),
+        SIZES: sizes_text(problem, single=precision is Precision.FLOAT),
+        "constants.c": constants_text(problem, functions.stem if functions else None),
+        **trajectory_texts(reference, config.sample_time),
+    }
+    if functions:
+        texts |= {f"{functions.stem}.c": functions.source, f"{functions.stem}.h": functions.header}
+    shutil.copytree(_SOURCES / "project", folder, dirs_exist_ok=True)
+    ours = folder / "ddmpc"
+    shutil.copytree(_SOURCES / "controller", ours, dirs_exist_ok=True)
+    for name, text in texts.items():
+        (ours / name).write_text(text, encoding="utf-8")
+    names = tuple(term.name for term in everything)
+    return ExportedLibrary(chosen.name, problem.model.order, names, operations_bound(problem))
+
+
+def _check(solver: Solver) -> None:
+    if solver.method != "auto" or solver.active_set_iterations == 0:
+        raise ConfigError(
+            f"solver.method = {solver.method}, solver.active_set_iterations = {solver.active_set_iterations}: an "
+            "exported controller has neither OSQP nor DAQP; set solver.method to auto and leave it iterations"
+        )

@@ -1,0 +1,104 @@
+"""Whether a moving disc crosses the robot's way, and where the robot has to wait for it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.guide import Guide
+from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, least_gaps
+
+_STRIDE = 2  # nodes of the way that are looked at
+_STEP = 0.15  # between two instants at which a place to wait is compared with the discs [s]
+
+
+class Crossing(NamedTuple):
+    """Where the way ends for now.
+
+    Attributes
+    ----------
+    ends
+        Arc length of the place to wait [m].
+    piece
+        The disc that it waits for.
+    """
+
+    ends: float
+    piece: int
+
+
+def crossing(
+    guide: Guide,
+    footprint: PlacedFootprint,
+    moving: Pieces,
+    settings: FreeSpace,
+    motion: tuple[float, float, float],
+    since: float,
+    keeps: float,
+) -> Crossing | None:
+    """Where to wait for what moves; None where the way can be driven on.
+
+    The robot is taken to go on along its way, gaining speed up to the reference's. Where a disc would then come nearer
+    than `keeps` and what is not known of its speed, the robot waits at the last place before that which no disc passes.
+
+    Parameters
+    ----------
+    guide, footprint, moving, settings
+        The way, the robot, and the discs.
+    motion
+        Arc length now [m], the robot's speed, and that of the reference [m/s].
+    since
+        Time since the discs were where they are said to be [s].
+    keeps
+        Gap that is kept [m].
+    """
+    arc, v, wanted = motion
+    spacing = guide.table.spacing
+    begin = guide.node(arc)
+    end = min(begin + int(settings.look_ahead / spacing), len(guide.table) - 1)
+    nodes: NDArray[np.intp] = np.arange(begin, end + 1, _STRIDE)
+    poses = guide.poses(nodes)
+    times = _arrivals(
+        np.maximum(nodes * spacing - arc, 0.0), v, max(wanted, float(guide.table.speed[begin]), 0.05), settings
+    )
+    within = times <= settings.disc_horizon
+    nodes, poses, times = nodes[within], poses[within], times[within]
+    doubt = settings.disc_doubt * times
+    enough = keeps + settings.comfort + settings.disc_doubt * settings.disc_horizon
+    gaps, pieces = least_gaps(footprint, moving, poses, since + times, enough)
+    meets = np.flatnonzero((gaps < keeps + doubt) & (pieces >= 0))
+    if meets.size == 0:
+        return None
+    first = int(meets[0])
+    # Of a place to wait: from the robot's arrival on nobody passes it.
+    instants = np.arange(0.0, settings.disc_horizon + 1e-9, _STEP)
+    count = first + 1
+    stays = np.repeat(poses[:count], len(instants), axis=0)
+    when = np.tile(instants, count)
+    passing, _ = least_gaps(footprint, moving, stays, since + when, enough)
+    late = when >= np.repeat(times[:count], len(instants))
+    places = np.zeros(0, dtype=int)
+    # Rather where nobody comes near even if he walks somewhat otherwise than he is said to.
+    for wide in (keeps + settings.disc_doubt * when, np.full(when.shape, keeps)):
+        safe = np.all(np.reshape((passing >= wide) | ~late, (count, -1)), axis=1)
+        if not places.size and first:
+            places = np.flatnonzero(safe[:first])
+    # One that it can stop at in time.
+    stopping = 0.5 * v * v / settings.deceleration
+    reachable = [i for i in places.tolist() if nodes[i] * spacing - arc >= stopping - spacing] or places.tolist()
+    at = nodes[max(reachable)] * spacing if reachable else arc
+    return Crossing(float(at) if math.isfinite(at) else arc, int(pieces[first]))
+
+
+def _arrivals(distance: FloatArray, v: float, wanted: float, settings: FreeSpace) -> FloatArray:
+    """When a robot with speed `v` [m/s] that gains speed up to `wanted` has gone each `distance` (k,) [m]."""
+    a = settings.deceleration
+    top = max(v, wanted)
+    gaining = (top * top - v * v) / (2.0 * a)
+    near = (np.sqrt(v * v + 2.0 * a * np.minimum(distance, gaining)) - v) / a
+    return np.asarray(near + np.maximum(distance - gaining, 0.0) / top)

@@ -1,0 +1,250 @@
+"""The way round things: how far the reference is moved aside, node by node, and where it has to end.
+
+Beyond the horizon the planner sees nothing. So a way is sought along the path as far as `look_ahead`: offsets to the
+side by dynamic programming, made smooth, and checked with the footprint at each node. It begins with the way of before,
+and a way that differs from it costs, so the side on which a thing is passed does not change without need.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.path_table import PathTable
+from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps
+
+_STEP = 0.025  # between two offsets that are tried [m]: a doorway leaves some 4 cm
+_STRIDE = 2  # nodes from one station of the search to the next
+_SLOPES, _STRAIGHT = 9, 4
+# Prices of a smooth way by node: of its bend and the change of that, beside the distance from the way found.
+_BEND, _JERK = 0.02, 0.02
+_TRUST = (0.02, 0.2, 2.0, 20.0)
+# Nodes of the way that are never changed: the robot is there.
+_KEPT = 3
+# So long before a change of the way is reached [s]: the planner follows it already.
+_AHEAD = 0.4
+_ROUNDING = 0.001  # a gap that lacks no more than this is wide enough [m]
+
+
+class Guide:
+    """The way round things along one reference.
+
+    Parameters
+    ----------
+    table
+        The reference's nodes.
+    footprint
+        The robot's.
+    settings
+        How far it looks, and how far it may be moved.
+
+    Attributes
+    ----------
+    offset
+        (m,) by how much each node is moved to the left of its heading [m].
+    slope
+        (m,) its change by arc length.
+    bent
+        Whether any node is moved.
+    ends
+        Arc length at which the way ends; infinity where it does not [m].
+    blocked_by
+        The piece that ends it, -1: none.
+    """
+
+    def __init__(self, table: PathTable, footprint: PlacedFootprint, settings: FreeSpace) -> None:
+        self.table, self._footprint, self._settings = table, footprint, settings
+        self.offset: FloatArray = np.zeros(len(table))
+        self.slope: FloatArray = np.zeros(len(table))
+        self.ends, self.blocked_by = math.inf, -1
+        self._first, self._gaps = 0, np.full(1, math.inf)
+        self._speeds: FloatArray = np.full(1, math.inf)
+        self.bent = False
+
+    def poses(self, nodes: NDArray[np.intp] | slice) -> FloatArray:
+        """(k, 3) the moved path at some nodes."""
+        table, offset = self.table, self.offset
+        pose, travel = table.pose[nodes], table.travel[nodes]
+        if not self.bent:
+            return np.ascontiguousarray(pose)
+        slope, moved = self.slope[nodes], offset[nodes]
+        turned = np.arctan2(travel * slope, 1.0 - travel * moved * table.curvature[nodes])
+        return np.stack(
+            [
+                pose[:, 0] - np.sin(pose[:, 2]) * moved,
+                pose[:, 1] + np.cos(pose[:, 2]) * moved,
+                pose[:, 2] + turned,
+            ],
+            axis=1,
+        )
+
+    def node(self, arc: float) -> int:
+        """The node at or before an arc length [m]."""
+        return min(max(int(arc / self.table.spacing), 0), len(self.table) - 1)
+
+    def update(
+        self,
+        arc: float,
+        v: float,
+        pieces: Pieces,
+        gap: tuple[float, float],
+        top: tuple[float, float, float],
+    ) -> None:
+        """Seek the way anew for a robot at arc length `arc` [m] with speed `v` [m/s].
+
+        `pieces` stand; `gap` is what the way needs, and the least where it is in a narrow place [m]; `top` are the
+        largest yaw rate [rad/s], lateral acceleration [m/s^2] and speed [m/s] of the robot.
+        """
+        table, settings, (keeps, least) = self.table, self._settings, gap
+        begin = self.node(arc)
+        end = min(begin + int(settings.look_ahead / table.spacing), len(table) - 1)
+        window = slice(begin, end + 1)
+        comfort = max(settings.comfort, keeps + 0.01)
+        gaps, nearest = self._gaps_along(window, pieces, comfort)
+        if gaps[0] < keeps:
+            # Where it is in a narrow place already it may go on through it, as near as it is.
+            keeps = max(least, float(gaps[0]) - 2.0 * _ROUNDING)
+        if self.bent or gaps.min() < comfort:
+            kept = min(begin + _KEPT + int(abs(v) * _AHEAD / table.spacing), end)
+            if end - kept >= 2 * _STRIDE:
+                before = self.offset, self.slope, self.bent, gaps, nearest
+                self._seek(kept, end, pieces, keeps, comfort)
+                gaps, nearest = self._gaps_along(window, pieces, comfort)
+                if gaps.min() < keeps - _ROUNDING <= before[3].min():
+                    # The way that it had is free; the one that was found, made smooth, is not.
+                    self.offset, self.slope, self.bent, gaps, nearest = before
+        short = np.flatnonzero(gaps < keeps - _ROUNDING)
+        self.ends, self.blocked_by = math.inf, -1
+        if short.size:
+            self.ends = float((begin + short[0] - 1) * table.spacing)
+            self.blocked_by = int(nearest[short[0]])
+        self._first, self._gaps = begin, gaps
+        self._speeds = self._allowed(window, gaps, keeps, comfort, top)
+
+    def _gaps_along(self, window: slice, pieces: Pieces, enough: float) -> tuple[FloatArray, FloatArray]:
+        poses = self.poses(window)
+        gaps, nearest = least_gaps(self._footprint, pieces, poses, np.zeros(len(poses)), enough)
+        return gaps, nearest.astype(float)
+
+    def _seek(self, kept: int, end: int, pieces: Pieces, keeps: float, comfort: float) -> None:
+        """The way from node `kept` to `end`."""
+        table, settings = self.table, self._settings
+        stations = np.arange(kept, end + 1, _STRIDE)
+        cells = max(1, round(settings.swerve / _STEP))
+        begins = self.offset[kept]
+        slope = self.slope[kept] * _STRIDE * table.spacing / _STEP
+        path = np.ascontiguousarray(table.pose[stations])
+        travel = np.ascontiguousarray(table.travel[stations])
+        most = np.where(table.fixed[stations] > 0.0, 0.0, settings.swerve)
+        # A centre of curvature is not reached.
+        most = np.minimum(most, 0.7 / np.maximum(np.abs(table.curvature[stations]), 1e-6))
+        before = np.ascontiguousarray(self.offset[stations])
+        offsets = np.zeros(len(stations))
+        cost = np.empty(len(stations) * (2 * cells + 1) * _SLOPES)
+        known, origin = np.empty(cost.size), np.zeros(cost.size, dtype=np.intc)
+        ffi, lib = load_core()
+        round_ = ffi.new(
+            "ddmpc_round *",
+            {
+                "stations": len(stations),
+                "cells": cells,
+                "step": _STEP,
+                "spacing": _STRIDE * table.spacing,
+                "least": keeps,
+                "comfort": comfort,
+                "cell": int(np.clip(round(begins / _STEP), -cells, cells)),
+                "slope": int(np.clip(round(slope), -_STRAIGHT, _STRAIGHT)),
+            },
+        )
+        reached = lib.ddmpc_way_round(
+            self._footprint.struct,
+            pieces.struct,
+            round_,
+            address(path),
+            address(travel),
+            address(most),
+            address(before),
+            address(cost, "real *"),
+            address(known, "real *"),
+            address(origin, "int *"),
+            address(offsets, "real *"),
+        )
+        if reached < 2:
+            return
+        nodes = np.arange(kept, stations[reached - 1] + 1)
+        wanted = np.interp(nodes, stations[:reached], offsets[:reached])
+        self._take_smooth(kept, wanted, pieces, keeps)
+
+    def _take_smooth(self, kept: int, wanted: FloatArray, pieces: Pieces, keeps: float) -> None:
+        """Take the smoothest of some ways near `wanted` (k,), from node `kept` on, along which there is room."""
+        offset, first = self.offset.copy(), max(kept - _KEPT + 1, 0)
+        pinned = offset[first : kept + 1]
+        self.bent = bool(np.any(offset) or np.any(wanted))
+        last = kept + len(wanted)
+        for trust in _TRUST:
+            new = offset.copy()
+            new[kept + 1 : last] = _smooth(pinned, wanted[1:], trust)
+            new[last:] = new[last - 1]
+            new[np.abs(new) < 1e-4] = 0.0
+            self.offset = new
+            part = slice(max(first - 1, 0), last + 1)
+            self.slope = self.slope.copy()
+            self.slope[part] = np.gradient(new[part], self.table.spacing)
+            self.slope[last:] = 0.0
+            gaps, _ = self._gaps_along(slice(kept + 1, last), pieces, keeps)
+            if gaps.min(initial=math.inf) >= keeps - _ROUNDING:
+                break
+        self.bent = bool(np.any(self.offset[first:]))
+
+    def _allowed(
+        self, window: slice, gaps: FloatArray, keeps: float, comfort: float, top: tuple[float, float, float]
+    ) -> FloatArray:
+        """(k,) speed that is right at each node of the window [m/s]."""
+        settings, (turn, lateral, fastest) = self._settings, top
+        room = np.clip((gaps - keeps) / (comfort - keeps), 0.0, 1.0)
+        slow = min(settings.narrow_speed, fastest)
+        speeds = np.where(room >= 1.0, math.inf, slow + (fastest - slow) * room)
+        if self.bent:
+            heading = np.unwrap(self.poses(window)[:, 2])
+            bend = np.abs(np.gradient(heading, self.table.spacing)) if len(heading) > 1 else np.zeros(1)
+            bend = np.maximum(bend, 1e-6)
+            curvature = np.maximum(np.abs(self.table.curvature[window]), 1e-6)
+            by_bend = np.minimum(turn / bend, np.sqrt(lateral / bend))
+            speeds = np.where(bend > 1.2 * curvature, np.minimum(speeds, by_bend), speeds)
+        return np.asarray(speeds)
+
+    def speed_now(self, arc: float, ends: float) -> float:
+        """Speed along the path that lets it come to rest at arc length `ends`, and pass narrow places slowly [m/s]."""
+        a = self._settings.deceleration
+        nodes = (self._first + np.arange(len(self._speeds))) * self.table.spacing
+        ahead = np.maximum(nodes - arc, 0.0)
+        finite = np.isfinite(self._speeds) & (nodes >= arc - self.table.spacing)
+        most = math.inf
+        if finite.any():
+            most = float(np.sqrt(self._speeds[finite] ** 2 + 2.0 * a * ahead[finite]).min())
+        if math.isfinite(ends):
+            most = min(most, math.sqrt(2.0 * a * max(0.0, ends - arc)))
+        return most
+
+
+def _smooth(pinned: FloatArray, wanted: FloatArray, trust: float) -> FloatArray:
+    """(k,) numbers after `pinned` (p,), near `wanted` (k,) and with small second and third differences."""
+    by_wanted, by_pinned = _smoother(len(pinned), len(wanted), trust)
+    return np.asarray(by_wanted @ wanted + by_pinned @ pinned)
+
+
+@cache
+def _smoother(pinned: int, free: int, trust: float) -> tuple[FloatArray, FloatArray]:
+    """Matrices of the least squares in `_smooth`."""
+    count = pinned + free
+    second, third = np.diff(np.eye(count), 2, axis=0), np.diff(np.eye(count), 3, axis=0)
+    # Differences in units of nodes: of numbers that bend over some ten nodes.
+    whole = 20.0 * _BEND * second.T @ second + 200.0 * _JERK * third.T @ third
+    inverse = np.linalg.inv(whole[pinned:, pinned:] + trust * np.eye(free))
+    return np.asarray(trust * inverse, dtype=float), np.asarray(-inverse @ whole[pinned:, :pinned], dtype=float)

@@ -1,0 +1,325 @@
+"""Surroundings as convex pieces in the memory that C reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.footprint import Footprint
+from diffdrive_mpc_extras.free_space.polygons import convex_pieces
+from diffdrive_mpc_extras.free_space.surroundings import (
+    Corridor,
+    OccupancyGrid,
+    Surroundings,
+    SurroundingsError,
+    check_disc,
+    checked_corridor,
+    checked_grid,
+    checked_polygon,
+)
+
+_AROUND = 100.0  # width of what lies beyond a grid, where that is occupied [m]
+_WALL_STEP = 0.1  # between two points of a corridor's wall [m]
+_MOST_WALLS = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Convex pieces: their corners, by how much they are widened, how they move, and what each is called.
+
+    Attributes
+    ----------
+    corners
+        (k, 2) of each piece, counter-clockwise [m].
+    widening
+        (n,) [m].
+    velocity
+        (n, 2) [m/s].
+    names
+        For messages.
+    """
+
+    corners: Sequence[FloatArray]
+    widening: FloatArray
+    velocity: FloatArray
+    names: Sequence[str]
+    struct: Any = field(init=False, repr=False)
+    """for C"""
+    _kept: tuple[Any, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Lay them out in memory."""
+        ffi, _ = load_core()
+        count = len(self.corners)
+        ends = np.cumsum([0, *(len(corners) for corners in self.corners)]).astype(np.intc)
+        corner = np.concatenate([*self.corners, np.zeros((1, 2))])
+        circle = np.zeros((count + 1, 3))
+        if count:
+            begins = ends[:-1]
+            low, high = (reduce.reduceat(corner[:-1], begins) for reduce in (np.minimum, np.maximum))
+            circle[:-1, :2] = 0.5 * (low + high)
+            away = np.hypot(*(corner[:-1] - np.repeat(circle[:-1, :2], np.diff(ends), axis=0)).T)
+            circle[:-1, 2] = np.maximum.reduceat(away, begins) + self.widening
+        widening, velocity = np.append(self.widening, 0.0), np.vstack([self.velocity.reshape(-1, 2), np.zeros((1, 2))])
+        kept = (ends, corner, widening, velocity, circle)
+
+        def at(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
+            return ffi.cast(kind, array.ctypes.data)
+
+        struct = ffi.new(
+            "ddmpc_surroundings *",
+            {
+                "pieces": count,
+                "first": at(ends, "const int *"),
+                "corner": at(corner),
+                "widening": at(widening),
+                "velocity": at(velocity),
+                "circle": at(circle),
+            },
+        )
+        object.__setattr__(self, "struct", struct)
+        object.__setattr__(self, "_kept", kept)
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.corners)
+
+    def chosen(self, which: NDArray[np.bool_]) -> Pieces:
+        """Some of them."""
+        places = np.flatnonzero(which).tolist()
+        return Pieces(
+            [self.corners[i] for i in places],
+            self.widening[places],
+            self.velocity[places],
+            [self.names[i] for i in places],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedFootprint:
+    """A footprint in the memory that C reads."""
+
+    footprint: Footprint
+    struct: Any = field(init=False, repr=False)
+    _kept: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Lay it out."""
+        ffi, _ = load_core()
+        kept = np.ascontiguousarray(self.footprint.corners)
+        struct = ffi.new(
+            "ddmpc_footprint *",
+            {
+                "corners": len(kept),
+                "corner": ffi.cast("const real *", kept.ctypes.data),
+                "widening": self.footprint.radius,
+                "reach": self.footprint.reach,
+            },
+        )
+        object.__setattr__(self, "struct", struct)
+        object.__setattr__(self, "_kept", kept)
+
+
+Known = dict[int, tuple[object, list[FloatArray]]]
+"""What was made of a polygon or a grid, by its identity."""
+
+
+def pieces_of(
+    around: Surroundings, config: FreeSpace, reference: Reference | None = None, known: Known | None = None
+) -> Pieces:
+    """The convex pieces of `around`; a corridor needs the reference that it lies along.
+
+    What is the same object as in the last call with `known` is not worked out again.
+
+    Raises
+    ------
+    SurroundingsError
+        If something in it cannot be used, or it has more pieces than are taken.
+    """
+    time = around.time
+    if time is not None and not np.isfinite(time):
+        raise SurroundingsError(f"surroundings: their time is {time}; give seconds on the clock of step, or None")
+    corners: list[FloatArray] = []
+    widening: list[float] = []
+    velocity: list[tuple[float, float]] = []
+    names: list[str] = []
+
+    def add(added: Sequence[FloatArray], name: str) -> None:
+        corners.extend(added)
+        widening.extend([0.0] * len(added))
+        velocity.extend([(0.0, 0.0)] * len(added))
+        names.extend([name] * len(added))
+
+    before, now = dict(known or {}), Known()
+
+    def once(source: object, make: Callable[[], list[FloatArray]]) -> list[FloatArray]:
+        kept = before.get(id(source))
+        now[id(source)] = kept if kept is not None and kept[0] is source else (source, make())
+        return now[id(source)][1]
+
+    for index, polygon in enumerate(around.polygons):
+        name = f"polygon {index}"
+        add(once(polygon, partial(_of_polygon, polygon, name)), name)
+    for index, disc in enumerate(around.discs):
+        name = f"disc {index}"
+        check_disc(disc, name, timed=time is not None)
+        corners.append(np.array([[disc.x, disc.y]], dtype=float))
+        widening.append(float(disc.radius))
+        velocity.append((float(disc.vx), float(disc.vy)))
+        names.append(name)
+    if around.grid is not None:
+        grid = around.grid
+        add(once(grid, lambda: _of_grid(grid, config)), "occupied cells")
+    if around.corridor is not None and reference is not None:
+        add(*_of_corridor(around.corridor, reference))
+    if len(corners) > config.max_pieces:
+        raise SurroundingsError(
+            f"surroundings: {len(corners)} convex pieces, at most {config.max_pieces} are taken; give a smaller "
+            "window or a coarser grid, or raise free_space.max_pieces"
+        )
+    if known is not None:
+        known.clear()
+        known.update(now)
+    return Pieces(corners, np.array(widening, dtype=float), np.array(velocity, dtype=float).reshape(-1, 2), names)
+
+
+def _of_polygon(corners: ArrayLike, name: str) -> list[FloatArray]:
+    return convex_pieces(checked_polygon(corners, name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedGrid(OccupancyGrid):
+    """A grid whose occupied cells are known as rectangles already.
+
+    Attributes
+    ----------
+    boxes
+        (n, 4, 2) their corners [m].
+    """
+
+    boxes: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 2)))
+
+
+def prepared_grid(grid: OccupancyGrid, config: FreeSpace) -> PreparedGrid:
+    """`grid` with its rectangles worked out, and without its cells: for another process.
+
+    Raises
+    ------
+    SurroundingsError
+        If it cannot be used.
+    """
+    boxes = _of_grid(grid, config)
+    stacked = np.stack(boxes) if boxes else np.zeros((0, 4, 2))
+    return PreparedGrid(np.zeros((1, 1), dtype=np.int8), grid.resolution, grid.origin, stacked)
+
+
+def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
+    """Rectangles that cover just the occupied cells."""
+    if isinstance(grid, PreparedGrid):
+        return list(grid.boxes)
+    cells = checked_grid(grid, config.max_cells)
+    occupied = cells >= config.occupied_from
+    if not config.unknown_is_free:
+        occupied |= cells < 0
+    boxes = rectangles(occupied, config.max_pieces)
+    if not config.unknown_is_free:
+        rows, columns = occupied.shape
+        far = int(_AROUND / grid.resolution) + 1
+        beyond = [
+            (-far, -far, 0, columns + far),
+            (rows, -far, rows + far, columns + far),
+            (0, -far, rows, 0),
+            (0, columns, rows, columns + far),
+        ]
+        boxes = np.vstack([boxes, np.array(beyond)])
+    x, y, theta = grid.origin
+    cosine, sine = np.cos(theta), np.sin(theta)
+    turned = np.array([[cosine, sine], [-sine, cosine]])
+    placed = []
+    for row, column, row_end, column_end in (grid.resolution * boxes).tolist():
+        box = np.array([[column, row], [column_end, row], [column_end, row_end], [column, row_end]])
+        placed.append(box @ turned + [x, y])
+    return placed
+
+
+def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int64]:
+    """(n, 4) row, column, and the row and column after the last, of rectangles that tile the occupied cells.
+
+    Runs of a row that are the same in the next rows are one rectangle.
+
+    Raises
+    ------
+    SurroundingsError
+        If there are more than `most`.
+    """
+    edges = np.diff(np.pad(occupied.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    row, begin = np.nonzero(edges == 1)
+    end = np.nonzero(edges == -1)[1]
+    if len(row) == 0:
+        return np.zeros((0, 4), dtype=np.int64)
+    # In the order of their columns, runs that go on lie one after the other.
+    order = np.lexsort((row, end, begin))
+    row, begin, end = row[order], begin[order], end[order]
+    goes_on = (begin[1:] == begin[:-1]) & (end[1:] == end[:-1]) & (row[1:] == row[:-1] + 1)
+    first = np.flatnonzero(np.concatenate([[True], ~goes_on]))
+    last = np.append(first[1:], len(row)) - 1
+    if len(first) > most:
+        raise SurroundingsError(
+            f"grid: its occupied cells are {len(first)} rectangles, at most {most} are taken; give a smaller window "
+            "or a coarser grid, or raise free_space.max_pieces"
+        )
+    return np.stack([row[first], begin[first], row[last] + 1, end[first]], axis=1).astype(np.int64)
+
+
+def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatArray], str]:
+    """Its walls, as pieces of straight lines."""
+    arc, left, right = checked_corridor(corridor)
+    # Lengths as large as numbers go overflow here; there is a bound anyway.
+    times = np.linspace(0.0, reference.duration, int(min(reference.duration / 0.02 + 2, 20_000)))
+    sample = reference.sample(times)
+    count = int(min(float(arc[-1] - arc[0]) / _WALL_STEP + 2, _MOST_WALLS))
+    at = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MOST_WALLS]]))
+    # Where the reference stands or turns it has one arc length at many times: any of them.
+    pose = np.stack([np.interp(at, sample.arc_length, column) for column in sample.pose.T], axis=1)
+    side = np.stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2])], axis=1)
+    walls = []
+    for width, sign in ((left, 1.0), (right, -1.0)):
+        line = pose[:, :2] + sign * np.interp(at, arc, width)[:, None] * side
+        apart = np.hypot(*np.diff(line, axis=0).T) > 1e-6
+        walls += [line[i : i + 2] for i in np.flatnonzero(apart)]
+    return walls, "the corridor's edge"
+
+
+# Gaps between a footprint and pieces, worked out by the compiled library.
+
+
+def address(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
+    """Where an array lies, for C."""
+    return load_core()[0].cast(kind, array.ctypes.data)
+
+
+def least_gaps(
+    footprint: PlacedFootprint, pieces: Pieces, poses: FloatArray, times: FloatArray, enough: float
+) -> tuple[FloatArray, NDArray[np.intc]]:
+    """(k,) least gaps at poses (k, 3), at most `enough` [m], and the nearest pieces; -1 where there is none so near."""
+    placed, instants = np.ascontiguousarray(poses, dtype=float), np.ascontiguousarray(times, dtype=float)
+    gaps, nearest = np.empty(len(placed)), np.empty(len(placed), dtype=np.intc)
+    load_core()[1].ddmpc_clearances(
+        footprint.struct,
+        pieces.struct,
+        len(placed),
+        address(placed),
+        address(instants),
+        enough,
+        address(gaps, "real *"),
+        address(nearest, "int *"),
+    )
+    return gaps, nearest

@@ -1,0 +1,1 @@
+"""Comparison of identified model structures on logs."""

@@ -1,0 +1,1 @@
+"""Tracking controllers that avoid obstacles or sample trajectories, for comparison in the bench."""

@@ -1,0 +1,209 @@
+"""The shape made smooth, exact and as cheap as its neighbourhood allows: direct multiple shooting, CasADi and IPOPT."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.slip_laws import polynomial_terms
+from diffdrive_mpc_extras.planner.clearance import Clearance
+from diffdrive_mpc_extras.planner.inputs import Objective
+from diffdrive_mpc_extras.planner.schedule import Schedule
+from diffdrive_mpc_extras.planner.settings import PlanSettings
+from diffdrive_mpc_extras.turn_costs import TurnCosts
+
+# Obstacles that each disc of the robot looks at from each node, and how near they have to be [m].
+_NEAREST, _WITHIN = 2, 2.0
+# Durations of a phase, from [s] and to over that of the search.
+_SHORTEST_PHASE, _LONGER = 0.02, 1.5
+_SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+class Polished(NamedTuple):
+    """What IPOPT says."""
+
+    durations: FloatArray
+    """(phases,) [s]"""
+    yaw_rates: FloatArray
+    """(n + 1,) commanded at the nodes [rad/s]"""
+    status: str
+    """of IPOPT, its own words"""
+    solved: bool
+
+
+def polish(
+    costs: TurnCosts,
+    minimise: Objective,
+    schedule: Schedule,
+    start: FloatArray,
+    goal: FloatArray,
+    via: FloatArray,
+    settings: PlanSettings,
+    clearance: Clearance | None,
+) -> Polished:
+    """The best durations and yaw rates near those of the search.
+
+    Parameters
+    ----------
+    costs
+        Slip law and power.
+    minimise
+        What.
+    schedule
+        Phases of the search.
+    start, goal
+        (3,) poses; the heading of the goal counts whole turns as the search has them.
+    via
+        (m, 2) points passed at the ends of legs.
+    settings
+        Accelerations, and how it is solved.
+    clearance
+        What has to be kept clear of; None for nothing.
+    """
+    asked, motion, count = settings.polish, settings.motion, len(schedule.phase)
+    x, w, d = ca.MX.sym("x", 3, count + 1), ca.MX.sym("w", 1, count + 1), ca.MX.sym("d", len(schedule.durations))
+    share = np.zeros((len(schedule.durations), count))
+    share[schedule.phase, np.arange(count)] = 1.0 / schedule.counts[schedule.phase]
+    steps = ca.mtimes(d.T, ca.DM(share))
+    v = ca.DM(schedule.speeds).T
+    moved = _interval(costs).map(count)(x[:, :-1], v[:, :-1], v[:, 1:], w[:-1], w[1:], steps)
+    rate = _rate(costs, minimise)
+    ends, middles = rate.map(count + 1)(v, w), rate.map(count)(0.5 * (v[:-1] + v[1:]), 0.5 * (w[:-1] + w[1:]))
+    # Simpson's rule.
+    price = steps / 6 * (ends[:-1] + 4 * middles + ends[1:])
+    change = w[1:] - w[:-1]
+    size = _objective_of(costs, minimise, schedule)
+    rough = ca.sumsqr(change / max(float(np.abs(schedule.most).max()), 1e-6))
+    goals = [ca.vec(moved - x[:, 1:]), x[:, 0] - start, x[:, -1] - goal]
+    zeros = 3 * count + 6
+    for leg, point in enumerate(via):
+        node = int(np.flatnonzero(schedule.legs == leg)[-1]) + 1
+        goals.append(x[:2, node] - point)
+        zeros += 2
+    limit = motion.yaw_acceleration * steps
+    constraints = [*goals, ca.vec(limit - change), ca.vec(limit + change)]
+    halves = _half_planes(x, clearance, count) if clearance is not None else None
+    planes: Any = ca.MX(0, 1)
+    if halves is not None:
+        planes, kept = halves
+        constraints.append(kept)
+    g = ca.vertcat(*constraints)
+    unknown = ca.vertcat(ca.vec(x), ca.vec(w), d)
+    nlp = {"x": unknown, "f": ca.sum2(price) / size + asked.smoothness * rough, "g": g, "p": planes}
+    solver = ca.nlpsol("polish", "ipopt", nlp, _options(asked.iterations))
+    lowest = np.where(schedule.free, _SHORTEST_PHASE, schedule.durations)
+    highest = np.where(schedule.free, _LONGER * schedule.durations + 3.0, schedule.durations)
+    lower = np.concatenate([np.full(3 * (count + 1), -np.inf), -schedule.most, lowest])
+    upper = np.concatenate([np.full(3 * (count + 1), np.inf), schedule.most, highest])
+    guess = np.concatenate([schedule.poses.ravel(), schedule.yaw_rates, schedule.durations])
+    lbg = np.zeros(g.shape[0])
+    ubg = np.concatenate([np.zeros(zeros), np.full(g.shape[0] - zeros, np.inf)])
+    status, solved = "", False
+    for _ in range(asked.rounds if clearance is not None else 1):
+        poses = guess[: 3 * (count + 1)].reshape(-1, 3)
+        p = np.zeros(0) if clearance is None else _planes_at(clearance, poses, settings)
+        solution = solver(x0=guess, lbx=lower, ubx=upper, lbg=lbg, ubg=ubg, p=p)
+        status, solved = solver.stats()["return_status"], solver.stats()["return_status"] in _SOLVED
+        moved_by = np.abs(np.array(solution["x"]).ravel() - guess)[: 3 * (count + 1)].max()
+        guess = np.array(solution["x"]).ravel()
+        if not solved:
+            break
+        if moved_by < 0.02:
+            break
+    rates = guess[3 * (count + 1) : 4 * count + 4]
+    return Polished(guess[4 * count + 4 :], np.clip(rates, -schedule.most, schedule.most), status, solved)
+
+
+def _options(iterations: int) -> dict[str, Any]:
+    return {
+        "print_time": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": iterations,
+            "tol": 1e-5,
+            "acceptable_tol": 1e-3,
+            "acceptable_constr_viol_tol": 1e-6,
+            "acceptable_iter": 8,
+            "mu_strategy": "adaptive",
+        },
+    }
+
+
+def _interval(costs: TurnCosts) -> ca.Function:
+    """The pose from node to node, by one step of Runge and Kutta's fourth order."""
+    x, step = ca.SX.sym("x", 3), ca.SX.sym("h")
+    v0, v1, w0, w1 = (ca.SX.sym(name) for name in ("v0", "v1", "w0", "w1"))
+
+    def slope(pose: ca.SX, v: ca.SX, w: ca.SX) -> ca.SX:
+        along, left, turn = polynomial_terms(costs.slip.rows, v, w)
+        c, s = ca.cos(pose[2]), ca.sin(pose[2])
+        return ca.SX(ca.vertcat(c * along - s * left, s * along + c * left, turn))
+
+    vm, wm = 0.5 * (v0 + v1), 0.5 * (w0 + w1)
+    k1 = slope(x, v0, w0)
+    k2 = slope(x + 0.5 * step * k1, vm, wm)
+    k3 = slope(x + 0.5 * step * k2, vm, wm)
+    k4 = slope(x + step * k3, v1, w1)
+    after = ca.SX(x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+    return ca.Function("interval", [x, v0, v1, w0, w1, step], [after])
+
+
+def _rate(costs: TurnCosts, minimise: Objective) -> ca.Function:
+    """What a second costs under a command."""
+    v, w = ca.SX.sym("v"), ca.SX.sym("w")
+    along, left, _ = polynomial_terms(costs.slip.rows, v, w)
+    rate = ca.SX(1.0)
+    if minimise == "energy":
+        rate = costs.symbolic_power(v, w)
+    elif minimise == "distance":
+        rate = ca.sqrt(along**2 + left**2 + 1e-8)
+    return ca.Function("rate", [v, w], [rate])
+
+
+def _objective_of(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> float:
+    """Its size by the search, so that the solver's numbers are near one."""
+    if minimise == "time":
+        return float(schedule.durations.sum())
+    commands = np.stack([schedule.speeds, schedule.yaw_rates], -1)[1:]
+    rates = costs.power(commands) if minimise == "energy" else np.abs(commands[:, 0])
+    return max(float(rates @ schedule.steps(schedule.durations)), 1e-3)
+
+
+def _half_planes(x: Any, clearance: Clearance, count: int) -> tuple[Any, Any]:  # noqa: ANN401 - CasADi's symbols
+    """Parameters and values: how far each disc at each node lies beyond planes n . p >= b."""
+    rows = len(clearance.robot) * _NEAREST
+    planes = ca.MX.sym("planes", 3 * rows, count + 1)
+    c, s = ca.cos(x[2, :]), ca.sin(x[2, :])
+    kept = []
+    for i in range(rows):
+        ahead, left, _ = clearance.robot[i // _NEAREST]
+        px, py = x[0, :] + c * ahead - s * left, x[1, :] + s * ahead + c * left
+        kept.append(planes[3 * i, :] * px + planes[3 * i + 1, :] * py - planes[3 * i + 2, :])
+    return ca.vec(planes), ca.vec(ca.vertcat(*kept))
+
+
+def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) -> FloatArray:
+    """Numbers of the half-planes that touch the nearest obstacles as seen from poses (n + 1, 3)."""
+    points = clearance.centres(poses)
+    nodes, discs = points.shape[:2]
+    gaps, away = clearance.nearest(points.reshape(-1, 2))
+    wanted = settings.motion.margin + settings.polish.sag
+    planes = np.zeros((nodes, discs * _NEAREST, 3))
+    planes[..., 2] = -1.0
+    order = np.argsort(gaps, axis=1, kind="stable")[:, :_NEAREST]
+    for k in range(order.shape[1]):
+        which = order[:, k]
+        rows = np.arange(len(which))
+        gap, unit = gaps[rows, which], away[rows, which]
+        beyond = (unit * points.reshape(-1, 2)).sum(-1) - gap + np.tile(clearance.robot[:, 2], nodes) + wanted
+        near = gap < _WITHIN
+        plane = np.where(near[:, None], np.column_stack([unit, beyond]), [0.0, 0.0, -1.0])
+        planes[:, k::_NEAREST, :] = plane.reshape(nodes, discs, 3)
+    # The plan begins and ends where it was told to, however near that is; both were looked at before.
+    planes[[0, -1]] = (0.0, 0.0, -1.0)
+    return planes.reshape(nodes, -1).ravel()

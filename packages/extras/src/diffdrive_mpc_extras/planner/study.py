@@ -1,0 +1,236 @@
+"""The plan for one objective, with the plans for the others beside it."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown, Warned
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.free_space import MovingDisc, Surroundings
+from diffdrive_mpc_extras.planner import Objective, Plan, plan_each
+from diffdrive_mpc_extras.planner.settings import PlanSettings
+from diffdrive_mpc_extras.turn_costs import TurnCosts
+from diffdrive_mpc_extras.worlds.world import World
+
+# A way of least energy that is so many times as long as the shortest is pointed out.
+_LONG = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRequest:
+    """What is asked for.
+
+    Attributes
+    ----------
+    costs
+        The robot on its floor.
+    start, goal
+        (3,) x, y [m], theta [rad].
+    via
+        (n, 2) [m].
+    minimise
+        What the trajectory is the least of.
+    speed
+        [m/s].
+    world
+        What stands there at the beginning; movers are not looked at.
+    reverse, on_the_spot
+        What is allowed.
+    settings
+        Of the planner.
+    """
+
+    costs: TurnCosts
+    start: FloatArray
+    goal: FloatArray
+    via: FloatArray
+    minimise: Objective
+    speed: float
+    world: World | None
+    reverse: bool
+    on_the_spot: bool
+    settings: PlanSettings
+
+    @property
+    def surroundings(self) -> Surroundings | None:
+        """Of the world."""
+        if self.world is None:
+            return None
+        shapes = self.world.shapes(0.0)
+        return Surroundings(polygons=shapes.polygons, discs=[MovingDisc(*disc) for disc in shapes.discs.tolist()])
+
+
+Plans = dict[Objective, Plan]
+
+
+class PlanStudy(Study[PlanRequest, Plans]):
+    """Plans for every objective, and the trajectory of the one that is asked for.
+
+    Parameters
+    ----------
+    asked
+        What is asked for.
+    """
+
+    name = "plan"
+    title = "A reference that costs little"
+
+    def __init__(self, request: PlanRequest) -> None:
+        self._request, self._seconds = request, 0.0
+
+    def plan(self) -> PlanRequest:
+        """The same; what cannot be planned is told by `run`, before anything is written."""
+        return self._request
+
+    def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
+        """Plan; raises PlanError where there is no way."""
+        bar.begin("planning", 1)
+        began = time.process_time()
+        plans = plan_each(
+            plan.costs,
+            plan.start,
+            plan.goal,
+            plan.via,
+            speed=plan.speed,
+            obstacles=plan.surroundings,
+            reverse=plan.reverse,
+            on_the_spot=plan.on_the_spot,
+            settings=plan.settings,
+        )
+        self._seconds = time.process_time() - began
+        bar.advance()
+        return plans
+
+    def report(self, results: Plans, seconds: float) -> Report:  # noqa: ARG002 - planning has its own
+        """Tables, figures and the trajectory."""
+        from diffdrive_mpc_extras.planner import figures  # noqa: PLC0415 - matplotlib
+
+        asked, chosen = self._request, results[self._request.minimise]
+        return Report(
+            counted=f"{len(results)} plans",
+            meta={
+                "costs": asked.costs.name,
+                "provenance": asked.costs.provenance,
+                "speed_m_s": asked.speed,
+                "minimise": asked.minimise,
+                "from": asked.start.tolist(),
+                "to": asked.goal.tolist(),
+                "via": asked.via.tolist(),
+            },
+            content={"plans": [_row(plan) for plan in results.values()], "pieces": _pieces(chosen)},
+            facts=[
+                f"'{asked.costs.name}' at {asked.speed:g} m/s, least radius {_radius(asked)}; turns of the plan are no "
+                f"sharper than {chosen.sharpest:.2f} m (commanded).",
+                f"trajectory.csv minimises {asked.minimise}: {number(chosen.energy, 1)} J predicted, "
+                f"{number(chosen.duration, 1)} s, {number(chosen.length, 2)} m.",
+                f"Search: {chosen.search.states} states, {number(chosen.search.cost, 2)} without ramps, at least "
+                f"{number(chosen.search.bound, 2)}; polish: {chosen.status} ({chosen.solver}).",
+                f"{number(self._seconds, 2)} s of one core for all three.",
+            ],
+            notes=[
+                "Energy is that of the commands of the timed reference by torque table, slip law and drive constants; "
+                "what speeding up takes is not in it.",
+                *([] if chosen.search.complete else ["The search ended at its most states: a better way may exist."]),
+            ],
+            tables=[_table(results, asked.minimise)],
+            figures={
+                "paths.png": partial(figures.draw_paths, asked, results),
+                "power.png": partial(figures.draw_power, asked, results),
+            },
+            shown=Shown(key_figures=_key_figures(results, asked.minimise), warnings=_warnings(asked, results)),
+            files={"trajectory.csv": trajectory_text(chosen)},
+        )
+
+
+def trajectory_text(plan: Plan) -> str:
+    """Timed poses as `load_trajectory` reads them."""
+    rows = [",".join(f"{value:.9g}" for value in row) for row in plan.rows.tolist()]
+    return "\n".join(["t,x,y,theta", *rows]) + "\n"
+
+
+def saving(results: Plans) -> float:
+    """Share of energy that the energy-optimal plan saves over the distance-optimal one [-]."""
+    return 1 - results["energy"].energy / results["distance"].energy
+
+
+def _warnings(request: PlanRequest, results: Plans) -> list[Warned]:
+    """Where nothing is drawn at rest a long way costs no more for its time."""
+    own, shortest = results["energy"].length, results["distance"].length
+    if request.minimise != "energy" or request.costs.drive.idle_power > 0 or own < _LONG * shortest:
+        return []
+    return [
+        Warned(
+            f"The way of least energy is {own / shortest:.1f} times as long as the shortest: by its drive constants "
+            "the robot draws nothing at rest.",
+            "Say what computer and sensors draw: --idle-power, or idle_power in the costs.",
+        )
+    ]
+
+
+def _key_figures(results: Plans, minimise: Objective) -> list[KeyFigure]:
+    chosen = results[minimise]
+    return [
+        KeyFigure("energy", f"{number(chosen.energy, 1)} J", f"predicted, of the {minimise}-optimal plan"),
+        KeyFigure("duration", f"{number(chosen.duration, 1)} s"),
+        KeyFigure("length", f"{number(chosen.length, 2)} m"),
+        KeyFigure("saved", f"{number(100 * saving(results), 1)} %", "of energy, by energy over distance"),
+    ]
+
+
+def _table(results: Plans, minimise: Objective) -> Table:
+    return Table.of(
+        "Plans",
+        ("optimal in",),
+        {
+            "energy [J]": lambda row: number(row.energy, 1),
+            "time [s]": lambda row: number(row.duration, 1),
+            "length [m]": lambda row: number(row.length, 2),
+            "sharpest turn [m]": lambda row: number(_sharpest(row), 2),
+            "found by": lambda row: row.status,
+        },
+        [((f"{name}, written" if name == minimise else name,), result) for name, result in results.items()],
+    )
+
+
+def _sharpest(plan: Plan) -> float:
+    """Least commanded radius at more than half of the speed [m]."""
+    v, omega = np.abs(plan.commands.T)
+    moving = v > 0.5 * v.max()
+    return float((v[moving] / np.maximum(omega[moving], 1e-6)).min())
+
+
+def _radius(request: PlanRequest) -> str:
+    least = request.costs.least_radius(request.speed)
+    return "none" if least == 0 else f"{least:.2f} m"
+
+
+def _row(plan: Plan) -> dict[str, object]:
+    return {
+        "minimise": plan.minimise,
+        "energy_j": plan.energy,
+        "duration_s": plan.duration,
+        "length_m": plan.length,
+        "sharpest_m": plan.sharpest,
+        "clearance_m": plan.clearance if math.isfinite(plan.clearance) else None,
+        "search_cost": plan.search.cost,
+        "search_bound": plan.search.bound,
+        "search_states": plan.search.states,
+        "search_complete": plan.search.complete,
+        "status": plan.status,
+        "solver": plan.solver,
+    }
+
+
+def _pieces(plan: Plan) -> list[dict[str, object]]:
+    return [
+        {"v_m_s": piece.v, "omega_rad_s": piece.omega, "duration_s": piece.duration, "leg": piece.leg}
+        for piece in plan.pieces
+    ]

@@ -1,0 +1,145 @@
+"""What a proof consists of: a campaign, maps of two factors, and a search for the boundary of one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.bench.case import check_count
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked, read_yaml
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from diffdrive_mpc_extras.campaign.campaign_file import MOST_RUNS, Campaign, files_beside, whole_paths
+from diffdrive_mpc_extras.campaign.definition import check_factor
+
+PROOFS = Path(__file__).parent
+DEFAULT = PROOFS / "default.yaml"
+
+
+class MapAxis(StrictModel):
+    """A factor of a map and its ends, in the unit of the factor."""
+
+    factor: str
+    low: float
+    high: float
+    steps: Annotated[int, Field(ge=2, le=100)] = Field(description="values, ends included")
+
+    @model_validator(mode="after")
+    def _useful(self) -> MapAxis:
+        check_factor(self.factor, "maps")
+        if not self.low < self.high:
+            raise ValueError(f"low ({self.low:g}) has to be below high ({self.high:g})")
+        return self
+
+    @property
+    def values(self) -> list[float]:
+        """From low to high."""
+        width = (self.high - self.low) / (self.steps - 1)
+        return [float(f"{self.low + k * width:.9g}") for k in range(self.steps)]
+
+
+class Map(StrictModel):
+    """Two factors at a time."""
+
+    x: MapAxis
+    y: MapAxis
+
+
+class BoundarySearch(StrictModel):
+    """Where a factor stops to hold, between a value that does and one that is far beyond."""
+
+    holds: float = Field(description="value that should hold")
+    beyond: float = Field(description="the largest value that is asked about; smaller than `holds` to search downwards")
+    within: Annotated[float, Field(gt=0)] = Field(description="how narrow the boundary is searched")
+    unit: str = Field("", description="of the factor, for tables")
+
+    @model_validator(mode="after")
+    def _apart(self) -> BoundarySearch:
+        if abs(self.holds - self.beyond) <= self.within:
+            raise ValueError("holds and beyond are no further apart than within")
+        return self
+
+
+class Probe(StrictModel):
+    """The run that maps and searches change a factor of."""
+
+    factors: dict[str, bool | int | float | str] = Field(default_factory=dict, description="what it is made of")
+    seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="each value is driven with all of them")
+
+
+class PassportPlan(StrictModel):
+    """How a speed passport is measured: classes of curvature, speeds, floors, and how many robots drive each."""
+
+    share: Annotated[float, Field(gt=0, lt=1)] = Field(description="of the robots that have to stay inside [-]")
+    confidence: Annotated[float, Field(gt=0, lt=1)] = Field(description="that at least that share does [-]")
+    search_runs: Annotated[int, Field(ge=1)] = Field(description="robots that drive each speed of the search")
+    proof_runs: Annotated[int, Field(ge=1)] = Field(description="fresh ones that drive the speed that it gives")
+    tries: Annotated[int, Field(ge=1)] = Field(description="speeds that may be driven so, each slower than the last")
+    draw_seed: Annotated[int, Field(ge=0)] = Field(description="of the robots")
+    curvatures: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(min_length=1)] = Field(
+        description="of the arcs, rising, 0 for a straight line: the upper ends of the classes [1/m]"
+    )
+    speeds: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = Field(
+        description="that are tried, rising, over the greatest that the limits allow there [-]"
+    )
+    straight: Annotated[float, Field(gt=0)] = Field(description="before and after the arcs [s]")
+    arc: Annotated[float, Field(gt=0)] = Field(description="an arc to the left, and as long a one to the right [s]")
+    surfaces: Annotated[dict[str, dict[str, object]], Field(min_length=1)] = Field(
+        description="floors by name: factors in place of those of the campaign"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> PassportPlan:
+        if any(low >= high for values in (self.curvatures, self.speeds) for low, high in pairwise(values)):
+            raise ValueError("curvatures and speeds have to rise")
+        most = self.share**self.proof_runs
+        if most > (1.0 - self.confidence) / self.tries:
+            raise ValueError(f"proof_runs: {self.proof_runs} cannot show a share of {self.share:g}; give more")
+        if self.share**self.search_runs > 1.0 - self.confidence:
+            raise ValueError(f"search_runs: {self.search_runs} cannot show a share of {self.share:g}; give more")
+        return self
+
+
+class Proof(Campaign):
+    """A campaign file that may have maps and boundaries beside its runs."""
+
+    probe: Probe = Probe(seeds=(0,))
+    band: Annotated[float, Field(gt=0)] = Field(
+        default_factory=lambda: metric_settings().band,
+        description="a run holds where it is never further from its path [m]; by default that of sim/metrics",
+    )
+    passport: PassportPlan = Field(
+        default_factory=lambda: check(PassportPlan, read_yaml(DEFAULT)["passport"], str(DEFAULT)),
+        description="for --tolerance; by default as in the default proof",
+    )
+    maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
+        default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
+    )
+    boundaries: dict[str, BoundarySearch] = Field(default_factory=dict, description="by factor")
+
+    @model_validator(mode="after")
+    def _can_be_driven(self) -> Proof:
+        mapped = sum(one.x.steps * one.y.steps for one in self.maps.values())
+        # A search ends at nine digits, after some thirty bisections.
+        check_count(self.runs + mapped + 30 * len(self.boundaries) * len(self.probe.seeds), MOST_RUNS)
+        return self
+
+    @model_validator(mode="after")
+    def _factors_exist(self) -> Proof:
+        for name in (*self.probe.factors, *self.boundaries):
+            check_factor(name, "probe and boundaries")
+        return self
+
+
+def load_proof(path: Path | None) -> Proof:
+    """Read a proof by shipped name or path, by default the default one; a campaign is one, too.
+
+    Raises ConfigError when there is none, or it has a mistake.
+    """
+    file = named_file("proof", PROOFS, path) if path else DEFAULT
+    read = load_checked(Proof, file)
+    probe = read.probe.model_copy(update={"factors": whole_paths(read.probe.factors, file.parent)})
+    return read.model_copy(update=files_beside(read, file) | {"probe": probe})

@@ -1,0 +1,172 @@
+"""The proof of a controller as a study: its runs, maps and boundaries, and what is written of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from diffdrive_mpc.app.run_file import write_run
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.run_row import STATISTICS
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.draws import Value
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
+from diffdrive_mpc_extras.campaign.parquet import needs_arrow, write_table
+from diffdrive_mpc_extras.proof.boundaries import Boundary, DrivenMap, drawn_map, find_boundaries, map_runs
+from diffdrive_mpc_extras.proof.proof_file import Proof
+from diffdrive_mpc_extras.proof.report import (
+    Outcomes,
+    error_estimates,
+    facts,
+    map_chart,
+    shown,
+    tables,
+    tail_charts,
+    worst,
+)
+
+RESULTS, WORST = "prove.parquet", "worst"
+_CONTROLLER = ("controller", "model", "config")
+
+
+@dataclass(frozen=True)
+class ProofPlan:
+    """The drawn runs, and the run whose factors the maps and searches vary."""
+
+    drawn: list[Definition]
+    probe: Definition
+
+
+@dataclass(frozen=True)
+class Proven:
+    """What a proof found.
+
+    Attributes
+    ----------
+    driven
+        The runs that were drawn, in order.
+    maps, boundaries
+        What came of maps and searches.
+    others
+        Runs that these took.
+    worst
+        The worst runs by the name of their file.
+    """
+
+    driven: list[CampaignRun]
+    maps: list[DrivenMap]
+    boundaries: list[Boundary]
+    others: int
+    worst: dict[str, CampaignRun] = field(default_factory=dict)
+
+
+class ProofStudy(Study[ProofPlan, Proven]):
+    """Monte Carlo, maps and boundaries of one controller.
+
+    Parameters
+    ----------
+    config
+        The controller's configuration: a file, or the shipped one of a model.
+    proof
+        What is driven.
+    place
+        Where runs are driven and kept.
+    runs
+        Number of drawn runs; overrides the proof file.
+    kept
+        How many of the worst are kept as files.
+    """
+
+    name = "prove"
+    title = "Proof"
+    shared = True
+
+    def __init__(
+        self, config: str, proof: Proof, place: CampaignPlace, runs: int | None = None, kept: int = 10
+    ) -> None:
+        self._config, self._proof, self._place, self._runs, self._kept = config, proof, place, runs, kept
+
+    def plan(self) -> ProofPlan:
+        """Draw the runs; raises ConfigError where the campaign names another controller."""
+        needs_arrow()
+        named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
+        if named:
+            raise ConfigError(f"factors.{named[0]}: remove it; the controller under test is {self._config}")
+        factors = told_of(self._config)
+        probe = Definition.of(dict(self._proof.probe.factors) | dict(factors), "probe")
+        return ProofPlan([definition.changed(factors) for definition in self._proof.definitions(self._runs)], probe)
+
+    def cases(self, plan: ProofPlan) -> Iterable[Case]:
+        """The run whose factors the maps vary."""
+        return [plan.probe.case]
+
+    def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:
+        """Drive everything that the store of the place does not have."""
+        place, proof = replace(self._place, jobs=jobs), self._proof
+        driven = drive_all(plan.drawn, place, bar, "driving runs")
+        map_definitions = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
+        mapped = drive_all([run for runs in map_definitions for run in runs], place, bar, "driving maps")
+        maps = [
+            drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), map_definitions, strict=True)
+        ]
+        tried: dict[str, CampaignRun] = {one.key: one for one in mapped}
+
+        def drive(runs: list[Definition]) -> list[CampaignRun]:
+            outcomes = drive_all(runs, place, bar, "searching boundaries")
+            tried.update((outcome.key, outcome) for outcome in outcomes)
+            return outcomes
+
+        boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive, proof.band)
+        listed = worst(driven, self._kept)
+        files = {f"{k:02d}.yaml": one for k, one in enumerate(listed, start=1)}
+        return Proven(driven, maps, boundaries, len(tried), files)
+
+    def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
+        """Tables, and a figure of the errors and of each map."""
+        estimates, tail = error_estimates(results.driven), tail_charts(results.driven)
+        figures = ({"errors.png": tail} if tail else {}) | {
+            f"map-{one.name}.png": [map_chart(one)] for one in results.maps
+        }
+        seeds, band = len(self._proof.probe.seeds), self._proof.band
+        return Report(
+            counted=f"{len(results.driven) + results.others} runs",
+            meta={"statistics": STATISTICS, "controller": Path(self._config).name, "campaign": self._proof.description},
+            content={
+                "rates": plain(Outcomes.of(results.driven, band)),
+                "band_m": band,
+                "position_rmse_m": plain(estimates),
+                "boundaries": [_boundary_row(boundary) for boundary in results.boundaries],
+            },
+            facts=[f"{Path(self._config).name}: {self._proof.description}.", *facts(results.driven, results.others)],
+            notes=[f"Errors: {STATISTICS}."],
+            tables=tables(results.driven, results.boundaries, results.worst, seeds, band),
+            figures=figures,
+            shown=shown(self._config, results.driven, results.boundaries, seeds, band),
+        )
+
+
+def keep(proven: Proven, out: Path) -> None:
+    """Write the table of the drawn runs and the worst of them into `out`; raises ConfigError if that cannot be."""
+    write_table([run.columns for run in proven.driven], out / RESULTS)
+    for old in (out / WORST).glob("[0-9][0-9].yaml"):
+        old.unlink()
+    for name, one in proven.worst.items():
+        write_run(one, out / WORST / name)
+
+
+def told_of(config: str) -> Mapping[str, Value]:
+    """The factors that name a controller; raises ConfigError if there is no such configuration."""
+    load_config(config)
+    return {"model": config} if is_shipped(config) else {"config": config, "model": load_config(config).model}
+
+
+def _boundary_row(boundary: Boundary) -> dict[str, object]:
+    tried = {f"{value:g}": count for value, count in boundary.values.items()}
+    return {"factor": boundary.factor, "held": boundary.held, "failed": boundary.failed, "tried": tried}

@@ -1,0 +1,64 @@
+"""Rehearsal, attached to a controller: by the reference or by the floor."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+from diffdrive_mpc.models.interface import Measurement, Reference
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.features.feature import Feature
+from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
+from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
+
+
+class Rehearse(Feature):
+    """See `Feature`.
+
+    Attributes
+    ----------
+    learned
+        What was learned of a reference that is driven again, or of the floor.
+    """
+
+    restarts_on_switch = True
+
+    def __init__(self, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> None:
+        super().__init__(config, model)
+        self.learned: LapLearner | FloorRehearsal
+        if config.rehearsal.by == "floor":
+            self.learned = FloorRehearsal(config, FeedForward.of(model, config.sample_time).inverse_gain)
+        else:
+            self.learned = LapLearner(config)
+
+    def configure(self) -> None:
+        """See `Feature`."""
+        if isinstance(self.learned, FloorRehearsal):
+            self.learned.config = self.host.config
+        self._begin_with_slip()
+
+    def begin(self, reference: Reference, t0: float) -> Reference:
+        """See `Feature`: moved by what was learned."""
+        tracked = self.learned.begin(reference, t0)
+        self._begin_with_slip()
+        return tracked
+
+    def forget(self) -> None:
+        """See `Feature`."""
+        self.learned.forget()
+        self._begin_with_slip()
+
+    def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
+        """See `Feature`: record the tick."""
+        return self.learned.take(t, measurement, result)
+
+    def _begin_with_slip(self) -> None:
+        """Slip that was learned of the floor is what the next estimate begins with."""
+        if isinstance(self.learned, FloorRehearsal):
+            self.host.tick.begin_with(astuple(self.learned.slip))
+
+
+FEATURE = Rehearse

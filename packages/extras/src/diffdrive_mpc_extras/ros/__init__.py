@@ -1,0 +1,1 @@
+"""Parts of the ROS 2 nodes: topics and services of the features in this package."""

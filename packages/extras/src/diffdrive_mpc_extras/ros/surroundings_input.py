@@ -1,0 +1,246 @@
+"""What lies around the robot, from topics: a costmap, and things that move.
+
+`costmap` is a nav_msgs/OccupancyGrid. `obstacles` is a sensor_msgs/PointCloud2 with the fields x, y, radius, and vx, vy
+where they move: of the types with a wheel it is the one that carries named numbers of many things in one block, and
+RViz shows it; markers and polygons have no velocity. Both are looked at for their size first, read in the process
+beside the loop, and are in the frame of control.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from time import monotonic
+from typing import NamedTuple
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid as GridMessage
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.ros.conversions import (
+    LONGEST_NAME,
+    MessageError,
+    check_frame,
+    nanoseconds,
+    planar_pose,
+    too_long,
+)
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.side_process import SideProcess
+from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
+from diffdrive_mpc_extras.free_space import MovingDisc, OccupancyGrid, Surroundings
+from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.pieces import PreparedGrid, prepared_grid
+from diffdrive_mpc_extras.free_space.surroundings import check_disc
+
+_MOST_DISCS = 500
+_OVERHEAD = 1024 + 2 * LONGEST_NAME
+_OBSTACLES_BYTES = 64 * _MOST_DISCS + _OVERHEAD
+_NUMBERS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
+_NEEDED, _MOTION = ("x", "y", "radius"), ("vx", "vy")
+_WARN_EVERY = 5.0
+"""Between two warnings about one topic [s]: bad messages may come at any rate, and diagnostics have the last reason."""
+
+
+class CostmapMessage(NamedTuple):
+    """A costmap, its frame and its stamp [ns]."""
+
+    grid: PreparedGrid
+    frame: str
+    stamp: int
+
+
+class SeenDiscs(NamedTuple):
+    """Things that may move, (n, 5) x, y, radius, vx, vy, with their frame and stamp [ns]."""
+
+    discs: FloatArray
+    frame: str
+    stamp: int
+
+
+def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
+    """A serialised OccupancyGrid as rectangles.
+
+    Raises
+    ------
+    MessageError, SurroundingsError
+        With one line that says what is wrong.
+    """
+    message: GridMessage = deserialize_message(raw, GridMessage)
+    info = message.info
+    cells = np.asarray(message.data, dtype=np.int8)
+    if cells.size != info.width * info.height or not cells.size:
+        raise MessageError(f"it has {cells.size} cells and says {info.width} x {info.height}")
+    grid = OccupancyGrid(cells.reshape(info.height, info.width), round(info.resolution, 6), planar_pose(info.origin))
+    prepared = prepared_grid(grid, settings)
+    if len(prepared.boxes) > settings.max_pieces:
+        count, most = len(prepared.boxes), settings.max_pieces
+        raise MessageError(f"its occupied cells make {count} rectangles, free_space.max_pieces is {most}")
+    return CostmapMessage(prepared, message.header.frame_id, nanoseconds(message.header.stamp))
+
+
+def read_obstacles(raw: bytes) -> SeenDiscs:
+    """A serialised PointCloud2 as discs.
+
+    Raises
+    ------
+    MessageError, SurroundingsError
+        With one line that says what is wrong.
+    """
+    message: PointCloud2 = deserialize_message(raw, PointCloud2)
+    count = message.width * message.height
+    if count > _MOST_DISCS:
+        raise MessageError(f"it has {count} points; give {_MOST_DISCS} at most, the nearest ones")
+    if message.is_bigendian or message.point_step * count != len(message.data):
+        raise MessageError("its data do not have the length that it states, or are big-endian")
+    fields = {field.name: field for field in message.fields}
+    missing = [name for name in _NEEDED if name not in fields]
+    if missing:
+        raise MessageError(f"it has no field {missing[0]}; give x, y, radius, and vx, vy of what moves")
+    columns = []
+    for name in (*_NEEDED, *_MOTION):
+        field = fields.get(name)
+        if field is None:
+            columns.append(np.zeros(count))
+            continue
+        kind = _NUMBERS.get(field.datatype)
+        if kind is None or field.count != 1 or field.offset + int(kind[1]) > message.point_step:
+            raise MessageError(f"its field {name} is no single float32 or float64 inside a point")
+        layout = np.dtype(
+            {"names": [name], "formats": [kind], "offsets": [field.offset], "itemsize": message.point_step}
+        )
+        columns.append(np.frombuffer(bytes(message.data), layout)[name].astype(float))
+    discs = np.stack(columns, axis=1)
+    if not np.isfinite(discs).all():
+        raise MessageError("it holds a number that is not finite")
+    for index, (x, y, radius, vx, vy) in enumerate(discs.tolist()):
+        check_disc(MovingDisc(x, y, radius, vx, vy), f"disc {index}", timed=True)
+    return SeenDiscs(discs, message.header.frame_id, nanoseconds(message.header.stamp))
+
+
+class SurroundingsInput:
+    """Puts together what the topics tell, and lets the controller see it.
+
+    Parameters
+    ----------
+    settings
+        Which topics are used.
+    controller
+        Who sees it.
+    inbox
+        Clock and frame of control.
+    aside
+        The process that reads messages.
+    log
+        Called with the reason why something was refused, once in some seconds for each topic.
+    """
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        controller: Controller,
+        inbox: Inbox,
+        aside: SideProcess,
+        log: Callable[[str], None],
+    ) -> None:
+        self._controller, self._inbox, self._aside, self._log = controller, inbox, aside, log
+        self._free_space = controller.config.free_space
+        self.costmap, self.obstacles = TopicWatch("costmap"), TopicWatch("obstacles")
+        used = ((self.costmap, settings.use_costmap), (self.obstacles, settings.use_obstacles))
+        self.topics = [topic for topic, uses in used if uses]
+        self._warned: dict[str, float] = {}
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was seen: until everything has arrived the robot does not drive."""
+        self._grid: PreparedGrid | None = None
+        self._discs: FloatArray = np.zeros((0, 5))
+        self._stamps: dict[str, float] = {}
+        self._keep()
+        for watch in self.topics:
+            watch.restart()
+        if self.topics:
+            self._controller.set_obstacles(Surroundings(time=self._inbox.now - 2.0 * self._free_space.max_age))
+
+    @property
+    def fault(self) -> str:
+        """Which topic is missing or old, in words; empty if none is."""
+        now, limit = self._inbox.now, self._free_space.max_age
+        return "; ".join(filter(None, (watch.fault(now, limit) for watch in self.topics)))
+
+    def take_costmap(self, raw: bytes) -> None:
+        """A serialised OccupancyGrid has arrived."""
+        most = self._free_space.max_cells + _OVERHEAD
+        if len(raw) > most:
+            self._refuse(self.costmap, too_long(len(raw), most))
+            return
+        self._aside.submit(
+            "costmap",
+            read_costmap,
+            (raw, self._free_space),
+            self._see_grid,
+            lambda why: self._refuse(self.costmap, why),
+        )
+
+    def take_obstacles(self, raw: bytes) -> None:
+        """A serialised PointCloud2 has arrived."""
+        if len(raw) > _OBSTACLES_BYTES:
+            self._refuse(self.obstacles, too_long(len(raw), _OBSTACLES_BYTES))
+            return
+        self._aside.submit(
+            "obstacles", read_obstacles, (raw,), self._see_discs, lambda why: self._refuse(self.obstacles, why)
+        )
+
+    def _see_grid(self, grid: CostmapMessage) -> None:
+        if self._accept(self.costmap, grid.frame, grid.stamp):
+            self._grid = grid.grid
+            self._tell(self.costmap)
+
+    def _see_discs(self, discs: SeenDiscs) -> None:
+        if self._accept(self.obstacles, discs.frame, discs.stamp):
+            self._discs = discs.discs
+            self._tell(self.obstacles)
+
+    def _accept(self, watch: TopicWatch, frame: str, stamp: int) -> bool:
+        try:
+            check_frame(frame, self._inbox.frame, "odom_frame, or map_frame with use_pose_topic")
+            time = self._inbox.time_of(stamp)
+            watch.accept(time, self._inbox.now, self._free_space.max_age)
+        except MessageError as error:
+            self._refuse(watch, str(error))
+            return False
+        self._stamps[watch.name] = time
+        return True
+
+    def _tell(self, watch: TopicWatch) -> None:
+        """Let the controller see everything, as it was when the older of the two was."""
+        if len(self._stamps) < len(self.topics):
+            self._keep()
+            return
+        oldest = min(self._stamps.values())
+        since = self._stamps.get(self.obstacles.name, oldest) - oldest
+        discs = [MovingDisc(x - vx * since, y - vy * since, r, vx, vy) for x, y, r, vx, vy in self._discs.tolist()]
+        try:
+            self._controller.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
+        except ValueError as error:
+            # What cannot be used together must not spoil the messages to come, nor pass for fresh.
+            watch.take_back(self._kept[2].get(watch.name))
+            self._refuse(watch, str(error))
+            self._grid, self._discs, self._stamps = self._kept[0], self._kept[1], dict(self._kept[2])
+        else:
+            self._keep()
+
+    def _keep(self) -> None:
+        self._kept = self._grid, self._discs, dict(self._stamps)
+
+    def _refuse(self, watch: TopicWatch, reason: str) -> None:
+        watch.refuse(plain_line(reason))
+        now = monotonic()
+        if now - self._warned.get(watch.name, -math.inf) >= _WARN_EVERY:
+            self._warned[watch.name] = now
+            self._log(watch.reason)

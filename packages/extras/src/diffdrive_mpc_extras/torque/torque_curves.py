@@ -1,0 +1,241 @@
+"""Torque of the outer and the inner side against turn radius, a network each, learned while driving."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.terrain.terrain_file import Terrain
+from diffdrive_mpc_extras.terrain.turning import side_torques
+from diffdrive_mpc_extras.torque.mran import MranNetwork
+from diffdrive_mpc_extras.torque.settings import TorqueSettings, load_torque_settings
+from diffdrive_mpc_extras.turn_costs import SlipCoefficients, TorqueTable, TurnCosts
+from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE, least_radius
+from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, Vehicle
+
+
+class TorqueCurves:
+    """Two networks over the logarithm of the radius, whose outputs are torques over the limit of a side.
+
+    What a curve says is finite and within the limit; beyond the radii that were shown it holds what it says at their
+    end. A turn is the same to the left and to the right, and backward the torques change their signs.
+
+    Parameters
+    ----------
+    limit
+        Largest torque of a side [N m].
+    settings
+        By default the shipped ones.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the limit is not a positive number.
+    """
+
+    def __init__(self, limit: float, settings: TorqueSettings | None = None) -> None:
+        if not (math.isfinite(limit) and limit > 0):
+            raise ConfigError(f"torque limit {limit} N m: give a positive number")
+        self.limit = float(limit)
+        self._settings = settings or load_torque_settings()
+        self._outer, self._inner = MranNetwork(self._settings.network), MranNetwork(self._settings.network)
+        self._shown = (math.inf, -math.inf)
+
+    @property
+    def units(self) -> tuple[int, int]:
+        """How many hidden units the networks of the outer and of the inner side have."""
+        return len(self._outer.units), len(self._inner.units)
+
+    @property
+    def shown(self) -> tuple[float, float]:
+        """Least and greatest radius that was shown [m]; what lies beyond is held."""
+        low, high = self._shown
+        return (math.exp(low), math.exp(high)) if low <= high else (math.nan, math.nan)
+
+    @classmethod
+    def from_prior(cls, vehicle: Vehicle, terrain: Terrain, settings: TorqueSettings | None = None) -> TorqueCurves:
+        """Curves that know the triplets (radius, outer, inner) of a terrain driven before; P4, section 4.1.
+
+        Raises ConfigError if the shear law of the terrain is not known.
+        """
+        curves = cls(vehicle.torque_limit, settings)
+        asked = curves._settings.curves
+        low = max(asked.radii[0], 0.51 * (vehicle.command_track or vehicle.track))
+        radii = np.geomspace(low, asked.radii[1], asked.prior_radii)
+        torques = side_torques(vehicle, terrain, radii, asked.speed)
+        rows = np.stack([radii, torques.outer, torques.inner], axis=-1)
+        for turn in range(asked.prior_passes):
+            # To and fro, as a drive does, so that no end is the one shown last.
+            for radius, outer, inner in rows if turn % 2 else rows[::-1]:
+                curves.learn(radius, asked.speed, outer, inner)
+        curves.doubt()
+        return curves
+
+    def doubt(self) -> None:
+        """Believe less in what was learned so far: another terrain may have begun."""
+        self._outer.restart_doubt()
+        self._inner.restart_doubt()
+
+    def learn(self, radius: float, speed: float, outer: float, inner: float) -> None:
+        """Take in one sample of a steady turn; what is not finite is left out.
+
+        Parameters
+        ----------
+        radius
+            Commanded turn radius [m]; its sign does not matter, infinity is straight on.
+        speed
+            Commanded speed [m/s], forward.
+        outer, inner
+            Torques of the sides [N m].
+        """
+        if not (speed > 0 and not math.isnan(radius) and math.isfinite(outer) and math.isfinite(inner)):
+            return
+        x = float(self._input(np.array(abs(radius)), np.array(speed)))
+        self._shown = min(self._shown[0], x), max(self._shown[1], x)
+        bound = self._settings.curves.margin
+        self._outer.learn(x, float(np.clip(outer / self.limit, -bound, bound)))
+        self._inner.learn(x, float(np.clip(inner / self.limit, -bound, bound)))
+
+    def learn_drive(
+        self,
+        commands: ArrayLike,
+        left: ArrayLike,
+        right: ArrayLike,
+        sample_time: float,
+        on_sample: Callable[[int], None] | None = None,
+        settled: ArrayLike | None = None,
+    ) -> int:
+        """Take in a drive in order of time, but for what follows a change of the command; returns how much was used.
+
+        Parameters
+        ----------
+        commands
+            (n, 2) v [m/s], omega [rad/s].
+        left, right
+            (n,) torques of the sides [N m] from this row to the next.
+        sample_time
+            Time between two rows [s].
+        on_sample
+            Called with the number of each row once it was taken in.
+        settled
+            (n,) of bool: the rows of steady turns; by default those in which the command has not changed for the
+            settling time.
+        """
+        rows = np.asarray(commands, dtype=float)
+        torques = np.stack([np.asarray(left, dtype=float), np.asarray(right, dtype=float)], axis=-1)
+        if settled is None:
+            changed = np.concatenate([[True], (np.abs(np.diff(rows, axis=0)) > 1e-9).any(axis=1)])
+            since = np.arange(len(rows)) - np.maximum.accumulate(np.where(changed, np.arange(len(rows)), 0))
+            settled = (since + 0.5) * sample_time > self._settings.curves.settling
+        turning = rows[:, 0] != 0
+        used = np.flatnonzero(np.asarray(settled, dtype=bool) & turning)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            radii = np.abs(rows[:, 0] / rows[:, 1])
+        for k in used.tolist():
+            v, omega = rows[k]
+            outer, inner = torques[k] if v * omega < 0 else torques[k, ::-1]
+            sign = math.copysign(1.0, v)
+            self.learn(float(radii[k]), abs(v), sign * outer, sign * inner)
+            if on_sample is not None:
+                on_sample(k)
+        return len(used)
+
+    def outer(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
+        """Torque of the outer side [N m] at radii (n,) [m] and speeds, by default that of the settings [m/s]."""
+        return self._say(self._outer, radius, speed)
+
+    def inner(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
+        """Torque of the inner side [N m], as `outer`."""
+        return self._say(self._inner, radius, speed)
+
+    def torques(self, commands: ArrayLike) -> FloatArray:
+        """(n, 2) torques left, right [N m] for commands (n, 2) v [m/s], omega [rad/s] held; zero at rest."""
+        v, omega = np.moveaxis(np.asarray(commands, dtype=float), -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            radius = np.abs(v / omega)
+        moving = (v != 0) | (omega != 0)
+        radius = np.where(moving, radius, np.inf)
+        speed = np.maximum(np.abs(v), 1e-6)
+        sign = np.where(v < 0, -1.0, 1.0)
+        outer, inner = (sign * side(radius, speed) * moving for side in (self.outer, self.inner))
+        left_outer = np.where(v == 0, omega < 0, v * omega < 0)
+        return np.stack([np.where(left_outer, outer, inner), np.where(left_outer, inner, outer)], axis=-1)
+
+    def least_radius(self, speed: float | None = None, share: float = LIMIT_SHARE) -> float:
+        """Largest radius at which the outer side needs more than `share` of its limit [m]; 0 where none does."""
+        low, high = self._settings.curves.radii
+        return least_radius(lambda radii: self.outer(radii, speed), self.limit, (low, high), share)
+
+    def _say(self, network: MranNetwork, radius: ArrayLike, speed: ArrayLike | None) -> FloatArray:
+        radii = np.abs(np.asarray(radius, dtype=float))
+        at = np.full_like(radii, self._settings.curves.speed) if speed is None else np.asarray(speed, dtype=float)
+        low, high = self._shown
+        x = self._input(radii, at)
+        output = network(np.clip(x, low, high) if low <= high else x)
+        bound = self._settings.curves.margin
+        return np.asarray(self.limit * np.clip(output, -bound, bound))
+
+    def _input(self, radius: FloatArray, speed: FloatArray) -> FloatArray:
+        asked = self._settings.curves
+        same = radius * (asked.speed / speed) ** asked.speed_exponent if asked.speed_exponent else radius
+        return np.asarray(np.log(np.clip(same, *asked.radii)))
+
+
+# Turn costs from learned torque curves.
+
+
+_ROWS = 36
+
+
+def costs_of_curves(
+    curves: TorqueCurves,
+    slip: ArrayLike,
+    *,
+    name: str,
+    vehicle: Vehicle,
+    drive: DriveConstants,
+    provenance: str,
+    radii: tuple[float, float] | None = None,
+) -> TurnCosts:
+    """The file's content from learned curves and slip (3, 3) or nine coefficients.
+
+    Parameters
+    ----------
+    curves, slip
+        What was learned.
+    name, vehicle, drive, provenance
+        What the file holds besides.
+    radii
+        Over which the curves are tabled, from and to, at the speed at which they stand [m]: those of the drive; by
+        default all that were shown to the curves, their prior's too.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If nothing was shown to the curves or a value cannot be used.
+    """
+    low, high = radii or curves.shown
+    if not high > low:
+        raise ConfigError(f"turn costs '{name}': the torque curves were shown no two radii; learn a drive first")
+    settings = load_torque_settings().curves
+    asked = np.geomspace(low, high, _ROWS)
+    table = TorqueTable(
+        radius=tuple(asked.tolist()),
+        outer=tuple(curves.outer(asked).tolist()),
+        inner=tuple(curves.inner(asked).tolist()),
+        speed=settings.speed,
+        speed_exponent=settings.speed_exponent,
+    )
+    return TurnCosts(
+        name=name,
+        vehicle=vehicle,
+        drive=drive,
+        slip=SlipCoefficients.of(slip),
+        curve=table,
+        provenance=provenance,
+    )

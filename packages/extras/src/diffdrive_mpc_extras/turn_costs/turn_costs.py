@@ -1,0 +1,230 @@
+"""What one robot on one floor does and pays in a turn: a file that planner, controller and studies read."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import casadi as ca
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+from pydantic import BeforeValidator, Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist
+from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE, least_radius
+from diffdrive_mpc_extras.turn_costs.torque_spline import TorqueSpline
+from diffdrive_mpc_extras.turn_costs.vehicle import (
+    DRIVES,
+    VEHICLES,
+    NamedDrive,
+    Vehicle,
+    load_drive_constants,
+    load_vehicle,
+)
+
+FLOORS = Path(__file__).parent / "floors"
+# Over which the sign of a speed goes from one to the other in a symbolic expression [m/s], and powers [W].
+_SOFT_SPEED, _SOFT_POWER = 0.01, 0.05
+_RADII = (0.05, 1000.0)
+
+
+def _vehicle(value: Any) -> Any:  # noqa: ANN401 - what a file holds there
+    return load_vehicle(value) if isinstance(value, str) else value
+
+
+class SlipCoefficients(StrictModel):
+    """`models.slip_laws.polynomial_twist`: what is added to commands; lateral is to the left."""
+
+    a11: float = Field(default=0.0, description="forward speed over v_c [-]")
+    a12: float = Field(default=0.0, description="forward speed over w_c [m]")
+    a13: float = Field(default=0.0, description="forward speed over v_c w_c [s]")
+    a21: float = Field(default=0.0, description="lateral speed over v_c [-]")
+    a22: float = Field(default=0.0, description="lateral speed over w_c [m]")
+    a23: float = Field(default=0.0, description="lateral speed over v_c w_c [s]")
+    a31: float = Field(default=0.0, description="yaw rate over v_c [1/m]")
+    a32: float = Field(default=0.0, description="yaw rate over w_c [-]")
+    a33: float = Field(default=0.0, description="yaw rate over v_c w_c [s/m]")
+
+    @property
+    def rows(self) -> FloatArray:
+        """(3, 3)."""
+        return np.array([getattr(self, name) for name in POLYNOMIAL]).reshape(3, 3)
+
+    @classmethod
+    def of(cls, rows: ArrayLike) -> Self:
+        """From nine numbers row by row; raises ConfigError if there are others."""
+        values = np.asarray(rows, dtype=float).ravel()
+        if values.shape != (9,) or not np.isfinite(values).all():
+            raise ConfigError(f"slip of shape {np.shape(rows)}: give nine finite numbers, a11 to a33 row by row")
+        return cls.model_validate(dict(zip(POLYNOMIAL, values.tolist(), strict=True)))
+
+
+class TorqueTable(StrictModel):
+    """Torques of steady turns; beyond its ends they are held."""
+
+    radius: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="commanded, ascending [m]")
+    outer: Annotated[tuple[float, ...], Field(min_length=3)] = Field(description="torque of the outer side [N m]")
+    inner: Annotated[tuple[float, ...], Field(min_length=3)] = Field(description="torque of the inner side [N m]")
+    speed: Positive = Field(description="at which the table stands [m/s]")
+    speed_exponent: float = Field(
+        ge=0.0, le=1.0, description="a turn at speed v counts as one of radius R (speed / v)^exponent [-]"
+    )
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> Self:
+        if not len(self.radius) == len(self.outer) == len(self.inner):
+            raise ValueError(
+                f"{len(self.radius)} radii, {len(self.outer)} outer and {len(self.inner)} inner torques: give as many "
+                "of each"
+            )
+        if not (np.diff(self.radius) > 0).all():
+            raise ValueError("radius: has to ascend")
+        return self
+
+
+class TurnCosts(StrictModel):
+    """One robot on one floor.
+
+    What lies beyond the table is held at its ends: sharper turns than were driven, where the motors are at their limit
+    or the tyres slide, ask what the sharpest one asked.
+    """
+
+    name: str = Field(min_length=1)
+    vehicle: Annotated[Vehicle, BeforeValidator(_vehicle, json_schema_input_type=Vehicle | str)] = Field(
+        description="a mapping, or the name of a vehicle file"
+    )
+    drive: NamedDrive = Field(description="a mapping, or the name of a drive file")
+    slip: SlipCoefficients = Field(default_factory=SlipCoefficients, description="without: none")
+    curve: TorqueTable
+    provenance: str = Field(min_length=1, description="where these values come from")
+
+    def with_idle_power(self, power: float) -> Self:
+        """The same robot with so much drawn at rest, by computer, sensors and drivers [W], in place of its own.
+
+        Raises ConfigError if that is no number of watts.
+        """
+        if not (np.isfinite(power) and power >= 0):
+            raise ConfigError(f"idle power {power} W: give zero or a positive number")
+        drive = self.drive.model_copy(update={"idle_power": float(power)})
+        return self.model_copy(update={"drive": drive})
+
+    def torques(self, commands: ArrayLike) -> FloatArray:
+        """(n, 2) torques left, right [N m] in steady turns under commands (n, 2) v [m/s], omega [rad/s]; zero at rest.
+
+        Within the torque limit.
+        """
+        rows = np.asarray(commands, dtype=float)
+        v, omega = np.moveaxis(rows, -1, 0)
+        mean, difference = self._spline(self._curvature(v, omega))
+        sides = (np.sign(v) * mean)[..., None] + difference[..., None] * np.array([-1.0, 1.0])
+        rolling = self.vehicle.drag_torque * np.sign(self.vehicle.rims(rows))
+        limit = self.vehicle.torque_limit
+        return np.asarray(np.clip(sides + rolling, -limit, limit))
+
+    def power(self, commands: ArrayLike) -> FloatArray:
+        """(n,) power from the battery [W] under commands (n, 2) v [m/s], omega [rad/s], with what is drawn at rest."""
+        rows = np.asarray(commands, dtype=float)
+        return self.drive.robot_power(self.torques(rows), self.vehicle.rims(rows) / self.vehicle.wheel_radius)
+
+    def twist(self, commands: ArrayLike) -> FloatArray:
+        """(n, 3) of the body: forward, lateral speed to the left [m/s], yaw rate [rad/s], by the slip law."""
+        return polynomial_twist(self.slip.rows, commands)
+
+    def command(self, v: ArrayLike, omega: ArrayLike) -> FloatArray:
+        """(..., 2) commands whose body twist has this v [m/s] and omega [rad/s].
+
+        Raises ConfigError where the slip law has no such command.
+        """
+        requested = np.stack(np.broadcast_arrays(np.asarray(v, dtype=float), np.asarray(omega, dtype=float)), axis=-1)
+        (a11, a12, a13), _, (a31, a32, a33) = self.slip.rows
+        command = requested.copy()
+        for _ in range(30):
+            vc, wc = np.moveaxis(command, -1, 0)
+            off = self.twist(command)[..., [0, 2]] - requested
+            slope = np.stack([1 + a11 + a13 * wc, a12 + a13 * vc, a31 + a33 * wc, 1 + a32 + a33 * vc], axis=-1)
+            command = command - np.linalg.solve(slope.reshape(*vc.shape, 2, 2), off[..., None])[..., 0]
+        if not np.allclose(self.twist(command)[..., [0, 2]], requested, atol=1e-6):
+            raise ConfigError(f"turn costs '{self.name}': no command gives the body such a twist; ask a wider turn")
+        return command
+
+    def least_radius(self, speed: float | None = None) -> float:
+        """Largest commanded radius at which the outer side needs more than 95 % of its limit [m] at `speed` [m/s].
+
+        By default at the speed of the table. 0: none does; infinity: every turn does.
+        """
+        at = self.curve.speed if speed is None else speed
+        if not (np.isfinite(at) and at > 0):
+            raise ConfigError(f"speed {at} m/s: give a positive number")
+
+        def outer(radii: FloatArray) -> FloatArray:
+            return self.torques(np.stack([np.full_like(radii, at), at / radii], axis=-1))[..., 1]
+
+        return least_radius(outer, self.vehicle.torque_limit, _RADII, LIMIT_SHARE)
+
+    def symbolic_power(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - SX or MX, as it is given
+        """`power` as a CasADi expression of commands v [m/s], omega [rad/s]: smooth, also straight on and at rest."""
+        vehicle, drive = self.vehicle, self.drive
+        mean, difference = self._spline.symbolic(self._curvature(v, omega))
+        half, total = 0.5 * (vehicle.command_track or vehicle.track), drive.idle_power
+        for side in (-1.0, 1.0):
+            rim = v + side * half * omega
+            torque = _soft_sign(v) * mean + side * difference + vehicle.drag_torque * _soft_sign(rim)
+            taken = torque * rim / vehicle.wheel_radius + drive.side_heating * torque**2
+            if drive.regeneration and drive.driver_efficiency == 1.0:
+                total = total + taken
+                continue
+            driving = 0.5 * (taken + ca.sqrt(taken**2 + _SOFT_POWER**2))
+            returned = (taken - driving) * drive.driver_efficiency if drive.regeneration else 0.0
+            total = total + driving / drive.driver_efficiency + returned
+        return total
+
+    def _curvature(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - arrays or expressions
+        """Signed, as it counts at the speed of the table [1/m]."""
+        exponent = self.curve.speed_exponent
+        if exponent == 1.0:
+            return omega / self.curve.speed
+        return omega / ((v**2 + 1e-8) ** (0.5 * (1 - exponent)) * self.curve.speed**exponent)
+
+    @cached_property
+    def _spline(self) -> TorqueSpline:
+        table, drag = self.curve, self.vehicle.drag_torque
+        radii, outer, inner = (np.array(rows)[::-1] for rows in (table.radius, table.outer, table.inner))
+        # Where the inner wheels of the table turn backward its inner torque holds their drag with the other sign.
+        half = 0.5 * (self.vehicle.command_track or self.vehicle.track)
+        inner_drag = np.where(radii < half, -drag, drag)
+        outer, inner = outer - drag, inner - inner_drag
+        return TorqueSpline(1.0 / radii, 0.5 * (outer + inner), 0.5 * (outer - inner))
+
+
+def _soft_sign(speed: Any) -> Any:  # noqa: ANN401
+    return ca.tanh(speed / _SOFT_SPEED)
+
+
+def load_turn_costs(name: str | Path) -> TurnCosts:
+    """Read turn costs by shipped name ("fsu_bot-default", ...) or path; raises ConfigError on a mistake in the file."""
+    return load_checked(TurnCosts, named_file("turn costs", FLOORS, name))
+
+
+def turn_costs_text(costs: TurnCosts) -> str:
+    """The file that `load_turn_costs` reads, to five digits.
+
+    Vehicle and drive stand in it by name where they are shipped ones, else whole.
+    """
+    plain: dict[str, Any] = costs.model_dump(mode="json")
+    plain["vehicle"] = _name_or(costs.vehicle, VEHICLES, load_vehicle)
+    plain["drive"] = _name_or(costs.drive, DRIVES, load_drive_constants)
+    plain["slip"] = {key: float(f"{value:.5g}") for key, value in plain["slip"].items()}
+    for key in ("radius", "outer", "inner"):
+        plain["curve"][key] = [float(f"{value:.5g}") for value in plain["curve"][key]]
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=140, default_flow_style=None)
+
+
+def _name_or(value: StrictModel, folder: Path, load: Any) -> Any:  # noqa: ANN401
+    names = [path.stem for path in sorted(folder.glob("*.yaml")) if load(path.stem) == value]
+    return names[0] if names else value.model_dump(mode="json")

@@ -1,0 +1,284 @@
+"""A twin and the identified model held against the rows that neither was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.effects.free_run import free_run
+from diffdrive_mpc.models.identification.fit.poses import PoseDrift, pose_drift
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
+from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc_extras.twin.fitting import TwinFit
+from diffdrive_mpc_extras.twin.free_run import drive, readings, stretch
+from diffdrive_mpc_extras.twin.nominal import Nominal
+from diffdrive_mpc_extras.twin.settings import twin_settings
+
+# The identified velocity model beside a twin: what it predicts of a log, and where the fit of the twin begins.
+
+
+_LOOP = 0.03
+"""Of a model's lag, what the motors' loops of the plant have of their own [s], about."""
+_LEAST_LAG = 0.01
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A velocity model seen through the sensors of a log.
+
+    Attributes
+    ----------
+    model, effects
+        The model, and what its base does around it.
+    point
+        Of a model with effects, its parameters by the names of `models.identification.effects.free_run`; else empty.
+    sensors
+        "encoders.yaw_ratio", "gyro.offset", and where the model's file has them "encoders.delay", "encoders.lag".
+    limits
+        (2,) levels at which the robot clips its commands.
+    """
+
+    model: VelocityModel
+    effects: BaseEffects
+    point: Mapping[str, float]
+    sensors: Mapping[str, float]
+    limits: FloatArray
+
+    def readings(self, run: SampledExperiment) -> FloatArray:
+        """(K, 2) v of the encoders and omega as the model means it, from the commands and the first readings."""
+        if self.point:
+            return np.asarray(free_run(self.point, run)[:, [0, -1]])
+        return np.asarray(self.body(run) + np.array([0.0, self.sensors["gyro.offset"]]))
+
+    def body(self, run: SampledExperiment) -> FloatArray:
+        """(K, 2) v [m/s] in metres of the encoders, and true yaw rate [rad/s]."""
+        first = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
+        start = np.linalg.solve(self.model.dc_gain, first - np.array([0.0, self.sensors["gyro.offset"]]))
+        commands = np.clip(run.inputs, -self.limits, self.limits)
+        return respond(self.model, self.effects, commands, run.dt, start).body
+
+    def start(self, nominal: Nominal) -> dict[str, float]:
+        """Where the fit of a twin begins, as near to this model as the plant can be by a glance."""
+        gain, dead_time = self.model.dc_gain, float(self.model.dead_time.mean())
+        lag = np.maximum(self.model.lag - dead_time - _LOOP, _LEAST_LAG)
+        ratio = self.sensors["encoders.yaw_ratio"]
+        values = {
+            "dead_time": dead_time,
+            "gain_v": float(gain[0, 0]),
+            "lag_v": float(lag[0]),
+            "lag_omega": float(lag[1]),
+            "track": float(gain[1, 1] * ratio),
+        }
+        if ratio > 1.0:
+            # Coulomb friction: effective over geometric track is 1 + (wheel base / track)^2.
+            skid = nominal.track_of_encoders * float(np.sqrt(ratio - 1.0))
+            values["wheel_base"] = skid / nominal.robot.twin.chassis.wheel_base
+        if self.effects.twist_slew is not None:
+            values |= {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
+        if self.effects.veer is not None:
+            values["veer"] = -self.effects.veer.yaw_per_metre * nominal.track_of_encoders * ratio
+        names = {"encoders.delay": "encoders_delay", "encoders.lag": "encoders_lag", "gyro.offset": "gyro_offset"}
+        return values | {names[name]: value for name, value in self.sensors.items() if name in names}
+
+
+def identified(content: ModelFile, runs: Sequence[SampledExperiment]) -> Identified:
+    """A model file and the sensors of a log, which are found from the `runs` to fit where the file does not say them.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the model has effects of a base, but not the sensors that they were found through.
+    """
+    model, effects = build_model(content), content.base_effects
+    known: dict[str, float] = {}
+    if content.uncertainty is not None:
+        known = dict(zip(content.uncertainty.parameters, content.uncertainty.value, strict=True))
+    sensors = {name: known[name] for name in known if name.startswith(("encoders.", "gyro."))}
+    if "encoders.yaw_ratio" not in sensors:
+        sensors["encoders.yaw_ratio"] = _yaw_ratio(runs)
+    limits = content.limits.model_dump() if content.limits else {}
+    most = np.array([limits.get(channel) or np.inf for channel in CHANNELS])
+    plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
+    if plain:
+        start = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0}, most)
+        sensors.setdefault("gyro.offset", _offset(start, runs))
+        return Identified(model, effects, {}, sensors, most)
+    if "gyro.offset" not in sensors or content.structure != "sm":
+        raise ConfigError(
+            f"model '{content.name}': its base effects stand there without the sensors that they were found through; "
+            "give a file that `identify --effects` wrote"
+        )
+    point = _point(content.model_dump(), effects, sensors) | {
+        f"limit.{channel}": limits[channel] for channel in CHANNELS if limits.get(channel)
+    }
+    return Identified(model, effects, point, sensors, most)
+
+
+def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[str, float]) -> dict[str, float]:
+    """An SM file with effects, as `models.identification.effects` names its numbers."""
+    point: dict[str, float] = {"encoders.delay": 0.0, **sensors}
+    for channel in CHANNELS:
+        linear = content["channels"][channel]
+        point[f"gain.{channel}"] = linear["gain"]
+        point[f"lag.{channel}"] = 1.0 / linear["natural_frequency"]
+        point[f"spread.{channel}"] = float(np.arccosh(max(linear["damping"], 1.0)))
+        point[f"dead_time.{channel}"] = content["dead_time"][channel]
+    if effects.twist_slew is not None:
+        point |= {"slew.v": effects.twist_slew.v, "slew.omega": effects.twist_slew.omega}
+    if effects.wheel_command is not None:
+        wheels = effects.wheel_command
+        turning = point["gain.omega"] * point["encoders.yaw_ratio"]
+        point["encoders.track"] = wheels.track * point["gain.v"] / turning
+        point |= {"wheels.resolution": wheels.resolution, "wheels.coasting": wheels.coasting_speed}
+        point |= {"wheels.top_speed": wheels.top_speed} if wheels.top_speed else {}
+    if effects.yaw_relaxation is not None:
+        point["relaxation"] = effects.yaw_relaxation.angle
+    if effects.veer is not None:
+        point["veer"] = effects.veer.yaw_per_metre
+    return point
+
+
+def _yaw_ratio(runs: Sequence[SampledExperiment]) -> float:
+    """Yaw rate by the encoders over that of the gyro; 1 without a gyro."""
+    if runs[0].outputs.shape[1] < _WITH_GYRO:
+        return 1.0
+    both = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
+    wheels, gyro = (both[:, 1:] - both[:, 1:].mean(axis=0)).T
+    shared = float(wheels @ gyro)
+    return float(wheels @ wheels) / shared if shared > 0 else 1.0
+
+
+_WITH_GYRO = 3
+"""Readings of a log with a gyro: v and omega of the encoders, omega of the gyro."""
+
+
+def _offset(model: Identified, runs: Sequence[SampledExperiment]) -> float:
+    """Mean of what the model leaves of omega."""
+    low, high = (twin_settings().parameters["gyro_offset"].low, twin_settings().parameters["gyro_offset"].high)
+    left = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
+    return float(np.clip(np.mean(np.concatenate(left)), low, high))
+
+
+@dataclass(frozen=True)
+class HeldOutPrediction(ReadOnlyArrays):
+    """What one of them says of one record.
+
+    Attributes
+    ----------
+    readings
+        (K, p) v and omega of the encoders and, with a gyro, its omega; the model's own two where p is 2.
+    body
+        (K, 2) v in metres of the encoders [m/s] and true yaw rate [rad/s].
+    """
+
+    readings: FloatArray
+    body: FloatArray
+
+
+@dataclass(frozen=True)
+class HeldOutScore:
+    """How well one of them predicts.
+
+    Attributes
+    ----------
+    fit_percent
+        FIT of "v", "omega", and of the twin "omega of the encoders" [%], pooled over the records.
+    drift
+        Error of the pose at each horizon; empty without poses.
+    predictions
+        For each record.
+    """
+
+    fit_percent: Mapping[str, float]
+    drift: tuple[PoseDrift, ...]
+    predictions: tuple[HeldOutPrediction, ...]
+
+
+def hold_model(model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
+    """What the identified model predicts; one free run over each run without gaps."""
+    runs = joined(experiments)
+    predicted = parted([model.readings(run) for run in runs], experiments)
+    body = parted([model.body(run) for run in runs], experiments)
+    return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
+
+
+def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
+    """What the twin predicts, as `hold_model`."""
+    runs = joined(experiments)
+    stretches = [stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
+    motions = drive(fit.robot, stretches)
+    predicted = parted(
+        [readings(motion, run, fit.values) for motion, run in zip(motions, runs, strict=True)], experiments
+    )
+    twists = [motion.twist() for motion in motions]
+    body = parted([twist[:, [0, 2]] for twist in twists], experiments)
+    return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
+
+
+def fit_percent(predictions: Sequence[HeldOutPrediction], experiments: Sequence[SampledExperiment]) -> dict[str, float]:
+    """FIT [%] of v and omega, and of omega of the encoders where it is predicted beside the gyro's."""
+    width = experiments[0].outputs.shape[1]
+    columns = {"v": (0, 0), "omega": (-1, -1)}
+    if predictions[0].readings.shape[1] == width and width > len(columns):
+        columns["omega of the encoders"] = (1, 1)
+    return {
+        name: pooled_fit_percent(
+            [run.outputs[run.counts[:, there], there] for run in experiments],
+            [
+                prediction.readings[run.counts[:, there], here]
+                for prediction, run in zip(predictions, experiments, strict=True)
+            ],
+        )
+        for name, (here, there) in columns.items()
+    }
+
+
+def drift_of(
+    records: Sequence[Record],
+    predictions: Sequence[HeldOutPrediction],
+    mount: Mapping[str, float] | None,
+    *,
+    travel: float,
+    on_missing: Callable[[str], None] = lambda _words: None,
+) -> tuple[PoseDrift, ...]:
+    """Open-loop error of the pose about the centre of rotation; empty without poses.
+
+    Parameters
+    ----------
+    records
+        Those that were predicted.
+    predictions
+        One for each.
+    mount
+        "pose.delay", "mount.ahead", "mount.left", "mount.heading", as `models.identification.effects.pose_sensor`.
+    travel
+        Metres travelled for each metre of v in the predictions [-].
+    on_missing
+        Called with the reason where a horizon is longer than the records.
+    """
+    if mount is None:
+        return ()
+    place = PoseMount(**{name: mount[f"mount.{name}"] for name in ("ahead", "left", "heading")})
+    posed, twists = [], []
+    for record, prediction in zip(records, predictions, strict=True):
+        if record.pose is not None:
+            posed.append(replace(record, pose=place.centre(record.pose)))
+            twists.append(prediction.body * np.array([travel, 1.0]))
+    drifts: list[PoseDrift] = []
+    for horizon in identification_settings().horizons:
+        try:
+            drifts += pose_drift(posed, twists, pose_lag=max(mount["pose.delay"], 0.0), horizons=[horizon])
+        except ValueError as error:
+            on_missing(str(error))
+    return tuple(drifts)

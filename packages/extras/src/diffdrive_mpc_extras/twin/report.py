@@ -1,0 +1,174 @@
+"""What a twin's folder holds: the plant file, its report, the numbers as data."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from diffdrive_mpc.app.identification.figures import busiest, figure_settings
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.html_report.page import from_zero
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc_extras.twin.fitting import FittedParameter
+from diffdrive_mpc_extras.twin.from_log import FittedTwin
+from diffdrive_mpc_extras.twin.settings import twin_settings
+
+PLANT, REPORT, NUMBERS = "plant.yaml", "report.md", "twin.json"
+_HEAD = """\
+# A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
+# models/parameters/robot.yaml. `friction` and `sensors` are the floor and the sensors that `default` means with this
+# plant; another --surface or --sensors replaces them. What was fitted, how well it is known, and what the log did not
+# tell stands under firmware.provenance.
+"""
+
+
+def plant_text(twin: FittedTwin, day: datetime.date) -> str:
+    """The plant file."""
+    robot = twin.fit.robot
+    data: dict[str, Any] = robot.model_dump(exclude_none=True)
+    data["firmware"]["provenance"] = {
+        "source": ", ".join(twin.data.logs),
+        "method": "least squares of free runs of the plant, from commands alone, with priors (diffdrive-mpc twin)",
+        "date": day.isoformat(),
+        "seconds_fitted": round(twin.fit.seconds, 1),
+        "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_held.fit_percent.items()},
+        "parameters": {
+            parameter.name: rounded({"value": parameter.value, "low": parameter.low, "high": parameter.high})
+            | {"told": parameter.told}
+            for parameter in twin.fit.told
+        },
+    }
+    plain = _plain(data)
+    return _HEAD + yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
+    """Numbers with the digits that a file carries; words and truth values as they are."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        return rounded(value)
+    return value
+
+
+def fit_table(twin: FittedTwin) -> Table:
+    """FIT and drift of both, on the same rows."""
+    names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
+    horizons = [drift.horizon for drift in twin.twin_held.drift]
+    rows = []
+    for name, held in (("twin", twin.twin_held), (twin.model_name, twin.model_held)):
+        cells = [f"{held.fit_percent[key]:.1f}" if key in held.fit_percent else "-" for key in names]
+        cells += [f"{drift.position_rmse:.3f}" for drift in held.drift]
+        cells += [f"{drift.heading_rmse:.3f}" for drift in held.drift]
+        rows.append((name, *cells))
+    columns = ["", *(f"FIT {name} [%]" for name in names)]
+    columns += [f"position {horizon:g} s [m]" for horizon in horizons] + [
+        f"heading {horizon:g} s [rad]" for horizon in horizons
+    ]
+    note = f"Free runs from the commands alone, on {twin.data.held_out}. Errors of the pose are RMS."
+    return Table("Rows held out", tuple(columns), tuple(rows), note=note)
+
+
+def parameter_table(twin: FittedTwin) -> Table:
+    """What the log told."""
+    rows = tuple(
+        (
+            parameter.name,
+            parameter.words,
+            parameter.unit,
+            f"{parameter.value:.4g}",
+            f"{parameter.low:.4g} to {parameter.high:.4g}",
+            f"{parameter.share:.2f}",
+            "yes" if parameter.told else "no, prior",
+        )
+        for parameter in twin.fit.told
+    )
+    columns = ("parameter", "what", "unit", "value", "95 % interval", "deviation over prior's", "told")
+    note = (
+        f"Not told: a log leaves the prior {twin_settings().told:g} of its width or more; the plant keeps the prior, "
+        "whose interval is shown. Of two that act together only (mass, torque), one may be told on the other's prior."
+    )
+    return Table("Parameters", columns, rows, text_columns=3, note=note)
+
+
+def report_text(twin: FittedTwin, figures: Mapping[str, str]) -> str:
+    """The report in Markdown."""
+    untold = [parameter.name for parameter in twin.fit.told if not parameter.told]
+    left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
+    parts = [
+        f"# {twin.name}",
+        f"Fitted to {twin.fit.seconds:.0f} s of {', '.join(twin.data.logs)}, the parts in which the commands change "
+        f"most, by {twin.fit.drives} drives of the plant. {left}",
+        fit_table(twin).markdown(),
+        *(f"![{title}]({path})" for title, path in figures.items()),
+        parameter_table(twin).markdown(),
+        *(["Notes:\n\n" + "\n".join(f"* {note}" for note in twin.notes)] if twin.notes else []),
+        f"```sh\ndiffdrive-mpc simulate --plant mujoco:{PLANT} --trajectory square\n```",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def numbers(twin: FittedTwin) -> dict[str, Any]:
+    """The report as data."""
+    keys = ("horizon", "position_rmse", "heading_rmse")
+
+    def held(one: Any) -> dict[str, Any]:  # noqa: ANN401 - Held
+        return {
+            "fit_percent": dict(one.fit_percent),
+            "drift": [dict(zip(keys, (d.horizon, d.position_rmse, d.heading_rmse), strict=True)) for d in one.drift],
+        }
+
+    def told(parameter: FittedParameter) -> dict[str, Any]:
+        return {name: value for name, value in asdict(parameter).items() if name != "words"}
+
+    return {
+        "name": twin.name,
+        "logs": list(twin.data.logs),
+        "seconds": twin.fit.seconds,
+        "drives": twin.fit.drives,
+        "twin": held(twin.twin_held),
+        "model": {"name": twin.model_name} | held(twin.model_held),
+        "parameters": [told(parameter) for parameter in twin.fit.told],
+        "notes": list(twin.notes),
+    }
+
+
+# The picture of a twin: measured, twin and identified model on rows that neither was made from.
+
+
+_UNITS = {"v": "m/s", "omega": "rad/s"}
+
+
+def draw_held_out(twin: FittedTwin, path: Path) -> None:
+    """Draw the busiest window of the longest stretch held out, v above and omega below."""
+    longest = int(np.argmax([run.samples for run in twin.experiments]))
+    run, record = twin.experiments[longest], twin.data.validation[longest]
+    window = round(figure_settings().window / run.dt)
+    first = busiest(run.inputs, window)
+    rows = slice(first, first + window)
+    time, when = from_zero(record.time[rows])
+    with new_figure(path, 7.4, 5.2) as figure:
+        panels = figure.subplots(2, 1, sharex=True)
+        for panel, (i, (channel, unit)) in zip(panels, enumerate(_UNITS.items()), strict=True):
+            counts = run.counts[rows, -i]
+            panel.step(time, run.inputs[rows, i], where="post", color=REFERENCE_COLOUR, linewidth=0.9, label="command")
+            panel.plot(
+                time[counts], run.outputs[rows, -i][counts], ".", markersize=2.5, color=colour(0), label="measured"
+            )
+            for k, (name, held) in enumerate((("twin", twin.twin_held), ("identified model", twin.model_held))):
+                fit = held.fit_percent[channel]
+                values = held.predictions[longest].readings[rows, -i]
+                panel.plot(time, values, line_style(k), color=colour(k + 1), label=f"{name}: FIT {fit:.1f} %")
+            panel.set_ylabel(f"{channel} [{unit}]")
+            panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panels[-1].set_xlabel(when)
+        figure.align_ylabels(panels)

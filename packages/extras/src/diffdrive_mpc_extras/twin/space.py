@@ -1,0 +1,136 @@
+"""The parameters of a fit, and the robot that their values stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.checked_yaml import laid_over
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
+from diffdrive_mpc_extras.twin.nominal import Nominal
+from diffdrive_mpc_extras.twin.settings import Prior, twin_settings
+
+Values = Mapping[str, float]
+"""Of every parameter, by name."""
+_SLEW = ("slew_v", "slew_omega")
+_WITH_GYRO = ("encoders_delay", "encoders_lag", "gyro_offset", "wheel_base", "veer")
+
+
+@dataclass(frozen=True)
+class Space:
+    """Which parameters there are, and what is believed of them.
+
+    Attributes
+    ----------
+    nominal
+        The robot that factors multiply.
+    effects
+        What the identified model says about the base: slope limits are fitted, steps and coasting are taken over.
+    priors
+        By name.
+    travel
+        Metres travelled for each metre that the encoders count [-].
+    """
+
+    nominal: Nominal
+    effects: BaseEffects
+    priors: Mapping[str, Prior]
+    travel: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all parameters; those of the log's sensors are among them."""
+        return tuple(self.priors)
+
+    def values(self, z: FloatArray) -> dict[str, float]:
+        """Values for deviations `z` (q,) from the priors' medians."""
+        return {name: prior.value(float(one)) for (name, prior), one in zip(self.priors.items(), z, strict=True)}
+
+    def deviations(self, values: Values) -> FloatArray:
+        """The inverse of `values`, kept inside the bounds; (q,), zero for what is not given."""
+        z = [prior.z(values[name]) if name in values else 0.0 for name, prior in self.priors.items()]
+        low, high = self.bounds
+        inside = 1e-3 * (high - low)
+        return np.clip(z, low + inside, high - inside)
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """(q,) least and largest deviations."""
+        low, high = ([prior.z(getattr(prior, end)) for prior in self.priors.values()] for end in ("low", "high"))
+        return np.array(low), np.array(high)
+
+    @property
+    def steps(self) -> FloatArray:
+        """(q,) of finite differences, in deviations."""
+        return np.array([prior.step / prior.deviation for prior in self.priors.values()])
+
+    def robot(self, values: Values) -> SimulatedRobot:
+        """The plant; parameters that are not among those of this space are at their prior."""
+        at = {name: prior.prior for name, prior in twin_settings().parameters.items()} | dict(values)
+        start = self.nominal.robot
+        chassis, motor, driver = start.twin.chassis, start.twin.motor, start.twin.driver
+        track = at["track"] * self.nominal.track_of_encoders
+        length, width, height = chassis.body_size
+        changes: dict[str, Any] = {
+            "robot": {"mass": at["mass"] * start.robot.mass},
+            "twin": {
+                "chassis": {
+                    "wheel_base": at["wheel_base"] * chassis.wheel_base,
+                    "body_size": [at["inertia"] * length, at["inertia"] * width, height],
+                    "wheel_mass": at["mass"] * chassis.wheel_mass,
+                    "rolling_radii": [self.travel * (1 + at["veer"] / 2), self.travel * (1 - at["veer"] / 2)],
+                },
+                "tyre": {"creep_time": at["creep"] * start.twin.tyre.creep_time},
+                "motor": {
+                    "stall_torque": at["torque"] * motor.stall_torque,
+                    "no_load_speed": at["top_speed"] * motor.no_load_speed,
+                },
+                "driver": {
+                    "proportional_gain": at["driver"] * driver.proportional_gain,
+                    "integral_gain": at["driver"] * driver.integral_gain,
+                },
+                "link": {"dead_time": at["dead_time"]},
+            },
+            "firmware": {name: at[name] for name in ("gain_v", "lag_v", "lag_omega")} | {"track": track},
+            "friction": at["friction"],
+        }
+        base: dict[str, Any] = {}
+        if self.effects.twist_slew is not None:
+            base["twist_slew"] = {"v": at["slew_v"], "omega": at["slew_omega"]}
+        if self.effects.wheel_command is not None:
+            base["wheel_command"] = self.effects.wheel_command.model_dump() | {"track": track}
+        if base:
+            changes["base"] = base
+        return SimulatedRobot.model_validate(laid_over(start.model_dump(), changes))
+
+
+def space_of(nominal: Nominal, effects: BaseEffects, *, gyro: bool, lagging: bool, travel: float = 1.0) -> Space:
+    """The parameters that a log may tell.
+
+    Parameters
+    ----------
+    nominal
+        The robot to begin with.
+    effects
+        Of the identified model.
+    gyro
+        Whether the log has one; without it, what lies between wheels and body or encoders and robot is not told.
+    lagging
+        Whether the identified model found the log's encoders to lag.
+    travel
+        As `Space`.
+    """
+    skipped = set() if effects.twist_slew else set(_SLEW)
+    skipped |= set() if gyro else set(_WITH_GYRO)
+    skipped |= set() if lagging else {"encoders_lag"}
+    priors = {
+        name: prior.at(stated=name in nominal.stated)
+        for name, prior in twin_settings().parameters.items()
+        if name not in skipped
+    }
+    return Space(nominal, effects, priors, travel)

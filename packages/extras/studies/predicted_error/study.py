@@ -1,0 +1,212 @@
+"""The study: calibrate the predicted error, and say how far it holds and how wide it is."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import yaml
+from studies.predicted_error.calibrate import DIRECTIONS, calibrated, coverage, oracle_widths
+from studies.predicted_error.drives import (
+    DrivenPath,
+    PlannedDrive,
+    PredictedErrorFile,
+    drive,
+    keep,
+    planned_sets,
+    read_kept,
+)
+
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, millis, number
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import Controller, Trajectory
+from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, ErrorPopulation
+from diffdrive_mpc_extras.predicted_error.predicted_error import predict_error
+
+CALIBRATION = "calibration.yaml"
+Driven = Mapping[str, Sequence[DrivenPath]]
+_HEAD = """\
+# Written by `make study NAME=predicted-error`; which drives, with their seeds: studies/predicted_error/study.yaml.
+# A scale of |error| is the sum of features (mpc/predicted_error/features.py) with these coefficients [m for each unit],
+# fitted as the quantile `level`; a tube is a multiple of it. Multiples are conformal quantiles on robots, paths and
+# seeds that played no part in the fit: at_each_place weighs drives alike, everywhere counts whole drives.
+# `calibrated` says for which paths and models: top speed v [m/s] and yaw rate omega [rad/s] of a path, as the study
+# timed them, and lag of the model with its dead time [s], as the models of the populations had it, with some margin.
+"""
+_COLUMNS = (
+    "drives",
+    "direction",
+    "count",
+    "at each place [%]",
+    "everywhere [%]",
+    "95 % interval",
+    "width [mm]",
+    "width everywhere [mm]",
+)
+_TIMED = 60.0
+_REPEATS = 20
+
+
+class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
+    """Drives of several populations: to fit, to calibrate, to test, and what an oracle sees.
+
+    Parameters
+    ----------
+    study
+        What is driven.
+    kept
+        Folder in which sets that were driven are kept and looked for; None to drive all.
+    """
+
+    name, title = "predicted-error", "Predicted tracking error"
+
+    def __init__(self, study: PredictedErrorFile, kept: Path | None = None) -> None:
+        self._study, self._kept = study, kept
+
+    def plan(self) -> dict[str, list[PlannedDrive]]:
+        """All sets of drives; raises ConfigError where a factor does not exist."""
+        return planned_sets(self._study)
+
+    def run(self, plan: dict[str, list[PlannedDrive]], jobs: int, bar: ProgressBar) -> Driven:
+        """Drive every set that is not kept."""
+        driven: dict[str, Sequence[DrivenPath]] = {}
+        for name, drives in plan.items():
+            file = None if self._kept is None else self._kept / f"{name}.npz"
+            if file is not None and file.exists():
+                driven[name] = read_kept(file)
+                if len(driven[name]) != len(drives):
+                    raise ConfigError(f"{file}: {len(driven[name])} drives in place of {len(drives)}; remove it")
+                continue
+            bar.begin(f"driving {name}", len(drives))
+            driven[name] = run_tasks([partial(drive, self._study, one) for one in drives], jobs, bar.advance)
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                keep(driven[name], file)
+        return driven
+
+    def report(self, results: Driven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
+        """Calibration, coverage by set and class, widths beside the oracle's."""
+        level = self._study.level
+        populations = {
+            name: ErrorPopulation(
+                description=of.description,
+                drives={"fit": len(results[f"{name}-fit"]), "calibration": len(results[f"{name}-calibration"])},
+                **{
+                    direction: calibrated(results[f"{name}-fit"], results[f"{name}-calibration"], direction, level)
+                    for direction in DIRECTIONS
+                },
+            )
+            for name, of in self._study.populations.items()
+        }
+        calibration = ErrorCalibration(
+            level=level,
+            provenance="studies/predicted_error; plants and configurations are those of its file",
+            calibrated=self._study.calibrated,
+            populations=populations,
+        )
+        tables = [
+            self._coverage(results, calibration),
+            self._classes(results, calibration),
+            self._others(results, calibration),
+            self._oracle(results, calibration),
+        ]
+        text = _HEAD + yaml.safe_dump(calibration.model_dump(), sort_keys=False, width=150, default_flow_style=None)
+        total = sum(map(len, results.values()))
+        return Report(
+            counted=f"{total} drives",
+            meta={"level": level},
+            content={
+                table.title: [dict(zip(table.columns, row, strict=True)) for row in table.rows] for table in tables
+            },
+            facts=[
+                "Coefficients, quantiles and test come from robots, paths and seeds apart from each other.",
+                "At each place: mean over drives of the share of places inside. Everywhere: drives that are inside all "
+                "the way, with the exact interval. Widths are to either side.",
+                f"A path of a minute is predicted in {1e3 * _seconds(calibration):.2f} ms, the median of {_REPEATS}.",
+            ],
+            tables=[table for table in tables if table.rows],
+            files={CALIBRATION: text},
+        )
+
+    def _coverage(self, results: Driven, calibration: ErrorCalibration) -> Table:
+        rows = [
+            row for name in calibration.populations for row in _rows(name, name, results[f"{name}-test"], calibration)
+        ]
+        return Table("Coverage on unseen drives", _COLUMNS, tuple(rows), text_columns=2)
+
+    def _classes(self, results: Driven, calibration: ErrorCalibration) -> Table:
+        rows = []
+        for name in calibration.populations:
+            driven = results[f"{name}-test"]
+            for words, of in _CLASSES:
+                members = [one for one in driven if of(one)]
+                rows += _rows(f"{name}, {words}", name, members, calibration) if members else []
+        return Table("Coverage by class", _COLUMNS, tuple(rows), text_columns=2)
+
+    def _others(self, results: Driven, calibration: ErrorCalibration) -> Table:
+        rows = [
+            row
+            for other in self._study.others
+            for name in calibration.populations
+            for row in _rows(f"{other}, by {name}", name, results[other], calibration)
+        ]
+        return Table("Coverage on other kinds", _COLUMNS, tuple(rows), text_columns=2)
+
+    def _oracle(self, results: Driven, calibration: ErrorCalibration) -> Table:
+        rows, oracle = [], self._study.oracle
+        for name, population in calibration.populations.items():
+            for seed, direction in itertools.product(oracle.paths, DIRECTIONS):
+                driven = results[f"{name}-oracle-{seed}"]
+                ours = coverage(driven, getattr(population, direction), direction)
+                known = oracle_widths(driven, direction, calibration.level)
+                ratios = [number(ours.width / known[0], 2), number(ours.width_everywhere / known[1], 2)]
+                rows.append((name, f"spline-{seed}", direction, *ratios, *map(millis, known)))
+        columns = ("population", "path", "direction", "ratio", "everywhere", "oracle [mm]", "everywhere [mm]")
+        note = f"Width over that of the quantiles of {oracle.drives} drives of the path with robots of the population."
+        return Table("Width beside an oracle", columns, tuple(rows), text_columns=3, note=note)
+
+
+_CLASSES: tuple[tuple[str, Callable[[DrivenPath], bool]], ...] = (
+    ("below 0.3 m/s", lambda one: one.speed < 0.3),
+    ("0.3 to 0.45 m/s", lambda one: 0.3 <= one.speed < 0.45),
+    ("from 0.45 m/s", lambda one: one.speed >= 0.45),
+    ("friction below 0.4", lambda one: one.friction < 0.4),
+    ("friction 0.4 to 0.7", lambda one: 0.4 <= one.friction < 0.7),
+    ("friction from 0.7", lambda one: one.friction >= 0.7),
+)
+
+
+def _rows(
+    words: str, population: str, driven: Sequence[DrivenPath], calibration: ErrorCalibration
+) -> list[tuple[str, ...]]:
+    rows = []
+    for direction in DIRECTIONS:
+        of = coverage(driven, getattr(calibration.populations[population], direction), direction)
+        rate = of.everywhere
+        shares = [number(100 * of.at_each_place, 1), number(100 * rate.share, 1)]
+        interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
+        rows.append((words, direction, str(rate.of), *shares, interval, millis(of.width), millis(of.width_everywhere)))
+    return rows
+
+
+def _seconds(calibration: ErrorCalibration) -> float:
+    """How long a prediction of a path of a minute takes [s]."""
+    angle = np.linspace(0.0, 4.0 * math.pi, 120)
+    path = Trajectory.from_arrays(
+        np.linspace(0.0, _TIMED, 120), 2.0 * np.sin(angle), np.sin(2.0 * angle), name="minute"
+    )
+    controller = Controller("ssm")
+    times = []
+    for _ in range(_REPEATS):
+        began = time.perf_counter()
+        predict_error(path, controller.config, controller.model.lag, next(iter(calibration.populations)), calibration)
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))

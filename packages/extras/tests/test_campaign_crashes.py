@@ -1,0 +1,105 @@
+"""A campaign that is killed or finds the disk full at any moment, two at once, and other factors in between."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from crashes import KILLED, REFUSED, crash
+from diffdrive_mpc_extras.campaign import engine
+from diffdrive_mpc_extras.campaign.command import run_campaign
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.drive import Row
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, Store
+from diffdrive_mpc_extras.campaign.parquet import read_table
+
+FILE = 'description: of a test\nruns: 3\nfactors:\n  plant: "model:sm"\n  trajectory: circle\n  config.weights.across: '
+MOMENTS = [*Random(5).sample(range(1, 40), 13), 500]
+
+
+@pytest.fixture(autouse=True)
+def quick_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    def drive(definition: Definition) -> Row:
+        across = dict(definition.case.overrides)["weights.across"]
+        return {
+            "completed": True,
+            "error": "",
+            "square": float(str(across)) ** 2,
+            "time_processor_s": time.process_time(),
+        }
+
+    monkeypatch.setattr(engine, "drive", drive)
+    monkeypatch.setattr(engine, "check_definitions", lambda _: None)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """Two campaigns with runs of other weights."""
+    made = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    for path, factor in zip(made, ("{uniform: [300, 900]}", "{uniform: [400, 1500]}"), strict=True):
+        path.write_text(FILE + factor + "\n", encoding="utf-8")
+    return made
+
+
+def carried_out(file: Path, out: Path) -> object:
+    run_campaign(file, CampaignPlace(out, jobs=1))
+    return read_table(out / "results.parquet", times=False)
+
+
+def check_whole(out: Path) -> None:
+    """Raise if a file is half-written, as somebody would find it who looks there now."""
+    store = Store(out)
+    assert None not in map(store.load, store.keys())
+    if (out / "results.parquet").exists():
+        assert read_table(out / "results.parquet").num_rows == 3
+
+
+def check_crashes(files: tuple[Path, Path], tmp_path: Path, moments: list[int], *, full: bool) -> None:
+    expected = [carried_out(file, tmp_path / f"quiet-{file.stem}") for file in files]
+    codes = []
+    for moment in moments:
+        out = tmp_path / f"out-{moment}"
+        codes.append(crash(lambda out=out: carried_out(files[0], out), out, moment, full=full))
+        check_whole(out)
+        assert not full or not list(out.rglob(".unfinished*"))
+        # Other factors in between, and then what was asked for at first.
+        assert [carried_out(file, out) for file in reversed(files)] == expected[::-1]
+        assert len(Store(out).keys()) == 6
+    assert set(codes) == {0, REFUSED if full else KILLED}
+
+
+@pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
+def test_a_campaign_that_breaks_off_goes_on_and_comes_to_the_same(
+    files: tuple[Path, Path], tmp_path: Path, full: bool
+) -> None:
+    check_crashes(files, tmp_path, MOMENTS, full=full)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
+def test_so_it_does_at_every_moment(files: tuple[Path, Path], tmp_path: Path, full: bool) -> None:
+    check_crashes(files, tmp_path, list(range(1, 80)), full=full)
+
+
+def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path], tmp_path: Path) -> None:
+    """The same twice, and another one."""
+    expected, out = [carried_out(file, tmp_path / f"quiet-{file.stem}") for file in files], tmp_path / "out"
+    children = []
+    for file in (files[0], files[0], files[1]):
+        children.append(os.fork())
+        if children[-1] == 0:
+            code = 1
+            try:
+                for _ in range(5):
+                    carried_out(file, out)
+                code = 0
+            finally:
+                os._exit(code)
+    assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0, 0]
+    check_whole(out)
+    assert not list(out.rglob(".unfinished*"))
+    assert [carried_out(file, out) for file in files] == expected

@@ -1,0 +1,133 @@
+"""Draws of a campaign: the distributions they claim, runs that stay the same when there are more, mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc_extras.campaign.campaign_file import load_campaign, spread_points
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.draws import Draw, read_factor
+
+HEAD = "description: of a test\nruns: 16\n"
+
+
+def written(folder: Path, factors: str, head: str = HEAD) -> Path:
+    path = folder / "campaign.yaml"
+    path.write_text(f"{head}factors:\n" + "".join(f"  {line}\n" for line in factors.splitlines()), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ({"uniform": [2.0, 6.0]}, stats.uniform(2.0, 4.0)),
+        ({"log_uniform": [0.1, 10.0]}, stats.loguniform(0.1, 10.0)),
+        ({"normal": {"mean": 1.0, "sd": 0.5}}, stats.norm(1.0, 0.5)),
+        ({"normal": {"mean": 1.0, "sd": 0.5, "low": 0.8, "high": 2.0}}, stats.truncnorm(-0.4, 2.0, 1.0, 0.5)),
+    ],
+)
+def test_a_distribution_is_the_one_of_that_name(data: object, expected: stats.rv_continuous) -> None:
+    draw = read_factor(data, "x")
+    assert isinstance(draw, Draw)
+    values = [float(draw.value(point, 0)) for point in spread_points("sobol", 1024, 1, 7)[:, 0]]
+    # Points that are evenly spread are nearer to their distribution than random ones would be.
+    assert stats.kstest(values, expected.cdf).statistic < 0.005
+
+
+def test_choices_come_as_often_as_their_weights_say() -> None:
+    draw = read_factor({"one_of": {"none": 3, "push": 1}}, "scenario")
+    assert isinstance(draw, Draw)
+    values = [draw.value(point, 0) for point in spread_points("sobol", 256, 1, 3)[:, 0]]
+    assert values.count("none") == 192
+    whole = read_factor({"integers": [3, 6]}, "x")
+    assert isinstance(whole, Draw)
+    numbers = [whole.value(point, 0) for point in spread_points("latin_hypercube", 40, 1, 3)[:, 0]]
+    assert [numbers.count(k) for k in (3, 4, 5, 6)] == [10] * 4
+
+
+def test_more_runs_contain_those_of_fewer(tmp_path: Path) -> None:
+    path = written(tmp_path, "model: {one_of: [ssm, sm]}\nsurface.friction: {uniform: [0.3, 1.0]}")
+    campaign = load_campaign(path)
+    assert campaign.definitions(100)[:10] == campaign.definitions(10)
+    assert len(set(campaign.definitions(100))) == 100
+    assert [one.case.seed for one in campaign.definitions(3)] == [0, 1, 2]
+
+
+def test_another_draw_seed_gives_other_runs(tmp_path: Path) -> None:
+    lines = "surface.friction: {uniform: [0.3, 1.0]}\nseed: {each: 500}"
+    first = load_campaign(written(tmp_path, lines)).definitions()
+    other = load_campaign(written(tmp_path, lines, HEAD + "draw_seed: 1\n")).definitions()
+    assert {one.case.seed for one in first} == {one.case.seed for one in other} == set(range(500, 516))
+    assert not {one.surface for one in first} & {one.surface for one in other}
+
+
+def test_a_condition_stands_for_plant_floor_and_settings(tmp_path: Path) -> None:
+    (one,) = load_campaign(written(tmp_path, "condition: long\nconfig.horizon: 20")).definitions(1)
+    assert one.case.plant == "mujoco:long"
+    config = controller_config(one.case.model, None, one.case.overrides)
+    assert (config.wheels.track, config.horizon) == (0.596, 20)
+
+
+def test_files_beside_the_campaign_are_found(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("name: mine\nsegments:\n- {v: 0.3, omega: 0.4, duration: 1.0}\n")
+    (tmp_path / "floor.yaml").write_text("friction: 0.5\n")
+    lines = "trajectory: {one_of: [mine.yaml, circle]}\nplant: mujoco:floor.yaml"
+    runs = load_campaign(written(tmp_path, lines)).definitions()
+    assert {one.case.trajectory for one in runs} == {str(tmp_path / "mine.yaml"), "circle"}
+    assert runs[0].columns["plant"] == "mujoco:floor"
+
+
+def test_a_definition_is_its_factors() -> None:
+    one = Definition.of({"model": "sm", "robot.twin.link.dead_time": 0.06, "config.horizon": 20, "late": 2})
+    again = Definition.of({name: value for name, value in one.factors.items() if value is not None})
+    assert again == one
+    assert one.changed({"config.horizon": 10}).case.overrides == (("horizon", 10),)
+    assert one.with_seed(4).case.seed == 4
+
+
+def test_a_peer_has_no_configuration() -> None:
+    one = Definition.of({"controller": "kanayama", "model": "sm", "config.weights.across": 500.0})
+    assert one.case == Case(controller="kanayama", model="none")
+
+
+@pytest.mark.parametrize(
+    ("lines", "line"),
+    [
+        ("surface.friction: {unifrm: [0, 1]}", "factors.surface.friction: give a value, or one of {uniform: ...}"),
+        ("surface.friction: {uniform: [1, 0]}", "factors.surface.friction: give the lower value first (found 1, 0)"),
+        ("surface.friction: {log_uniform: [0, 1]}", "log_uniform takes values above zero"),
+        ("trajektory: circle", "unknown factor 'trajektory'; did you mean 'trajectory'?"),
+        ("model: {one_of: []}", "one_of takes at least one value"),
+        ("seed: 0.5", "run 0: seed: 0.5 is of another kind; give a whole number"),
+        ("condition: nowhere", "factors.condition: unknown condition 'nowhere'"),
+        ("condition: long\nplant: mujoco", "factors.plant: a condition says that already; give one of them"),
+        ("controller: pid", "unknown controller 'pid'; known: mpc"),
+        ("x: {normal: {mean: 0, sd: 1, low: 60, high: 70}}", "unknown factor 'x'"),
+        ("top_speed: {normal: {mean: 0, sd: 1, low: 60, high: 70}}", "nothing of the normal distribution lies between"),
+    ],
+)
+def test_a_mistake_is_one_line(lines: str, line: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_campaign(written(tmp_path, lines)).definitions()
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_points_do_not_touch_the_ends() -> None:
+    points = spread_points("sobol", 4096, 3, 0)
+    assert 0.0 < points.min() < 0.001
+    assert 0.999 < points.max() < 1.0
+    assert spread_points("sobol", 5, 0, 0).shape == (5, 0)
+    assert np.array_equal(spread_points("latin_hypercube", 9, 2, 5), spread_points("latin_hypercube", 9, 2, 5))
+    # Independent points: more of them begin with the same, and none is balanced against another.
+    random = spread_points("random", 4096, 3, 0)
+    assert np.array_equal(random[:9], spread_points("random", 9, 3, 0))
+    halves = (random[:, 0].reshape(-1, 64) < 0.5).sum(axis=1)
+    assert 3.0 < halves.std() < 5.0  # 4 of 64 by the binomial distribution

@@ -1,0 +1,288 @@
+"""The campaign engine: what defines a run, what is kept, what is driven again, and the table."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+import yaml
+from bench_parts import quick_case
+from typer.testing import CliRunner
+
+from commands import call
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.config_file import PARAMETERS
+from diffdrive_mpc_extras.campaign import drive as drive_module
+from diffdrive_mpc_extras.campaign import identity
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.drive import TIME, built, drive, drive_whole
+from diffdrive_mpc_extras.campaign.engine import (
+    CampaignPlace,
+    CampaignTask,
+    OtherVersionError,
+    Store,
+    do,
+    drive_all,
+    failed,
+)
+from diffdrive_mpc_extras.campaign.identity import key_of
+from diffdrive_mpc_extras.campaign.parquet import read_table
+
+SHORT = "name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 0.5}\n"
+FILE = """
+description: of a test
+runs: 6
+factors:
+  trajectory: short.yaml
+  plant: "model:sm"
+  model: {one_of: [ssm, sm]}
+  sensors.pose.latency: {uniform: [0.0, 0.1]}  # s
+"""
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text(SHORT, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, short: Path) -> Path:
+    path = tmp_path / "campaign.yaml"
+    path.write_text(FILE, encoding="utf-8")
+    return path
+
+
+def test_a_repeated_campaign_drives_nothing(campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    assert "6 runs, 6 completed" in call("campaign", campaign, "--out", out, "--jobs", "1")
+    before = read_table(out / "results.parquet")
+
+    def none_is_driven(_: object) -> None:
+        raise AssertionError("driven again")
+
+    monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", none_is_driven)
+    call("campaign", campaign, "--out", out, "--jobs", "1")
+    # Times included: nothing was measured again.
+    assert read_table(out / "results.parquet").equals(before)
+
+
+def test_processes_parts_and_copied_folders_give_the_same_table(campaign: Path, tmp_path: Path) -> None:
+    whole, first, second = (tmp_path / name for name in ("whole", "first", "second"))
+    call("campaign", campaign, "--out", whole, "--jobs", "2", "--runs", "16")
+    call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16", "--part", "1/2")
+    call("campaign", campaign, "--out", second, "--jobs", "1", "--runs", "16", "--part", "2/2")
+    assert read_table(first / "results.parquet").num_rows == 8
+    shutil.copytree(second / "runs", first / "runs", dirs_exist_ok=True)
+    call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16")
+    expected = read_table(whole / "results.parquet", times=False)
+    assert read_table(first / "results.parquet", times=False).equals(expected)
+    assert expected.num_rows == 16
+
+
+def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
+    expected = read_table(out / "results.parquet", times=False)
+    kept = sorted(out.glob("runs/*/*.json"))
+    kept[0].write_text(kept[0].read_text(encoding="utf-8")[:100], encoding="utf-8")
+    kept[1].unlink()
+    call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
+    assert read_table(out / "results.parquet", times=False).equals(expected)
+
+
+def test_pandas_polars_and_duckdb_read_the_table(campaign: Path, tmp_path: Path) -> None:
+    call("campaign", campaign, "--out", tmp_path / "out", "--jobs", "1")
+    path = tmp_path / "out" / "results.parquet"
+    frame = pd.read_parquet(path)
+    assert len(frame) == frame["run"].nunique() == 6
+    assert frame["completed"].dtype == bool
+    assert frame["sensors.pose.latency"].between(0.0, 0.1).all()
+    assert (frame["unsafe_slew"] == 0).all()
+    assert (frame["ticks_tracking"] + frame["ticks_finished"] > 0).all()
+    counted, worst = duckdb.sql(
+        f"select count(*), max(position_rmse_m) from '{path}' where completed and \"sensors.pose.latency\" < 0.05"
+    ).fetchall()[0]
+    chosen = frame[frame["completed"] & (frame["sensors.pose.latency"] < 0.05)]
+    assert (counted, worst) == (len(chosen), chosen["position_rmse_m"].max())
+    few = pl.scan_parquet(path).filter(pl.col("completed") & (pl.col("sensors.pose.latency") < 0.05)).collect()
+    assert (few.height, few["position_rmse_m"].max()) == (counted, worst)
+
+
+def test_what_a_run_gives_is_what_simulate_gives() -> None:
+    case = quick_case(sensors="default")
+    row = drive(Definition(case))
+    run, _ = drive_whole(Definition(case))
+    assert run is not None
+    metrics = run.metrics
+    assert (row["position_rmse_m"], row["steps"]) == (metrics.position_rmse_m, metrics.steps)
+    assert row["ticks_tracking"] == run.modes.count("TRACKING")
+    assert sum(value for name, value in row.items() if name.startswith("ticks_")) == len(run.time)  # type: ignore[misc]
+
+
+def test_a_shipped_configuration_goes_by_its_name_as_by_its_file() -> None:
+    case = quick_case()
+    rows = [drive(Definition(replace(case, config=config))) for config in ("ssm", str(PARAMETERS / "ssm.yaml"))]
+    first, second = ({name: value for name, value in row.items() if not name.startswith(TIME)} for row in rows)
+    assert first == second
+    assert first["error"] == ""
+    assert first["unsafe_slew"] == 0
+
+
+def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Definition.of({"trajectory": str(short), "plant": "model:sm"})
+    keys = {key_of(one)}
+    for other in (
+        one.with_seed(1),
+        one.changed({"config.horizon": 20}),
+        one.changed({"sensors.pose.latency": 0.03}),
+        Definition.of({"trajectory": "circle", "plant": "model:sm"}),
+    ):
+        keys.add(key_of(other))
+    assert len(keys) == 5
+    moved = tmp_path / "elsewhere.yaml"
+    moved.write_bytes(short.read_bytes())
+    assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) == key_of(one)
+    moved.write_text(SHORT.replace("0.3", "0.35"), encoding="utf-8")
+    assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) != key_of(one)
+    other_numpy = identity.environment() | {"numpy": "0.1"}
+    monkeypatch.setattr(identity, "environment", lambda: other_numpy)
+    assert key_of(one) not in keys
+
+
+def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
+    model = tmp_path / "model.yaml"
+    shipped = Path(identity.models.__file__).parent / "parameters" / "sm.yaml"
+    model.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
+    config = tmp_path / "config.yaml"
+    config.write_text("model: model.yaml\nhorizon: 20\n", encoding="utf-8")
+    one = Definition.of({"config": str(config)})
+    before = key_of(one)
+    model.write_text(f"# another text\n{model.read_text(encoding='utf-8')}", encoding="utf-8")
+    assert key_of(one) != before
+
+
+def test_who_has_other_files_does_not_drive(short: Path) -> None:
+    task = CampaignTask.of(Definition.of({"trajectory": str(short), "plant": "model:sm"}))
+    assert do(task)["completed"] is True
+    short.write_text(SHORT.replace("0.3", "0.2"), encoding="utf-8")
+    with pytest.raises(OtherVersionError, match="has another version of this product"):
+        do(task)
+
+
+def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    definition = Definition(quick_case())
+
+    def refuse(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("of a test")
+
+    monkeypatch.setattr(drive_module, "simulate", refuse)
+    with ProgressBar("") as bar:
+        driven = drive_all([definition, definition], CampaignPlace(tmp_path, 1), bar)
+    assert len(driven) == 1
+    assert driven[0].row["completed"] is False
+    assert failed(driven).endswith("ZeroDivisionError: of a test")
+
+
+def test_values_of_robot_floor_and_sensors_reach_the_plant() -> None:
+    def first_half_second(**factors: float) -> list[float]:
+        """Speed [m/s] at each sample after a command to spin the wheels, and how late the first pose is [s]."""
+        named = {name.replace("__", "."): value for name, value in factors.items()}
+        with built(Definition.of(named)) as (_, plant, _):
+            pass
+        plant.reset([0.0, 0.0, 0.0])
+        late = plant.measure().pose
+        assert late is not None
+        speeds = []
+        while plant.time < 0.5:
+            plant.advance([1.5, 0.0])
+            speeds.append(float(plant.true_twist[0]))
+        return [-late.time, *speeds]
+
+    usual = first_half_second()
+    late = first_half_second(robot__twin__link__dead_time=0.202)
+    icy = first_half_second(surface__friction=0.05)
+    assert first_half_second(sensors__pose__latency=0.1)[0] - usual[0] == pytest.approx(0.08, abs=0.0202)
+    # Eight samples of 20.2 ms later the same happens, to the coupling of dead time with the steps of the physics.
+    assert late[1 + 8 : 1 + 16] == pytest.approx(usual[1:9], abs=0.01)
+    # Coulomb: on ice it gains no more than friction times gravity, and a quick motor gains more elsewhere.
+    assert max(icy[1:]) < 0.05 * 9.81 * 0.5 * 1.1
+    assert max(usual[1:]) > 0.8
+
+
+def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) -> None:
+    """A robot file with sensors and a floor of its own, as a twin is: late poses do not make its gyro better."""
+    own = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(own), encoding="utf-8")
+
+    def reading_and_gain(**factors: float) -> tuple[float, float]:
+        named = {"plant": f"mujoco:{path}", "seed": 3} | factors
+        with built(Definition.of(named)) as (_, plant, _):
+            plant.reset(np.zeros(3))
+            speeds = []
+            for _ in range(30):
+                plant.advance([2.0, 0.0])
+                speeds.append(plant.true_twist[0])
+            yaw_rate = plant.measure().yaw_rate
+            assert yaw_rate is not None
+            return float(yaw_rate.value), max(speeds)
+
+    plain = reading_and_gain()
+    assert abs(plain[0]) > 0.02
+    assert reading_and_gain(**{"sensors.pose.latency": 0.1, "surface.slip.side_slip": 0.1}) == plain
+
+
+@pytest.mark.parametrize(
+    ("factors", "line"),
+    [
+        ({"robot.robot.mas": 8.0}, "unknown key 'robot.mas'; did you mean 'robot.mass'?"),
+        ({"robot.robot.mass": 8.0, "plant": "model:sm"}, "the plant 'model:sm' has no robot file"),
+        ({"config.weights.acros": 1.0}, "did you mean 'weights.across'?"),
+        ({"surface": "moon"}, "unknown surface 'moon'"),
+    ],
+)
+def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
+    with ProgressBar("") as bar, pytest.raises(ConfigError) as caught:
+        drive_all([Definition.of({}), Definition.of(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
+    assert line in str(caught.value)
+    assert "a run with " in str(caught.value)
+    assert not Store(tmp_path).keys()
+
+
+def test_a_row_says_all_that_it_is_the_hash_of(campaign: Path, tmp_path: Path) -> None:
+    call("campaign", campaign, "--out", tmp_path / "out", "--jobs", "1", "--runs", "1")
+    (path,) = (tmp_path / "out").glob("runs/*/*.json")
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert record["key"] == path.stem
+    assert record["environment"]["product"] == identity.product_hash()
+    assert record["run"]["plant"] == "model:sm"
+    assert str(tmp_path) not in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--part", "3/2"], "--part 3/2: give the number of the part and of how many, such as 2/8"),
+        (["--part", "7/8"], "--part 7/8: the campaign has no run for it; give fewer parts"),
+        (["--runs", "9999999"], "--runs 9999999: give at most"),
+        (["--scheduler", "tcp://127.0.0.1:9"], "--scheduler tcp://127.0.0.1:9: no answer; start it with"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_one_line(
+    words: list[str], line: str, campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diffdrive_mpc_extras.campaign.dask_pool._CONNECT", 0.5)
+    result = CliRunner().invoke(app, ["campaign", str(campaign), "--out", str(tmp_path / "out"), *words])
+    assert result.exit_code in (1, 2)
+    assert line in result.output

@@ -1,0 +1,135 @@
+"""`diffdrive-mpc torque`: from the log of a robot to its drive constants, torque curves and slip law."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log, settled
+from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs
+from studies.torque.measurements import write_diagnostic_log
+
+SLIPPERY = load_turn_costs("fsu_bot-slippery")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The simulated robot on a smooth floor, as a robot would have logged it."""
+    path = tmp_path_factory.mktemp("log") / "drive.csv"
+    write_diagnostic_log("fsu_bot", "slippery", path, seed=17)
+    return path
+
+
+def asked(*words: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["torque", *map(str, words)])
+    return result.exit_code, " ".join(result.output.split())
+
+
+@pytest.fixture(scope="module")
+def told(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command makes of it, from a motor that is not the robot's."""
+    folder = tmp_path_factory.mktemp("told")
+    before = folder / "before.yaml"
+    text = "name: a guess\ntorque_constant: 0.04\ngear_ratio: 49.8\ngear_efficiency: 0.76\nresistance: 1.5\n"
+    before.write_text(text + "motors_per_side: 2\nregeneration: true\nprovenance: a guess\n")
+    out = folder / "out"
+    code, words = asked("--log", log, "--vehicle", "fsu_bot", "--drive", before, "--out", out)
+    assert code == 0, words
+    return out
+
+
+def test_constants_and_curves_are_those_of_the_robot(told: Path) -> None:
+    true = load_drive_constants("fsu_bot")
+    drive, costs = load_drive_constants(told / "drive.yaml"), load_turn_costs(told / "turn-costs.yaml")
+    deviations = json.loads((told / "torque.json").read_text())["deviations"]
+    for name in ("torque_constant", "resistance", "idle_power"):
+        assert abs(getattr(drive, name) - getattr(true, name)) < 4 * deviations[name]
+    assert drive.torque_constant == pytest.approx(true.torque_constant, rel=0.03)
+    assert costs.drive == drive and costs.vehicle == SLIPPERY.vehicle
+    radii = np.geomspace(0.6, 200.0, 40)
+    commands = np.stack([np.full_like(radii, 0.4), 0.4 / radii], axis=-1)
+    # Shipped ones were learned from the true torques of another drive.
+    off = costs.torques(commands) - SLIPPERY.torques(commands)
+    assert np.sqrt(np.mean(off**2) / np.mean(SLIPPERY.torques(commands) ** 2)) < 0.05
+    assert costs.least_radius() == SLIPPERY.least_radius() == 0.0
+
+
+def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
+    found = learn_log(log, None, "fsu_bot", "fsu_bot").slip
+    assert found is not None
+    normalised = (found.coefficients - SLIPPERY.slip.rows) / found.deviations
+    assert np.abs(normalised).max() < 5
+    commands = np.array([[0.4, 0.3], [0.4, -0.3], [0.2, 0.2], [0.6, 0.1]])
+    ours = np.einsum("ij,nj->ni", found.coefficients, np.column_stack([commands, commands.prod(axis=1)]))
+    theirs = SLIPPERY.twist(commands) - np.column_stack([commands[:, 0], np.zeros(4), commands[:, 1]])
+    assert ours == pytest.approx(theirs, abs=0.03)
+
+
+def test_energy_and_figure_of_the_log(told: Path) -> None:
+    content = json.loads((told / "torque.json").read_text())
+    assert content["predicted_j"] == pytest.approx(content["measured_j"], rel=0.12)
+    assert (told / "figures" / "learned.png").is_file()
+
+
+def test_what_does_not_go_together_is_refused_in_a_sentence(log: Path, tmp_path: Path) -> None:
+    for words, found in (
+        (("--log", log, "--out", tmp_path / "a"), "Missing option '--vehicle'"),
+        (("--vehicle", "fsu_bot", "--out", tmp_path / "c"), "Missing option '--log'"),
+        (("--log", log, "--vehicle", "no_bot", "--out", tmp_path / "d"), "unknown vehicle 'no_bot'"),
+    ):
+        code, said = asked(*words)
+        assert code == 2 and found in said
+
+
+def columns(log: Path, path: Path, without: str = "", rows: slice = slice(None)) -> Path:
+    """The log without columns whose names begin so, and with some of its rows alone."""
+    lines = [line.split(",") for line in log.read_text().splitlines()]
+    keep = [k for k, name in enumerate(lines[0]) if not (without and name.startswith(without))]
+    whole = [lines[0], *lines[1:][rows]]
+    path.write_text("\n".join(",".join(line[k] for k in keep) for line in whole) + "\n")
+    return path
+
+
+MAPPING = """
+columns:
+  time: t_s
+  command: {v: v_ref_m_s, omega: omega_ref_rad_s}
+  encoders: {v: v_wheel_m_s, omega: omega_wheel_rad_s}
+  gyro: {yaw_rate: omega_gyro_rad_s}
+  motors: {front_left: motor_fl_a, front_right: motor_fr_a, rear_left: motor_rl_a, rear_right: motor_rr_a}
+wheels: {radius: 0.1075, track: 0.39}
+"""
+
+
+def test_without_a_battery_the_constants_are_those_given(log: Path, tmp_path: Path) -> None:
+    short, mapping = columns(log, tmp_path / "l.csv", "battery"), tmp_path / "m.yaml"
+    mapping.write_text(MAPPING)
+    with pytest.raises(ConfigError, match="no battery.*or give --drive"):
+        learn_log(short, mapping, "fsu_bot", None)
+    found = learn_log(short, mapping, "fsu_bot", "fsu_bot")
+    assert found.found is None and found.drive == load_drive_constants("fsu_bot") and "no battery" in found.note
+    # Without poses the gyro tells the yaw rate alone.
+    assert found.slip is not None and (found.slip.coefficients[:2] == 0).all()
+    assert found.slip.coefficients[2, 1] == pytest.approx(SLIPPERY.slip.a32, abs=0.1)
+
+
+def test_a_log_without_motors_or_without_turns_is_refused(log: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no currents of the motors"):
+        learn_log(columns(log, tmp_path / "a.csv", "motor"), None, "fsu_bot", "fsu_bot")
+    with pytest.raises(ConfigError, match="steady turns, radii of"):
+        learn_log(columns(log, tmp_path / "b.csv", rows=slice(0, 330)), None, "fsu_bot", "fsu_bot")
+
+
+def test_a_command_that_jitters_is_held_and_one_that_turns_is_not() -> None:
+    rng = np.random.default_rng(1)
+    commands = np.tile([0.4, 0.2], (300, 1)) + 0.002 * rng.normal(size=(300, 2))
+    assert settled(commands, 0.02, 0.5)[25:].all() and not settled(commands, 0.02, 0.5)[:25].any()
+    commands[150:, 1] = 0.5
+    held = settled(commands, 0.02, 0.5)
+    assert held[149] and not held[150:175].any() and held[176:].all()

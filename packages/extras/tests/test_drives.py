@@ -1,0 +1,219 @@
+"""Drive models against hand-written loops, an ODE solver, finite differences and known truths."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.load import load_model, model_path
+from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc_extras.drives.drive_model import Channel, DriveModel, PhysicalFile, drive_model, experimental_step
+from diffdrive_mpc_extras.drives.fitting import fit_drive
+
+DRIVES = ("p2_experimental", "p2_physical")
+DT, STILL = 0.02, 0.005
+NUMBERS = {"gain": 1.1, "quicker": 1.5, "slower": 2.5, "lag": 0.08, "least": 0.05, "by_slope": 0.06}
+
+
+def reversals() -> np.ndarray:
+    """(K,) ramps through zero, slow and quick, steps, and a stop before the other direction."""
+    corners = [(0, 0.0), (50, 0.0), (100, 0.6), (200, 0.6), (350, -0.6), (420, -0.6), (440, 0.5), (500, 0.5)]
+    corners += [(501, -0.4), (600, -0.4), (630, 0.0), (700, 0.0), (760, 0.3), (900, 0.3)]
+    return np.interp(np.arange(900), *np.transpose(corners))
+
+
+def by_hand(u: np.ndarray) -> np.ndarray:
+    """(K,) speeds of the experimental model as the paper describes it, in plain Python."""
+    reference = speed = slope = direction = 0.0
+    speeds = []
+    for asked in u:
+        speeds.append(speed)
+        change = asked - reference
+        both = 0.5 * (NUMBERS["quicker"] + NUMBERS["slower"])
+        towards_zero = reference * change < 0
+        most = DT * (both if reference == 0 or change == 0 else NUMBERS["slower" if towards_zero else "quicker"])
+        change = min(max(change, -most), most)
+        reference += change
+        slope += (1 - np.exp(-DT / 0.1)) * (abs(change) / DT - slope)
+        reversed_ = direction * reference < 0
+        rises = slope > STILL / 0.1
+        stands = reversed_ and rises and abs(reference) < NUMBERS["least"] + NUMBERS["by_slope"] * slope
+        share = abs(direction) if stands else 0.0
+        speed += (1 - np.exp(-DT / NUMBERS["lag"])) * (NUMBERS["gain"] * reference * (1 - share) - speed)
+        direction *= np.exp(-DT / 10.0)
+        if abs(speed) > STILL:
+            direction = np.sign(speed)
+    return np.array(speeds)
+
+
+def run(*, sharp: bool) -> np.ndarray:
+    step = experimental_step(Channel(DT, STILL), sharp=sharp)
+    x, speeds = np.zeros(4), []
+    for asked in reversals():
+        speeds.append(x[1])
+        x = step(x, asked, list(NUMBERS.values())).full().ravel()
+    return np.array(speeds)
+
+
+def test_the_sharp_experimental_model_is_the_loop_written_by_hand():
+    assert np.abs(run(sharp=True) - by_hand(reversals())).max() < 1e-12
+
+
+def test_after_a_change_of_direction_the_robot_stands_and_then_follows():
+    """Between 275 (reference at zero) and the threshold 0.05 + 0.06 x 0.4 = 0.074 m/s, 9 samples later, it stands."""
+    speeds = run(sharp=True)
+    assert speeds[283] > -STILL
+    assert speeds[330] < -0.3
+
+
+def test_rounding_moves_the_speed_little():
+    """Less than a tenth of the largest speed at any time, and less than one per cent in the mean."""
+    difference = np.abs(run(sharp=False) - run(sharp=True))
+    assert difference.max() < 0.066
+    assert difference.mean() < 0.0066
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_gradients_are_those_of_finite_differences(name):
+    model = load_model(name)
+    x, window = ca.SX.sym("x", model.order), ca.SX.sym("w", 2 * (model.memory + 1))
+    stacked = ca.vertcat(x, window)
+    jacobian = ca.Function("j", [x, window], [ca.jacobian(model.step(x, window), stacked)])
+    rng, small = np.random.default_rng(3), 1e-6
+    for _ in range(20):
+        point = np.concatenate([0.3 * rng.standard_normal(model.order), 0.5 * rng.standard_normal(window.numel())])
+        columns = []
+        for k in range(len(point)):
+            ends = []
+            for sign in (1, -1):
+                moved = point.copy()
+                moved[k] += sign * small
+                ends.append(model.step(moved[: model.order], moved[model.order :]).full().ravel())
+            columns.append((ends[0] - ends[1]) / (2 * small))
+        exact = jacobian(point[: model.order], point[model.order :]).full()
+        assert np.isfinite(exact).all()
+        assert np.abs(exact - np.array(columns).T).max() < 1e-5 * max(1.0, np.abs(exact).max())
+
+
+def test_the_physical_model_solves_the_equations_of_both_wheels():
+    """Equations 14 to 17 by an ODE solver, a PI controller and an actuator for each wheel."""
+    file = check(PhysicalFile, read_yaml(model_path("p2_physical")), "p2_physical")
+    c, d = file.chassis, file.wheel_drive
+    forward = c.mass * c.wheel_radius**2 / 4
+    turning = (c.yaw_inertia + c.mass * c.centre_ahead**2) * c.wheel_radius**2 / c.track**2
+    inertia = np.array(
+        [
+            [forward + turning + c.wheel_inertia, forward - turning],
+            [forward - turning, forward + turning + c.wheel_inertia],
+        ]
+    )
+
+    dt, count = file.sample_time, 60
+    switched = 20 * dt
+
+    def command(t: float) -> np.ndarray:
+        return np.array([0.3, 0.4]) if t < switched - 1e-9 else np.array([0.35, -0.2])
+
+    def rates(t: float, x: np.ndarray, dead: np.ndarray) -> np.ndarray:
+        # Right and left wheel: speed, torque, integral of the error.
+        speed, torque, integral = x.reshape(3, 2)
+        v, omega = (command(t - late)[i] if t >= late else 0.0 for i, late in enumerate(dead))
+        v, omega = v * file.v.gain, omega * file.omega.gain
+        wanted = np.array([v + omega * c.track / 2, v - omega * c.track / 2]) / c.wheel_radius
+        error = wanted - speed
+        return np.concatenate(
+            [
+                np.linalg.solve(inertia, torque - d.friction * speed),
+                (d.proportional_gain * (error + integral / d.integral_time) - torque) / d.actuator_lag,
+                error,
+            ]
+        )
+
+    # Slopes so steep that a step is a step.
+    steep = file.model_copy(
+        update={k: getattr(file, k).model_copy(update={"quicker": 1e6, "slower": 1e6}) for k in ("v", "omega")}
+    )
+    dead = [file.v.dead_samples, file.omega.dead_samples]
+    model = drive_model("p", "drive_physical", dt, dead, [1e-3, 1e-3], steep.coefficients())
+    ours = model.simulate(np.array([command(k * dt + 1e-9) for k in range(count)]))
+    # Pieces between the jumps: the solver must not step over one.
+    late = dt * np.array(dead)
+    edges = sorted({0.0, *late, *(late + switched), (count - 1) * dt})
+    x, times, speeds = np.zeros(6), [], []
+
+    for begin, end in pairwise(edges):
+        middle = 0.5 * (begin + end)
+        at = [k * dt for k in range(count) if begin - 1e-9 <= k * dt < end - 1e-9]
+        solved = solve_ivp(
+            lambda t, x, m=middle: rates(m, x, late),
+            (begin, end),
+            x,
+            t_eval=[*at, end],
+            method="Radau",
+            rtol=1e-9,
+            atol=1e-11,
+        )
+        times += at
+        speeds += list(solved.y[:2, : len(at)].T)
+        x = solved.y[:, -1]
+    right, left = np.array(speeds).T * c.wheel_radius
+    theirs = np.column_stack([(right + left) / 2, (right - left) / c.track])
+    assert len(times) >= count - 1
+    assert np.abs(ours[: len(theirs)] - theirs).max() < 1e-6
+    assert np.abs(theirs).max() > 0.2
+
+
+def made(dead: int) -> Record:
+    """Forty seconds of a robot that is the sharp experimental model, with a little noise."""
+    step = experimental_step(Channel(DT, STILL), sharp=True)
+    rng = np.random.default_rng(5)
+    commands = np.repeat(rng.uniform(-0.6, 0.6, (80, 2)), 25, axis=0)
+    ramps = np.apply_along_axis(lambda c: np.convolve(c, np.ones(40) / 40)[: len(c)], 0, commands)
+    columns = []
+    for row in (0, 1):
+        x, speeds = np.zeros(4), []
+        for k in range(len(ramps)):
+            speeds.append(x[1])
+            x = step(x, ramps[max(k - dead, 0), row] if k >= dead else 0.0, list(NUMBERS.values())).full().ravel()
+        columns.append(np.array(speeds) + 1e-3 * rng.standard_normal(len(speeds)))
+    twist = np.column_stack(columns)
+    return Record("made", 0.0, DT, ramps, twist=twist, yaw_rate=twist[:, 1])
+
+
+def test_a_known_robot_is_found_again():
+    fit = fit_drive("drive_experimental", [made(4)])
+    found = fit.values[0]
+    assert fit.dead_samples[0] == 4
+    assert found["gain"] == pytest.approx(NUMBERS["gain"], rel=0.02)
+    assert found["lag"] == pytest.approx(NUMBERS["lag"], rel=0.15)
+    # Along the slopes that were driven, which is what the line is for.
+    for slope in (0.3, 0.8):
+        line = found["threshold"] + found["threshold_by_slope"] * slope
+        assert line == pytest.approx(NUMBERS["least"] + NUMBERS["by_slope"] * slope, rel=0.2)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_as_a_plant_it_is_sharp(name):
+    model = load_model(name)
+    assert isinstance(model, DriveModel)
+    plant = make_plant(f"model:{name}", surface="ideal", seed=1)
+    x, past = np.zeros(model.order), np.zeros((model.memory, 2))
+    for k in range(80):
+        sent = np.array([0.5, 0.4]) if k < 40 else np.array([-0.3, -0.5])
+        plant.advance(sent)
+        window = np.vstack([past, sent])
+        x, past = model.sharp(x, window.ravel()).full().ravel(), window[1:]
+    assert plant.true_twist[[0, 2]] == pytest.approx(model.output(x).full().ravel(), abs=1e-9)
+
+
+def test_a_wrong_file_is_one_line(tmp_path):
+    path = tmp_path / "drive.yaml"
+    path.write_text(model_path("p2_experimental").read_text().replace("lag:", "lagg:"), encoding="utf-8")
+    with pytest.raises(ConfigError, match="key 'v.lag' is missing"):
+        load_model(path)

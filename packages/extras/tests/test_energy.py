@@ -1,0 +1,207 @@
+"""Power of the motors, its constants from a log, and energy before a drive."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc_extras.energy import identify_constants, logged_energy, predict_energy
+from diffdrive_mpc_extras.terrain import load_terrain, side_torques
+from diffdrive_mpc_extras.torque import TorqueCurves
+from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_vehicle
+
+BOT, OURS = load_drive_constants("fsu_bot"), load_drive_constants()
+VEHICLE = load_vehicle("fsu_bot")
+
+
+def test_power_is_work_and_heat():
+    # P4: i = tau / (K_T g eta), two motors share a side.
+    current = 2.0 / 2 / (0.023 * 49.8 * 0.76)
+    assert BOT.side_power(2.0, 3.0) == pytest.approx(2.0 * 3.0 + 2 * BOT.resistance * current**2)
+
+
+def test_a_stalled_side_takes_heat_alone_and_an_idle_one_nothing():
+    assert BOT.side_power(0.0, 5.0) == 0.0
+    assert BOT.side_power(3.0, 0.0) == pytest.approx(BOT.side_heating * 9.0)
+    assert BOT.side_power(-3.0, 0.0) == BOT.side_power(3.0, 0.0)
+
+
+def test_a_braking_side_gives_back_or_not():
+    without = BOT.model_copy(update={"regeneration": False})
+    assert BOT.side_power(-1.0, 8.0) < 0
+    assert without.side_power(-1.0, 8.0) == 0.0
+    assert without.side_power(1.0, 8.0) == BOT.side_power(1.0, 8.0)
+    lossy = BOT.model_copy(update={"driver_efficiency": 0.8})
+    assert lossy.side_power(-1.0, 8.0) == pytest.approx(0.8 * BOT.side_power(-1.0, 8.0))
+    assert lossy.side_power(1.0, 8.0) == pytest.approx(BOT.side_power(1.0, 8.0) / 0.8)
+
+
+def test_two_motors_are_the_side_that_they_are():
+    assert 2 * BOT.motor_power(1.0 * 4.0, 1.0**2) == pytest.approx(BOT.side_power(2.0, 4.0))
+
+
+def test_our_motor_has_the_stall_torque_and_the_current_of_its_data_sheet():
+    assert OURS.torque_per_current * (9.2 - 0.25) == pytest.approx(2.38, rel=0.01)
+    # Without load the back-EMF and what the resistance takes are the battery's 12 V.
+    assert OURS.torque_constant * OURS.gear_ratio * 32.67 + OURS.resistance * 0.25 == pytest.approx(12.0, rel=0.01)
+
+
+def curves(terrain="asphalt"):
+    return TorqueCurves.from_prior(VEHICLE, load_terrain(terrain).model_copy(update={"slip": None}))
+
+
+def test_a_turn_costs_more_than_the_straight_way_and_the_sum_is_the_energy():
+    straight, turning = (
+        predict_energy(VEHICLE, BOT, curves(), np.tile([0.4, omega], (50, 1)), 0.02) for omega in (0.0, 0.4)
+    )
+    assert turning.energy > 2 * straight.energy > 0
+    assert turning.energy == pytest.approx(turning.power.sum() * 0.02)
+    assert straight.power == pytest.approx(2 * BOT.side_power(0.21, 0.4 / 0.1075), rel=0.25)
+
+
+def test_the_prediction_is_that_of_the_terrain_which_the_curves_know():
+    found = side_torques(VEHICLE, load_terrain("asphalt").model_copy(update={"slip": None}), 1.5, 0.4)
+    expected = float(
+        BOT.side_power(found.outer, found.outer_speed)[0] + BOT.side_power(found.inner, found.inner_speed)[0]
+    )
+    predicted = predict_energy(VEHICLE, BOT, curves(), [[0.4, 0.4 / 1.5]], 1.0)
+    assert predicted.energy == pytest.approx(expected, rel=0.1)
+
+
+def test_rest_costs_what_the_computer_takes():
+    idle = BOT.model_copy(update={"idle_power": 7.0})
+    assert predict_energy(VEHICLE, idle, curves(), np.zeros((100, 2)), 0.02).energy == pytest.approx(14.0)
+
+
+@pytest.mark.parametrize(
+    ("commands", "dt", "words"),
+    [([[0.4, np.nan]], 0.02, "finite"), ([0.4], 0.02, "shape"), ([[0.4, 0.0]], 0.0, "time")],
+)
+def test_bad_commands_get_a_sentence(commands, dt, words):
+    with pytest.raises(ConfigError, match=words):
+        predict_energy(VEHICLE, BOT, curves(), commands, dt)
+
+
+TRUE = BOT.model_copy(update={"torque_constant": 0.03, "resistance": 0.9, "idle_power": 6.0})
+
+
+def logged(constants=TRUE, noise=0.2, count=600, seed=2):
+    """Currents and speeds of a drive with rest, fast straights and slow turns, and the battery that feeds it."""
+    rng = np.random.default_rng(seed)
+    speed = np.repeat(rng.uniform(-1, 9, (count // 30, 2)), 30, axis=0)
+    torque = np.repeat(rng.uniform(-2, 4, (count // 30, 2)), 30, axis=0)
+    speed[:60], torque[:60] = 0.0, 0.0
+    power = constants.robot_power(torque, speed) + noise * rng.normal(size=count)
+    battery = np.stack([np.full(count, 16.0), power / 16.0], -1)
+    return speed, torque / constants.torque_per_current, battery
+
+
+def record(speed, current, battery):
+    return Record("log", 0.0, 0.02, np.zeros((len(speed), 2)), wheels=speed, battery=battery, motor_current=current)
+
+
+@pytest.mark.parametrize("regeneration", [True, False])
+def test_constants_are_found_again(regeneration):
+    true = TRUE.model_copy(update={"regeneration": regeneration})
+    found = identify_constants([record(*logged(true))], BOT.model_copy(update={"regeneration": regeneration}))
+    for name in ("torque_constant", "resistance", "idle_power"):
+        value, deviation = getattr(found.constants, name), found.deviation[name]
+        assert abs(value - getattr(true, name)) < 4 * deviation
+        assert deviation < 0.05 * getattr(true, name)
+    # Of means over 15 samples.
+    assert found.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
+
+
+def test_samples_without_a_reading_do_not_count():
+    speed, current, battery = logged()
+    battery[100:200] = np.nan
+    found = identify_constants([record(speed, current, battery)], BOT)
+    assert found.rows == 480  # in whole blocks of 15
+    assert found.constants.resistance == pytest.approx(0.9, rel=0.1)
+
+
+def test_drivers_that_lose_and_give_back_are_allowed_for():
+    true = TRUE.model_copy(update={"driver_efficiency": 0.8})
+    found = identify_constants([record(*logged(true))], BOT.model_copy(update={"driver_efficiency": 0.8}))
+    for name in ("torque_constant", "resistance", "idle_power"):
+        assert getattr(found.constants, name) == pytest.approx(getattr(true, name), rel=0.03)
+
+
+def test_four_motors_tell_what_their_sides_hide():
+    # Front and rear pull against each other: the sides' sums are small, the heat is not.
+    speed, _, _ = logged(noise=0.0)
+    rng = np.random.default_rng(5)
+    apart = np.repeat(rng.uniform(-2, 2, (20, 2)), 30, axis=0)
+    both = np.repeat(rng.uniform(-0.5, 2, (20, 2)), 30, axis=0)
+    motors = np.hstack([both + apart, both - apart])
+    speeds = np.tile(speed, 2)
+    power = TRUE.motor_power(motors * TRUE.torque_per_current * speeds, (motors * TRUE.torque_per_current) ** 2)
+    battery = np.stack([np.full(len(speed), 16.0), (power.sum(axis=1) + TRUE.idle_power) / 16.0], axis=-1)
+    by_sides = record(speed, motors[:, :2] + motors[:, 2:], battery)
+    by_motors = replace(by_sides, motor_currents=motors, wheel_speeds=speeds)
+    found = identify_constants([by_motors], BOT).constants
+    assert found.resistance == pytest.approx(TRUE.resistance, rel=1e-6)
+    assert found.torque_constant == pytest.approx(TRUE.torque_constant, rel=1e-6)
+
+
+def test_a_drive_that_hardly_tells_is_refused():
+    # All at one speed and one torque, but for the noise.
+    speed, current, battery = logged(noise=2.0)
+    even = record(np.full_like(speed, 4.0), np.full_like(current, 1.0), battery[:1] + 0 * battery)
+    with pytest.raises(ConfigError, match="apart"):
+        identify_constants([even], BOT)
+
+
+def test_a_drive_at_rest_and_reversed_currents_are_refused():
+    speed, current, battery = logged()
+    with pytest.raises(ConfigError, match="apart"):
+        identify_constants([record(0 * speed, 0 * current, battery)], BOT)
+    with pytest.raises(ConfigError, match="signs and units"):
+        identify_constants([record(-speed, current, battery)], BOT)
+    with pytest.raises(ConfigError, match="no motors"):
+        identify_constants([Record("log", 0.0, 0.02, np.zeros((600, 2)), wheels=speed, battery=battery)], BOT)
+    with pytest.raises(ConfigError, match="samples"):
+        identify_constants([record(speed[:20], current[:20], battery[:20])], BOT)
+
+
+MAPPING = """
+columns:
+  time: t
+  command: {v: v, omega: w}
+  encoders: {left: left, right: right}
+  battery: {voltage: {column: mv, unit: mV}, current: {column: a}}
+  motors: {left: il, right: {column: ir, sign: -1}}
+wheels: {radius: 0.1075, track: 0.39}
+"""
+
+
+def test_battery_and_motors_are_read_from_a_log(tmp_path):
+    speed, current, battery = logged()
+    rows = np.column_stack(
+        [
+            0.02 * np.arange(600),
+            np.full(600, 0.4),
+            np.sin(np.arange(600) / 9),
+            speed,
+            battery * [1e3, 1],
+            current * [1, -1],
+        ]
+    )
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,v,w,left,right,mv,a,il,ir", comments="")
+    (tmp_path / "m.yaml").write_text(MAPPING)
+    log = read_log(tmp_path / "log.csv", tmp_path / "m.yaml")
+    (one,) = log.records
+    assert one.battery is not None and one.motor_current is not None
+    assert one.battery == pytest.approx(battery, rel=1e-9)
+    assert one.motor_current == pytest.approx(current, rel=1e-9)
+    assert logged_energy([one]) == pytest.approx(battery.prod(axis=1).sum() * 0.02)
+    assert identify_constants([one], BOT).constants.torque_constant == pytest.approx(0.03, rel=0.05)
+    assert one.part(10, 20).battery == pytest.approx(battery[10:20])
+
+
+def test_a_log_without_a_battery_says_so():
+    with pytest.raises(ConfigError, match="battery.voltage"):
+        logged_energy([Record("log", 0.0, 0.02, np.zeros((3, 2)))])

@@ -1,0 +1,147 @@
+"""The power that turning takes, in the cost: the residual, the plan with it, and the energy of the simulated robot."""
+
+import shutil
+
+import casadi as ca
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from ideal_robot import IdealRobot
+from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
+
+from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc_extras.energy_term.feature import energy_function, energy_terms, with_least_radius
+from diffdrive_mpc_extras.turn_costs import load_turn_costs
+from diffdrive_mpc_extras.turn_costs.turn_costs import FLOORS
+
+COSTS = {floor: load_turn_costs(f"fsu_bot-{floor}") for floor in ("slippery", "default")}
+RESIDUALS = {floor: energy_function(costs) for floor, costs in COSTS.items()}
+ON = {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"}
+GENTLE = lay_segments(
+    [Segment(v=0.4, omega=0.0, duration=1.0), Segment(v=0.4, omega=0.3, duration=4.0)],
+    TrajectoryLimits.of_robot(),
+    name="gentle",
+)
+
+
+@pytest.mark.parametrize("floor", COSTS)
+def test_its_square_is_the_power_of_turning(floor):
+    """Beyond where it is rounded at straight on: 0.05 W and 0.02 rad/s."""
+    for v in (0.0, 0.1, 0.4, -0.3, 0.8):
+        omega = np.concatenate([-np.geomspace(0.1, 1.5, 30), np.geomspace(0.1, 1.5, 30)])
+        power = COSTS[floor].power(np.column_stack([np.full(60, v), omega])) - COSTS[floor].power([[v, 0.0]])
+        found = np.array([float(RESIDUALS[floor]([v, w], 0.25)) for w in omega])
+        assert np.sign(found) == pytest.approx(np.sign(omega))
+        assert found**2 / 0.25 == pytest.approx(power, rel=0.08, abs=0.25)
+
+
+@given(
+    v=st.floats(-1.0, 1.0),
+    omega=st.floats(-2.0, 2.0),
+    weight=st.floats(1e-6, 1.0),
+    floor=st.sampled_from(sorted(COSTS)),
+)
+def test_it_is_smooth_through_rest_and_straight_on(v, omega, weight, floor):
+    """The gradient agrees with central differences, everywhere: half the step changes them by little."""
+    command, given_weight = ca.SX.sym("command", 2), ca.SX.sym("weight")
+    value = RESIDUALS[floor](command, given_weight)
+    gradient = ca.Function("g", [command, given_weight], [ca.jacobian(value, command)])
+    here, step = np.array([v, omega]), 1e-6
+    exact = np.array(gradient(here, weight)).ravel()
+    assert np.isfinite(exact).all()
+    for k in range(2):
+        off = step * np.eye(2)[k]
+        slope = float(RESIDUALS[floor](here + off, weight) - RESIDUALS[floor](here - off, weight)) / (2 * step)
+        assert exact[k] == pytest.approx(slope, abs=2e-3 * np.sqrt(weight) * 60)
+
+
+def test_straight_on_and_at_rest_it_costs_nothing():
+    for v in (0.0, 0.5, -0.5):
+        assert float(RESIDUALS["default"]([v, 0.0], 1.0)) == 0.0
+
+
+@pytest.mark.parametrize(("floor", "weight"), [("slippery", 0.01), ("default", 0.001)])
+def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight):
+    """In the middle of a turn: the plan with the term in its cost, against IPOPT with the same function."""
+    chosen = {"energy.turn_costs": f"fsu_bot-{floor}", "energy.weight": weight}
+    config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | chosen)
+    (term,) = energy_terms(config)
+
+    def make():
+        return Controller(config)
+
+    controller = make()
+    robot = IdealRobot(controller._predicted.sampled, np.zeros(3))
+    drive = record(controller, robot, GENTLE, 120, lambda *_: None)
+    result = converged(make, drive, GENTLE, lambda *_: None)
+    program = NonlinearProgram(controller, result, drive, GENTLE, linear_outputs(controller._predicted.sampled))
+    without = program.solve()
+    program.add(term, np.tile(term.defaults, (13, 1)))
+    plan = program.solve()
+    assert np.abs(plan - without).max() > 1e-3, "the term must matter"
+    assert result.planned_commands == pytest.approx(plan, abs=1e-6)
+
+
+def test_without_a_weight_there_is_no_term():
+    config = load_config("ssm", {"energy.turn_costs": "fsu_bot-default"})
+    assert energy_terms(config) == () and with_least_radius(config) is config
+    assert load_config("ssm").energy.weight == 0.0
+
+
+def test_less_is_paid_for_turning_the_more_it_weighs():
+    """On the slippery floor, on a square: energy falls, and the error grows in the end."""
+    found = {}
+    for weight in (0.0, 0.01, 0.1):
+        overrides = {"energy.weight": weight, "energy.turn_costs": "fsu_bot-slippery"}
+        controller = Controller(load_config("ssm", overrides))
+        plant = make_plant("mujoco:fsu_bot", "slippery", seed=7)
+        found[weight] = simulate(controller, plant, load_trajectory("square", timing="smooth")).metrics
+    energy = [metrics.energy_j for metrics in found.values()]
+    assert energy[0] > energy[1] > energy[2]
+    assert found[0.1].position_rmse_m > 1.5 * found[0.01].position_rmse_m
+
+
+def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
+    controllers = [Controller(load_config("ssm", ON | {"energy.weight": weight})) for weight in (0.01, 0.1)]
+    controllers[0].set_parameters(energy=[0.1])
+    commands = []
+    for controller in controllers:
+        robot = IdealRobot(controller._predicted.sampled, np.zeros(3))
+        commands.append(record(controller, robot, GENTLE, 90, lambda *_: None).commands)
+    assert np.array(commands[0]) == pytest.approx(np.array(commands[1]), abs=0.0)
+
+
+def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
+    asked = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
+    controller = Controller(load_config("ssm", asked))
+    assert controller.config.limits.min_commanded_radius == COSTS["default"].least_radius() > 1.0
+    own = load_config("ssm", asked | {"limits.min_commanded_radius": 0.9})
+    assert with_least_radius(own).limits.min_commanded_radius == 0.9
+    none = load_config("ssm", asked | {"energy.turn_costs": "fsu_bot-slippery"})
+    assert with_least_radius(none).limits.min_commanded_radius is None
+
+
+def test_turn_costs_lie_beside_the_configuration_that_names_them(tmp_path):
+    shutil.copy(FLOORS / "fsu_bot-carpet.yaml", tmp_path / "mine.yaml")
+    (tmp_path / "config.yaml").write_text("model: ssm\nenergy: {weight: 0.01, turn_costs: mine.yaml}\n")
+    config = load_config(tmp_path / "config.yaml")
+    assert config.energy.turn_costs == str(tmp_path / "mine.yaml")
+    assert [term.name for term in energy_terms(config)] == ["energy"]
+
+
+def test_mistakes_are_said_in_one_line(tmp_path):
+    with pytest.raises(ConfigError, match=r"energy.*turn_costs: say which; shipped are fsu_bot-default and others"):
+        load_config("ssm", {"energy.weight": 0.1})
+    with pytest.raises(ConfigError, match="unknown turn costs 'nowhere'|nowhere"):
+        Controller(load_config("ssm", ON | {"energy.turn_costs": "nowhere"}))
+    weak = COSTS["default"].model_dump(mode="json")
+    weak["vehicle"]["torque_limit"] = 0.1  # N m, less than the drag of its drive train
+    (tmp_path / "weak.yaml").write_text(yaml.safe_dump(weak))
+    config = load_config("ssm", {"energy.turn_costs": str(tmp_path / "weak.yaml"), "energy.use_min_radius": True})
+    with pytest.raises(ConfigError, match="the motors have no torque for any turn"):
+        Controller(config)

@@ -1,0 +1,316 @@
+"""Driving between things, with robots that are as the model says or noisy; the gaps are the true ones."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc import ConfigError, ControllerConfig, make_plant
+from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.mpc import Controller, Mode
+from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
+from diffdrive_mpc_extras.free_space.footprint import Footprint
+from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, least_gaps, pieces_of
+
+FAR = 5.0
+AT_REST = 0.02
+
+
+def config(**free_space):
+    return ControllerConfig.model_validate({"free_space": {"enabled": True, **free_space}})
+
+
+class Line:
+    """Straight on, from rest to rest."""
+
+    name = "line"
+
+    def __init__(self, length, speed=0.4, acceleration=0.4):
+        self.length, self.speed, self.acceleration = length, speed, acceleration
+        self.duration = length / speed + speed / acceleration
+
+    def sample(self, times):
+        t = np.clip(np.asarray(times, dtype=float).reshape(-1), 0.0, self.duration)
+        left, ramp, a = self.duration - t, self.speed / self.acceleration, self.acceleration
+        v = np.minimum(np.minimum(a * t, self.speed), a * left)
+        middle = self.speed * (t - 0.5 * ramp)
+        x = np.where(t < ramp, 0.5 * a * t**2, np.where(left < ramp, self.length - 0.5 * a * left**2, middle))
+        nothing = np.zeros_like(x)
+        return ReferenceSample(np.stack([x, nothing, nothing], axis=1), np.stack([v, nothing], axis=1), x)
+
+
+def box(x, y, length, width):
+    return np.array([[x, y], [x + length, y], [x + length, y + width], [x, y + width]]) - 0.5 * np.array(
+        [length, width]
+    )
+
+
+def post(x, y, radius, corners=12):
+    angle = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    return np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1)
+
+
+def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=None, seed=0):
+    """Ticks as dictionaries: time, pose, v, gap (true), step; `seen` gives surroundings, or None for nothing new."""
+    robot = make_plant(plant, seed=seed, **({} if sensors is None else {"sensors": sensors}))
+    robot.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, robot.time)
+    settings = controller.config.free_space
+    footprint = PlacedFootprint(Footprint(settings.corners, settings.footprint_radius))
+    ticks, around, pieces = [], None, None
+    for _ in range(int(duration / robot.sample_time)):
+        t = robot.time
+        found = seen(t)
+        if found is not None:
+            controller.set_obstacles(found)
+            around, pieces = found, pieces_of(found, settings, reference)
+        step = controller.step(t, robot.measure())
+        since = 0.0 if around.time is None else t - around.time
+        (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([since]), FAR)
+        moved = abs(robot.true_twist[0]) + abs(robot.true_twist[-1]) * footprint.footprint.reach
+        ticks.append({"t": t, "pose": np.array(robot.true_pose), "speed": moved, "gap": gap, "step": step})
+        assert np.isfinite(step.command).all()
+        robot.advance(step.command)
+        if step.mode is Mode.FINISHED and moved < AT_REST:
+            break
+    return ticks
+
+
+def once(around):
+    return lambda t: around if t < 1e-9 else None
+
+
+def column(ticks, name):
+    return np.array([tick[name] for tick in ticks])
+
+
+def least_while_moving(ticks):
+    return min((tick["gap"] for tick in ticks if tick["speed"] > AT_REST), default=FAR)
+
+
+@cache
+def past_a_post(y):
+    return drive(Controller(config()), Line(4.0), once(Surroundings([post(2.0, y, 0.1)])), 20.0)
+
+
+@pytest.mark.parametrize("y", [-0.1, 0.0, 0.03, 0.2])
+def test_a_post_on_the_path_is_passed_on_one_side_without_contact(y):
+    ticks = past_a_post(y)
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+    assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
+    assert column(ticks, "gap").min() > 0.03
+    # On the wide side, and never back: all of the way is on one side of the path.
+    beside = column(ticks, "pose")[:, 1]
+    assert min(abs(beside.min()), abs(beside.max())) < 0.03
+    if y:
+        assert np.sign(beside[np.abs(beside).argmax()]) == -np.sign(y)
+
+
+def test_the_side_does_not_flicker_with_noise():
+    """A post in the middle, poses that scatter, surroundings that tremble by a millimetre at each tick."""
+    rng = np.random.default_rng(5)
+    plan_sides = []
+
+    def seen(t):
+        return Surroundings([post(2.0, rng.normal(scale=0.001), 0.1)], time=t)
+
+    ticks = drive(Controller(config()), Line(3.5), seen, 18.0, seed=3)
+    for tick in ticks:
+        plan = tick["step"].plan
+        if plan is not None and abs(plan[-1, 1]) > 0.1 and plan[-1, 0] < 2.0:
+            plan_sides.append(np.sign(plan[-1, 1]))
+    assert len(set(plan_sides)) == 1
+    assert column(ticks, "gap").min() > 0.02
+
+
+def doorway_of_cells():
+    cells = np.zeros((160, 80), dtype=np.int8)
+    cells[:, 36:42] = 100
+    cells[75:85, 36:42] = 0
+    return Surroundings(grid=OccupancyGrid(cells, 0.05, (0.0, -4.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("door", "length", "duration"),
+    [
+        (Surroundings([box(1.5, 1.25, 0.2, 2.0), box(1.5, -1.25, 0.2, 2.0)]), 3.0, 20.0),
+        (doorway_of_cells(), 3.5, 22.0),
+    ],
+    ids=["of polygons", "of cells"],
+)
+def test_a_doorway_wider_than_the_robot_by_ten_centimetres_is_passed(door, length, duration):
+    ticks = drive(Controller(config(margin=0.015)), Line(length, 0.3), once(door), duration)
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+    assert column(ticks, "gap").min() > 0.015
+
+
+def test_a_doorway_that_is_too_narrow_is_not_tried():
+    door = Surroundings([box(1.5, 2.2, 0.2, 4.0), box(1.5, -2.2, 0.2, 4.0)])
+    ticks = drive(Controller(config(margin=0.03)), Line(3.0, 0.3), once(door), 12.0)
+    last = ticks[-1]["step"]
+    assert last.mode is Mode.STOPPED
+    assert "no way" in last.message
+    assert column(ticks, "gap").min() > 0.02
+
+
+def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
+    wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
+
+    def seen(t):
+        return wall if t < 1e-9 else Surroundings() if abs(t - 12.0) < 0.0102 else None
+
+    ticks = drive(Controller(config()), Line(4.0), seen, 26.0)
+    before = [tick for tick in ticks if tick["t"] < 11.9]
+    assert before[-1]["step"].mode is Mode.STOPPED
+    assert before[-1]["step"].message.startswith("no way: blocked by polygon 0")
+    assert 0.02 < min(tick["gap"] for tick in before) < 0.2
+    assert before[-1]["step"].command.tolist() == [0.0, 0.0]
+    assert before[-1]["step"].progress == 0.0
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+    assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
+
+
+def test_what_appears_right_before_it_is_braked_for():
+    """A wall falls into its way, hardly further away than a stop takes."""
+    nothing, wall = Surroundings(), Surroundings([box(2.13, 0.0, 0.2, 4.0)])
+
+    def seen(t):
+        return nothing if t < 1e-9 else wall if abs(t - 3.0) < 0.0102 else None
+
+    ticks = drive(Controller(config()), Line(4.0, 0.6, 0.8), seen, 6.0)
+    assert min(tick["gap"] for tick in ticks if tick["t"] > 3.02) > 0.0
+    assert ticks[-1]["step"].mode is Mode.STOPPED
+
+
+def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
+    """Without re-entry the reference runs on into the wall: only the check after the solve is left."""
+    chasing = ControllerConfig.model_validate({"free_space": {"enabled": True}, "reentry": {"enabled": False}})
+    wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
+    blind = Controller(chasing)
+    blind._features["free_space"]._keeper._find_way = lambda t, time: ""
+    ticks = drive(blind, Line(4.0, 0.6, 0.8), once(wall), 7.0)
+    words = [tick["step"].message for tick in ticks if tick["step"].mode in (Mode.BRAKING, Mode.STOPPED)]
+    assert any("on its way to rest it would come within" in word for word in words)
+    assert column(ticks, "gap").min() > 0.015
+    assert least_while_moving(ticks) > 0.015
+    pressed = [tick["step"].pressed_by for tick in ticks if tick["step"].pressed_by]
+    assert pressed
+    assert pressed[0][0].startswith("polygon 0 in ")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_who_crosses_its_way_is_never_touched_while_it_moves(seed):
+    rng = np.random.default_rng(seed)
+    speed, side = rng.uniform(0.3, 1.4), rng.choice([-1.0, 1.0])
+    arrives, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)
+    radius, along = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
+
+    def seen(t):
+        return Surroundings(
+            discs=[MovingDisc(x + along * (t - arrives), side * speed * (t - arrives), radius, along, side * speed)],
+            time=t,
+        )
+
+    ticks = drive(Controller(config()), Line(4.0, 0.5), seen, 25.0, seed=seed)
+    assert least_while_moving(ticks) > 0.0
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+
+
+def test_a_corridor_keeps_it_in():
+    """A post on the path, and no room on its wide side: it is passed on the other one, or not at all."""
+    corridor = Corridor([0.0, 4.0], [0.8, 0.8], [0.3, 0.3])
+    around = Surroundings([post(2.0, 0.05, 0.05)], corridor=corridor)
+    controller = Controller(config())
+    ticks = drive(controller, Line(4.0), once(around), 22.0)
+    assert column(ticks, "gap").min() > 0.02
+    assert column(ticks, "pose")[:, 1].max() > 0.25
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+
+
+def test_what_it_says_of_the_gap_is_true():
+    ticks = past_a_post(0.0)
+    said = np.array([tick["step"].clearance for tick in ticks])
+    near = np.isfinite(said)
+    assert near.sum() > 50
+    assert np.abs(said - column(ticks, "gap"))[near].max() < 0.02
+
+
+def test_old_surroundings_brake():
+    controller, reference = Controller(config()), Line(4.0)
+    ticks = drive(controller, reference, once(Surroundings(time=0.0)), 4.0)
+    modes = [tick["step"].mode for tick in ticks]
+    assert modes[10] is Mode.TRACKING
+    assert ticks[-1]["step"].mode is Mode.STOPPED
+    assert "s old; free_space.max_age is 0.5 s" in ticks[-1]["step"].message
+
+
+def test_surroundings_of_the_future_brake_too():
+    controller = Controller(config())
+    ticks = drive(controller, Line(4.0), once(Surroundings(time=10.0)), 1.0)
+    assert all(tick["step"].mode in (Mode.BRAKING, Mode.STOPPED) for tick in ticks[2:])
+    assert "in the future" in ticks[-1]["step"].message
+
+
+def test_bad_surroundings_change_nothing():
+    controller = Controller(config())
+    wall = Surroundings([box(2.0, 0.0, 0.4, 4.0)])
+    controller.set_obstacles(wall)
+    with pytest.raises(SurroundingsError):
+        controller.set_obstacles(Surroundings([[[0.0, 0.0], [np.nan, 1.0], [1.0, 1.0]]]))
+    ticks = drive(controller, Line(4.0), lambda t: wall if t < 1e-9 else None, 9.0)
+    assert ticks[-1]["step"].mode is Mode.STOPPED
+
+
+def test_a_controller_that_does_not_see_says_so():
+    with pytest.raises(ConfigError, match=r"free_space\.enabled"):
+        Controller(ControllerConfig()).set_obstacles(Surroundings())
+
+
+def test_the_same_surroundings_give_the_same_drive_bit_for_bit():
+    around = Surroundings([post(1.2, 0.02, 0.1)], discs=[MovingDisc(2.0, 1.0, 0.2, 0.0, -0.2)], time=0.0)
+
+    def run():
+        def seen(t):
+            discs = [MovingDisc(2.0, 1.0 - 0.2 * t, 0.2, 0.0, -0.2)]
+            return Surroundings(around.polygons, discs, time=t)
+
+        return np.array([tick["step"].command for tick in drive(Controller(config()), Line(2.5), seen, 6.0, seed=4)])
+
+    assert (run() == run()).all()
+
+
+def test_nothing_in_sight_changes_nothing_but_rounding():
+    plain = Controller(ControllerConfig())
+    seeing = Controller(config())
+    seeing.set_obstacles(Surroundings())
+    runs = []
+    for controller in (plain, seeing):
+        robot, reference = make_plant("model:ssm", seed=1), Line(1.5)
+        robot.reset([0.0, 0.0, 0.0])
+        controller.start(reference, 0.0)
+        commands = []
+        for _ in range(200):
+            commands.append(controller.step(robot.time, robot.measure()).command)
+            robot.advance(commands[-1])
+        runs.append(np.array(commands))
+    assert np.abs(runs[0] - runs[1]).max() < 1e-6
+
+
+def test_the_way_back_to_the_path_does_not_cut_through_what_stands():
+    """Carried to the side of its path, with a wall between: it does not drive through it, and says so or goes round."""
+    reference = Line(4.0)
+    wall = Surroundings([box(1.2, 0.42, 4.6, 0.1)])
+    controller, robot = Controller(config()), make_plant("model:ssm", seed=0)
+    robot.reset([0.3, 0.8, 0.0])
+    controller.start(reference, 0.0)
+    controller.set_obstacles(wall)
+    settings = controller.config.free_space
+    footprint, pieces = PlacedFootprint(Footprint(settings.corners)), pieces_of(wall, settings)
+    words = set()
+    for _ in range(300):
+        step = controller.step(robot.time, robot.measure())
+        words.add(step.message.split(";")[0])
+        robot.advance(step.command)
+        (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), FAR)
+        assert gap > 0.01
+    assert words & {"no way: nothing free leads back to the path"} or any("rejoining" in word for word in words)

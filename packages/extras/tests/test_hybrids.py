@@ -1,0 +1,317 @@
+"""A linear model with a network: what it computes, where the network is silent, its file, its training."""
+
+import sys
+
+import casadi as ca
+import numpy as np
+import pytest
+import yaml
+from hybrid_parts import DT, random_correction, random_hybrid
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_parts import drive, write_csv, write_mapping
+
+from diffdrive_mpc import ConfigError, Controller, MissingPackageError, ModelError, identify, load_config, load_model
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.load import load_base_effects, load_linear_model, model_path, read_model_file
+from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
+from diffdrive_mpc.models.structures.model_file import build_model
+from diffdrive_mpc_extras.hybrids.hybrid_model import (
+    HybridFile,
+    HybridModel,
+    correction_content,
+    hybrid_model,
+    write_hybrid,
+)
+from diffdrive_mpc_extras.hybrids.training import hybrid_settings, runs_of, segments, trained
+from diffdrive_mpc_extras.model_comparison.model_comparison import compare_models
+
+MODEL = random_hybrid()
+LINEAR = MODEL.linear
+QUICK = hybrid_settings().model_copy(update={"units": 6, "decays": (1e-3,), "most_steps": 80})
+numbers = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
+
+
+def by_hand(commands, past):
+    """The definition, number by number."""
+    c, line, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
+    for k in range(len(commands)):
+        outputs.append(LINEAR.C @ x)
+        at = [k + len(past) - int(delay) for delay in LINEAR.delay]
+        recent = np.array([line[row, j] for j, row in enumerate(at)])
+        older = np.array([line[row - 1, j] for j, row in enumerate(at)])
+        z = np.array([*x, *recent]) / c.scale
+        distance = sum(z[i] * c.shape[i, j] * z[j] for i in range(6) for j in range(6))
+        past_full = min(max((distance - c.full) / (c.least - c.full), 0.0), 1.0)
+        share = 1.0 - 3.0 * past_full**2 + 2.0 * past_full**3
+        units = [np.tanh(sum(c.inward[i, unit] * z[i] for i in range(6))) for unit in range(5)]
+        says = [sum(c.outward[unit, n] * units[unit] for unit in range(5)) for n in range(4)]
+        x = LINEAR.A @ x + LINEAR.B0 @ recent + LINEAR.B1 @ older + c.scale[:4] * share * says
+    return np.array(outputs)
+
+
+def features(x, recent):
+    return np.array([*x, *recent]) / MODEL.correction.scale
+
+
+def distance(z):
+    return z @ MODEL.correction.shape @ z
+
+
+def stepped(model, x, recent):
+    """One step with commands that were held."""
+    window = np.tile(recent, model.memory + 1)
+    return np.asarray(model.step(x, window)).ravel()
+
+
+def linear_step(x, recent):
+    return LINEAR.A @ x + LINEAR.drive @ recent
+
+
+def test_it_computes_its_definition():
+    random = np.random.default_rng(0)
+    past, commands = random.normal(size=(MODEL.memory, 2)), np.repeat(random.normal(size=(30, 2)), 5, axis=0)
+    found = MODEL.simulate(commands, past=past)
+    assert found == pytest.approx(by_hand(commands, past), abs=1e-12)
+    assert np.abs(found - LINEAR.simulate(commands, past=past)).max() > 0.02, "else the network says nothing"
+
+
+def test_its_gradient_is_that_of_differences():
+    """Inside, on the slope of the gate, and beyond."""
+    x, window = ca.SX.sym("x", 4), ca.SX.sym("w", 2 * (MODEL.memory + 1))
+    together = ca.vertcat(x, window)
+    by = ca.Function("by", [together], [ca.jacobian(MODEL.step(x, window), together)])
+    random, step, seen = np.random.default_rng(1), 1e-6, set()
+    for size in np.geomspace(0.1, 6.0, 20):
+        at = size * random.normal(size=together.numel()) * 0.5
+        at[:4] *= MODEL.correction.scale[:4]
+        slopes = [
+            (MODEL.step((at + d)[:4], (at + d)[4:]) - MODEL.step((at - d)[:4], (at - d)[4:])).full().ravel()
+            / (2 * step)
+            for d in step * np.eye(len(at))
+        ]
+        assert by(at).full() == pytest.approx(np.array(slopes).T, abs=1e-6)
+        recent = [at[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
+        seen.add(int(np.digitize(distance(features(at[:4], recent)), [9.0, 36.0])))
+    assert seen == {0, 1, 2}
+
+
+@given(numbers, st.floats(1.0, 50.0))
+def test_beyond_the_data_it_is_the_linear_model(direction, beyond):
+    size = distance(direction)
+    if size < 1e-6:
+        return
+    z = direction * np.sqrt(beyond * 36.0 * (1 + 1e-9) / size)
+    x, recent = np.split(z * MODEL.correction.scale, [4])
+    assert stepped(MODEL, x, recent) == pytest.approx(linear_step(x, recent), rel=1e-12, abs=1e-13)
+
+
+@given(numbers)
+def test_what_the_network_adds_is_bounded_and_whole_among_the_data(z):
+    x, recent = np.split(z * MODEL.correction.scale, [4])
+    c = MODEL.correction
+    adds = (stepped(MODEL, x, recent) - linear_step(x, recent)) / c.scale[:4]
+    assert (np.abs(adds) <= np.abs(c.outward).sum(axis=0) + 1e-9).all()
+    if distance(z) <= c.full:
+        assert adds == pytest.approx(c.outward.T @ np.tanh(c.inward.T @ z), abs=1e-9)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000))
+def test_it_answers_backwards_as_forwards_and_rests(seed):
+    commands = np.repeat(np.random.default_rng(seed).uniform(-1.5, 1.5, (4, 2)), 10, axis=0)
+    assert MODEL.simulate(-commands) == pytest.approx(-MODEL.simulate(commands), abs=1e-12)
+    assert (MODEL.simulate(0 * commands) == 0).all()
+
+
+def test_a_run_beyond_the_data_is_that_of_the_linear_model():
+    """A robot that is asked for ten times what the log has, from where that settles."""
+    commands = np.tile([8.0, 12.0], (40, 1)) + np.random.default_rng(2).uniform(-1, 1, (40, 2))
+    start = LINEAR.settled_state([8.0, 12.0])
+    past = np.tile([8.0, 12.0], (MODEL.memory, 1))
+    assert MODEL.simulate(commands, start, past) == pytest.approx(LINEAR.simulate(commands, start, past), abs=1e-12)
+
+
+def content(**changes):
+    return HybridFile.model_validate(
+        {
+            "name": "mine",
+            "structure": "hybrid",
+            "provenance": {"origin": "assumed", "source": "random numbers"},
+            "sample_time": DT,
+            "linear": read_model_file(model_path("sm")).model_dump(),
+            "correction": correction_content(random_correction()),
+        }
+        | changes
+    )
+
+
+def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
+    for name in ("one", "other"):
+        write_hybrid(tmp_path / f"{name}.yaml", content())
+    assert (tmp_path / "one.yaml").read_bytes() == (tmp_path / "other.yaml").read_bytes()
+    found = load_model(tmp_path / "one.yaml")
+    assert isinstance(found, HybridModel)
+    commands = np.repeat(np.random.default_rng(3).normal(size=(10, 2)), 8, axis=0)
+    assert found.simulate(commands) == pytest.approx(MODEL.simulate(commands), abs=1e-6)
+    assert found.provenance["source"] == "random numbers"
+    assert load_base_effects(tmp_path / "one.yaml") == load_base_effects("ssm")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda data: data["correction"].pop("inward"), "key 'correction.inward' is missing"),
+        (
+            lambda data: data["correction"]["inward"].pop(),
+            r"inward has shape \(5, 5\), expected \(6, 5\); train it again",
+        ),
+        (lambda data: data["correction"]["outward"][0].pop(), "outward has rows of different length"),
+        (lambda data: data["correction"].update(least=1.0), "least 1.0 has to be more than full 9.0"),
+        (lambda data: data["correction"].update(scale=[0.0] * 6), "correction.scale.0: Input should be greater than 0"),
+        (lambda data: data["correction"]["outward"][0].__setitem__(0, float("nan")), "should be a finite number"),
+        (lambda data: data["linear"].pop("channels"), "key 'linear.channels' is missing"),
+        (lambda data: data.update(sample_times=0.1), "unknown key 'sample_times'; did you mean 'sample_time'"),
+        (lambda data: data.update(structure="hybird"), "structure: expected one of .*hybrid.*, found 'hybird'"),
+    ],
+)
+def test_a_bad_file_is_one_line(tmp_path, change, said):
+    path = tmp_path / "mine.yaml"
+    write_hybrid(path, content())
+    data = yaml.safe_load(path.read_text())
+    change(data)
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises((ConfigError, ModelError), match=said) as refused:
+        load_model(path)
+    assert "\n" not in str(refused.value)
+    assert "mine" in str(refused.value)
+
+
+def test_what_a_hybrid_cannot_do_is_said(tmp_path):
+    write_hybrid(tmp_path / "mine.yaml", content())
+    with pytest.raises(ModelError, match=r"it is a function for samples of 0.0202 s"):
+        MODEL.discretise(0.01)
+    with pytest.raises(ModelError, match="here matrices are needed"):
+        load_linear_model(tmp_path / "mine.yaml")
+    with pytest.raises(ModelError, match="unstable at rest"):
+        hybrid_model("wild", LINEAR, random_correction(size=3.0))
+
+
+def slewing(seed, seconds, most=1.2, dt=0.04):
+    """Readings of a robot that speeds up no faster than `most` [m/s^2], [rad/s^2]: a lag whose size saturates."""
+    random = np.random.default_rng(seed)
+    commands = np.repeat(random.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
+    twist = np.zeros_like(commands)
+    for k in range(1, len(commands)):
+        twist[k] = twist[k - 1] + dt * most * np.tanh((commands[k - 1] - twist[k - 1]) / (0.1 * most))
+    noisy = twist + random.normal(0, [0.003, 0.005], twist.shape)
+    return Record(f"drive {seed}", 0.0, dt, commands, twist=noisy, yaw_rate=noisy[:, 1])
+
+
+def data_of(*records):
+    return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr("diffdrive_mpc_extras.hybrids.finding.hybrid_settings", lambda: QUICK)
+
+
+def test_it_learns_what_no_linear_model_can_say(quick):
+    data = data_of(slewing(1, 60.0), slewing(2, 60.0))
+    found = compare_models(data, ["sm", "hybrid"], parts=2)
+    linear, hybrid = found.scores[1:]
+    assert hybrid.states == linear.states == 4
+    left = [100.0 - found.fits(one) for one in (linear, hybrid)]
+    assert (left[1] < 0.6 * left[0]).all()
+    assert found.recommended.kind == "hybrid"
+
+
+def twice_lagging(count=1500, dt=0.04):
+    """An SM's readings, exactly."""
+    system = build_model(read_model_file(model_path("sm")))
+    commands = np.repeat(np.random.default_rng(4).uniform(-1, 1, (count // 20, 2)), 20, axis=0)
+    outputs = system.discretise(dt).simulate(commands)
+    limits = np.full(2, np.inf)
+    exact = LinearSystem(system.A, system.B, system.C, np.asarray(system.dead_time), np.zeros(2), limits)
+    return (
+        system.discretise(dt),
+        exact,
+        SampledExperiment("drive", dt, commands, outputs, np.ones(outputs.shape, dtype=bool)),
+    )
+
+
+def test_runs_and_segments_are_those_of_the_linear_model():
+    linear, system, experiment = twice_lagging()
+    (run,) = runs_of(linear, system, [experiment])
+    assert run.states @ linear.C.T == pytest.approx(experiment.outputs, abs=1e-12)
+    cut = segments(linear, [run._replace(outputs=run.outputs + 0.1)])
+    assert 0.1**2 * cut.weights.sum() == pytest.approx(1.0), "what the linear model leaves costs 1"
+    # The linear model goes through every segment as through the whole run.
+    x = cut.starts
+    for k in range(cut.commands.shape[1]):
+        counts = cut.weights[:, k].any(axis=1)
+        assert x[counts] @ linear.C.T + 0.1 == pytest.approx(cut.outputs[counts, k], abs=1e-9)
+        x = x @ linear.A.T + cut.drives[:, k]
+
+
+def test_a_seed_gives_the_same_weights_and_a_penalty_shrinks_them():
+    linear, system, experiment = twice_lagging(600)
+    bent = SampledExperiment("bent", experiment.dt, experiment.inputs, np.tanh(experiment.outputs), experiment.counts)
+    runs = runs_of(linear, system, [bent])
+    one, other = (trained(linear, runs, (1.0, 1e-3), QUICK) for _ in range(2))
+    assert all(
+        np.array_equal(a.inward, b.inward) and np.array_equal(a.outward, b.outward)
+        for a, b in zip(one, other, strict=True)
+    )
+    strong, weak = (np.sum(found.inward**2) + np.sum(found.outward**2) for found in one)
+    assert strong < 0.5 * weak
+
+
+def test_from_a_log_of_a_linear_robot_the_network_is_left_out(quick, tmp_path):
+    """Lags of first order, and a gyro: nothing is left that depends on commands."""
+    write_mapping(tmp_path / "map.yaml")
+    log = write_csv(tmp_path / "drive.csv", drive(seconds=40.0, dt=0.04))
+    found = identify(log, tmp_path / "map.yaml", "hybrid")
+    assert any("no network predicts held-out blocks better" in warning for warning in found.report.warnings)
+    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
+    linear = found.report.fitted.identified.model.discretise(0.04)
+    assert found.model.simulate(commands) == pytest.approx(linear.simulate(commands), abs=1e-6)
+    assert found.report.fitted.predictor.refitted(found.report.data.validation, "gyro") is None
+
+
+def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
+    record = slewing(5, 60.0)
+    columns = {"t": record.dt * np.arange(len(record.command)), "v": record.twist[:, 0], "gyro": record.yaw_rate}
+    columns |= {"v_ref": record.command[:, 0], "omega_ref": record.command[:, 1], "omega_wheels": record.yaw_rate}
+    log = write_csv(tmp_path / "drive.csv", columns)
+    write_mapping(
+        tmp_path / "map.yaml",
+        "columns: {time: t, command: {v: v_ref, omega: omega_ref}, encoders: {v: v, omega: omega_wheels}, "
+        "gyro: {yaw_rate: gyro}}\n",
+    )
+    found = identify(log, tmp_path / "map.yaml", "hybrid")
+    report = found.report
+    assert report.as_json()["model"] == "hybrid"
+    assert "Parameters of the linear model beside a linear model with a network" in report.markdown()
+    assert "chosen on held-out blocks" in report.markdown()
+    other = report.fitted.predictor.refitted(report.data.validation, "gyro")
+    assert isinstance(other, HybridModel)
+    found.write(tmp_path / "mine")
+    model = load_model(tmp_path / "mine" / "model.yaml")
+    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
+    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=1e-5)
+    config = load_config(tmp_path / "mine" / "config.yaml")
+    assert config.sample_time == model.dt == 0.04
+    assert Controller(config).model.structure == "hybrid"
+
+
+def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax", None)
+    with pytest.raises(MissingPackageError) as refused:
+        identify(tmp_path / "never read.csv", None, "hybrid")
+    assert str(refused.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
+    with pytest.raises(ConfigError, match="they stand around an sm, not an hybrid"):
+        identify(tmp_path / "never read.csv", None, "hybrid", effects=True)

@@ -1,0 +1,322 @@
+"""The planner, and the command that plans."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planner_parts import BOT, SPEED, dense_energy, dubins, sliding, stiff
+from typer.testing import CliRunner
+
+from diffdrive_mpc import ConfigError, load_trajectory
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc_extras.free_space import Footprint, MovingDisc, Surroundings
+from diffdrive_mpc_extras.planner import PlanError, load_plan_settings, plan, plan_each
+from diffdrive_mpc_extras.planner.clearance import Clearance, covering_discs, outline
+from diffdrive_mpc_extras.planner.inputs import Inputs, make_inputs, rates_of, sharpest_radius
+from diffdrive_mpc_extras.planner.result import driven
+from diffdrive_mpc_extras.planner.search import PlanSearch
+from diffdrive_mpc_extras.planner.words import arc_arc_arc, arc_straight, arc_straight_arc, placed
+from diffdrive_mpc_extras.turn_costs import SlipCoefficients, load_turn_costs, turn_costs_text
+
+SETTINGS = load_plan_settings()
+HALF = 0.5 * BOT.track
+SYMMETRIC = SlipCoefficients(a11=-0.004, a22=-0.001, a23=-0.006, a32=-0.35, a33=-0.02)
+NO_VIA = np.zeros((0, 2))
+ORIGIN = np.zeros(3)
+goals = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-math.pi, math.pi)).filter(
+    lambda one: math.hypot(*one[:2]) > 0.5
+)
+
+
+def searched(costs, goal, minimise="distance", start=ORIGIN, via=NO_VIA, **allowed):
+    allowed = {"reverse": False, "spot": False} | allowed
+    inputs = make_inputs(costs, minimise, SPEED, SETTINGS, **allowed)
+    return PlanSearch(inputs, start, np.asarray(goal, dtype=float), via, SETTINGS.search, None).run()
+
+
+def inputs_of(costs, commands, minimise="energy"):
+    commands = np.asarray(commands, dtype=float)
+    twists = costs.twist(commands)
+    return Inputs(commands, twists, rates_of(costs, minimise, commands, twists), np.abs(twists[:, 2]) < 1e-9)
+
+
+def ends_of(inputs, words, poses):
+    at = poses[words.start]
+    for piece in range(3):
+        at = placed(at, inputs.moved(words.inputs[:, piece], words.times[:, piece]))
+    return at
+
+
+@given(goal=goals)
+@settings(max_examples=40, deadline=None)
+def test_without_slip_the_shortest_way_is_that_of_dubins(goal):
+    costs = stiff(1.0)
+    found = searched(costs, goal)
+    assert found.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
+
+
+def test_every_way_of_three_pieces_ends_where_it_should():
+    costs = load_turn_costs("fsu_bot-default")
+    inputs = make_inputs(costs, "energy", SPEED, SETTINGS, reverse=True, spot=False)
+    rng = np.random.default_rng(1)
+    poses, goal = rng.uniform(-4, 4, (5, 3)), np.array([2.0, 1.0, 0.5])
+    few = inputs.chosen(np.array([0, 1, 2, 9, 10, 23, 24, 30, 31]))
+    for words in (arc_straight_arc(few, poses, goal), arc_arc_arc(few, poses, goal)):
+        assert len(words.costs) > 100
+        off = ends_of(few, words, poses) - goal
+        off[:, 2] = np.sin(0.5 * off[:, 2])
+        assert np.abs(off).max() < 1e-7
+    words = arc_straight(few, poses, goal[:2])
+    assert np.abs(ends_of(few, words, poses)[:, :2] - goal[:2]).max() < 1e-9
+
+
+@pytest.mark.parametrize("slip", [SlipCoefficients(), SYMMETRIC], ids=["no slip", "slip"])
+@pytest.mark.parametrize("goal", [(3.0, 2.0, 0.3), (2.0, -3.0, 2.5), (-2.0, 2.0, -1.5)])
+def test_on_dry_friction_the_best_arcs_have_half_the_track_as_commanded_radius(goal, slip):
+    """IJRR 10.1177/02783649231216499: the inner wheels stand, so the body's radius is half the slip-track."""
+    costs = sliding(slip)
+    radii = np.unique([*np.geomspace(0.05, 5.0, 40), HALF])
+    commands = [[SPEED, 0.0], *([SPEED, side * SPEED / one] for one in radii for side in (1, -1))]
+    inputs = inputs_of(costs, commands)
+    words = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
+    best = np.argmin(words.costs)
+    for one in words.inputs[best, [0, 2]]:
+        assert abs(inputs.commands[one, 0] / inputs.commands[one, 1]) == pytest.approx(HALF)
+    found = searched(costs, goal, "energy")
+    assert found.cost <= words.costs[best] * 1.0001
+    arcs = [one for one in found.pieces if abs(one.omega) > 0.05]
+    assert arcs and all(abs(one.radius) == pytest.approx(HALF) for one in arcs)
+
+
+@pytest.mark.parametrize("goal", [(4.0, 2.0, 0.0), (3.0, -2.0, -1.5)])
+def test_the_energy_is_that_of_a_dense_search(goal):
+    costs = stiff(0.8)
+    sharp = sharpest_radius(costs, SPEED, SETTINGS)
+    dense, _ = dense_energy(costs, ORIGIN, np.array(goal), np.geomspace(sharp, 30 * sharp, 25))
+    found = searched(costs, goal, "energy")
+    assert found.bound <= found.cost <= 1.06 * dense
+    # Smooth turns of changing radius cost less than the best of two arcs, ramps and all.
+    assert plan(costs, ORIGIN, goal).energy < dense
+
+
+@given(goal=goals, minimise=st.sampled_from(["energy", "time", "distance"]))
+@settings(max_examples=30, deadline=None)
+def test_what_is_left_is_never_said_to_be_more_than_it_is(goal, minimise):
+    costs = load_turn_costs("fsu_bot-grippy")
+    inputs = make_inputs(costs, minimise, SPEED, SETTINGS, reverse=False, spot=False)
+    search = PlanSearch(inputs, ORIGIN, np.array(goal), NO_VIA, SETTINGS.search, None)
+    words = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
+    assert search.bound_from(ORIGIN) <= words.costs.min() * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("name", ["slippery", "default", "carpet", "grippy"])
+@pytest.mark.parametrize("goal", [(8.0, 5.0, 0.0), (6.0, -4.0, -1.0)])
+def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
+    costs = load_turn_costs(f"fsu_bot-{name}")
+    plans = plan_each(costs, ORIGIN, goal)
+    for objective, one in plans.items():
+        for other in plans.values():
+            assert one.amount(objective) <= other.amount(objective) * 1.0005
+        assert one.status == "polished"
+        assert driven(costs, one.commands, ORIGIN, one.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
+        sample = one.trajectory.sample([0.0, one.duration])
+        assert sample.pose == pytest.approx(np.array([ORIGIN, goal]), abs=1e-7)
+        assert one.energy == pytest.approx(costs.power(one.commands).sum() * one.sample_time)
+        v, omega = one.commands.T
+        rise = np.abs(np.diff(np.concatenate([[[0, 0]], one.commands, [[0, 0]]]), axis=0)) / one.sample_time
+        assert v.max() <= SPEED * 1.001 and v.min() >= 0
+        assert rise[:, 0].max() <= SETTINGS.motion.acceleration * 1.01
+        assert rise[:, 1].max() <= SETTINGS.motion.yaw_acceleration * 1.1
+        assert (v[v > 0.1] >= np.abs(omega[v > 0.1]) * costs.least_radius(SPEED)).all()
+
+
+@pytest.mark.parametrize("minimise", ["energy", "distance"])
+def test_a_mirrored_task_has_the_mirrored_plan(minimise):
+    costs = stiff(1.0, SYMMETRIC)
+    here, there = (plan(costs, ORIGIN, (5.0, side * 3.0, side * 0.4), minimise=minimise) for side in (1, -1))
+    assert there.energy == pytest.approx(here.energy, rel=1e-3)
+    assert there.length == pytest.approx(here.length, rel=1e-3)
+
+
+@given(x=st.floats(-50, 50), y=st.floats(-50, 50), turn=st.floats(-3, 3))
+@settings(max_examples=3, deadline=None)
+def test_the_plan_does_not_depend_on_the_frame(x, y, turn):
+    costs, goal = load_turn_costs("fsu_bot-carpet"), np.array([5.0, 2.0, 0.5])
+    begin = np.array([x, y, turn])
+    moved = plan(costs, begin, placed(begin, goal))
+    usual = plan(costs, ORIGIN, goal)
+    assert moved.energy == pytest.approx(usual.energy, rel=2e-3)
+    assert moved.poses[-1][:2] == pytest.approx(placed(begin, goal)[:2], abs=1e-6)
+
+
+def test_it_passes_via_points():
+    costs = load_turn_costs("fsu_bot-slippery")
+    found = plan(costs, ORIGIN, (6.0, 0.0, 0.0), via=[(2.0, 1.0), (4.0, -0.5)])
+    for point in ((2.0, 1.0), (4.0, -0.5)):
+        assert np.hypot(*(found.poses[:, :2] - point).T).min() < 0.01
+    assert {one.leg for one in found.pieces} == {0, 1, 2}
+
+
+def test_it_keeps_clear_of_what_stands_there():
+    costs = load_turn_costs("fsu_bot-slippery")
+    discs = [MovingDisc(3.0, 0.2, 0.15), MovingDisc(4.5, -0.4, 0.15)]
+    box = np.array([[2.0, 0.9], [5.0, 0.9], [5.0, 1.2], [2.0, 1.2]])
+    found = plan(costs, ORIGIN, (7.0, 0.0, 0.0), obstacles=Surroundings(polygons=[box], discs=discs))
+    # Points all along the outline of the robot, by their own distances.
+    low, high = outline(BOT).corners.min(0), outline(BOT).corners.max(0)
+    side = np.linspace(0, 1, 12)[:, None]
+    corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    ring = np.concatenate([a + side * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
+    for pose in found.poses[::5]:
+        points = placed(np.tile(pose, (len(ring), 1)), np.column_stack([ring, np.zeros(len(ring))]))[:, :2]
+        for disc in discs:
+            assert np.hypot(*(points - (disc.x, disc.y)).T).min() - disc.radius >= SETTINGS.motion.margin - 1e-3
+        beyond = np.maximum(np.maximum(box.min(0) - points, points - box.max(0)), 0)
+        assert np.hypot(*beyond.T).min() >= SETTINGS.motion.margin - 1e-3
+    assert found.energy > plan(costs, ORIGIN, (7.0, 0.0, 0.0)).energy
+
+
+def test_discs_cover_the_robot_and_distances_are_signed():
+    robot = covering_discs(Footprint.rectangle(1.0, 0.4, ahead=0.2))
+    points = np.random.default_rng(2).uniform([-0.3, -0.2], [0.7, 0.2], (500, 2))
+    gaps = np.hypot(*(points[:, None] - robot[:, :2]).transpose(2, 0, 1)) - robot[:, 2]
+    assert gaps.min(axis=1).max() <= 1e-12
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+    found = Clearance(Surroundings(polygons=[square]), Footprint.rectangle(0.4, 0.4))
+    gap, away = found.nearest(np.array([[1.0, 0.25], [3.0, 3.0], [1.0, -1.0]]))
+    assert gap[:, 0] == pytest.approx([-0.25, math.sqrt(2), 1.0])
+    assert away[:, 0] == pytest.approx(np.array([[0, -1], [math.sqrt(0.5), math.sqrt(0.5)], [0, -1]]))
+
+
+def test_driving_backward_and_turning_on_the_spot_open_ways():
+    costs = load_turn_costs("fsu_bot-default")
+    back = plan(costs, ORIGIN, (-3.0, 0.0, 0.0), reverse=True)
+    assert back.commands[:, 0].max() < 1e-6 and back.length == pytest.approx(3.0, abs=0.05)
+    spot = plan(load_turn_costs("fsu_bot-slippery"), ORIGIN, (0.0, 2.0, math.pi), minimise="distance", on_the_spot=True)
+    assert spot.length < 3.0 and spot.poses[-1] == pytest.approx([0.0, 2.0, math.pi], abs=1e-6)
+
+
+def test_where_the_polish_does_not_finish_it_says_so_and_the_plan_still_ends_at_the_goal():
+    hurried = SETTINGS.model_copy(update={"polish": SETTINGS.polish.model_copy(update={"iterations": 1})})
+    found = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
+    assert found.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in found.solver
+    assert found.poses[-1] == pytest.approx([6.0, 3.0, 0.5], abs=1e-6)
+
+
+def test_a_short_way_is_driven_slower():
+    found = plan(load_turn_costs("fsu_bot-slippery"), ORIGIN, (0.2, 0.0, 0.0))
+    assert found.commands[:, 0].max() < 0.3 and found.poses[-1] == pytest.approx([0.2, 0, 0], abs=1e-6)
+
+
+BOX = np.array([[4.0, -1.0], [6.0, -1.0], [6.0, 1.0], [4.0, 1.0]])
+RING = [
+    np.array([[3, -2], [7, -2], [7, -1.8], [3, -1.8]]),
+    np.array([[3, 1.8], [7, 1.8], [7, 2], [3, 2]]),
+    np.array([[3, -2], [3.2, -2], [3.2, 2], [3, 2]]),
+    np.array([[6.8, -2], [7, -2], [7, 2], [6.8, 2]]),
+]
+
+
+@pytest.mark.parametrize(
+    ("goal", "changes", "words"),
+    [
+        ((0.0, 0.0, 2 * math.pi), {}, "start and goal are the same"),
+        ((1.0, math.nan, 0.0), {}, "finite numbers"),
+        ((1.0, 0.0), {}, "give x, y"),
+        ((5.0, 0.0, 0.0), {"minimise": "fuel"}, "give energy, time or distance"),
+        ((5.0, 0.0, 0.0), {"speed": -1.0}, "give a positive number"),
+        ((5.0, 0.0, 0.0), {"speed": 3.0}, "at most 1 m/s"),
+        ((5.0, 0.0, 0.0), {"via": [(1.0, math.inf)]}, "via: give x, y"),
+        ((5.0, 0.0, 0.0), {"via": [(2.0, 0.0), (2.0, 0.0)]}, "point 2 is where the one before it is"),
+        ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=[BOX])}, "overlaps an obstacle"),
+        ((5.0, 0.0, 0.0), {"obstacles": Surroundings(polygons=RING)}, "obstacles leave no way"),
+        ((8.0, 0.0, 0.0), {"via": [(5.0, 0.0)], "obstacles": Surroundings(polygons=[BOX])}, "via 1"),
+        ((0.0, 1.0, 0.0), {}, r"least radius of .* m for 1.00 m of distance; allow driving backward"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_in_one_sentence(goal, changes, words):
+    with pytest.raises(PlanError, match=words) as error:
+        plan(load_turn_costs("fsu_bot-default"), ORIGIN, goal, **changes)
+    assert "\n" not in str(error.value) and isinstance(error.value, ConfigError)
+
+
+def test_a_reference_that_would_slide_sideways_is_refused():
+    ice = stiff(1.0, SlipCoefficients(a23=-0.8))
+    with pytest.raises(PlanError, match="slides sideways 0.* go slower"):
+        plan(ice, ORIGIN, (4.0, 3.0, 0.0))
+
+
+def test_motors_that_are_too_weak_to_drive_at_all_are_refused():
+    costs = load_turn_costs("fsu_bot-grippy")
+    weak = costs.vehicle.model_copy(update={"torque_limit": 0.2})
+    with pytest.raises(PlanError, match="go slower"):
+        plan(costs.model_copy(update={"vehicle": weak}), ORIGIN, (5.0, 0.0, 0.0))
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["plan", *arguments])
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    out = tmp_path_factory.mktemp("plan")
+    costs = out / "mine.yaml"
+    costs.write_text(turn_costs_text(load_turn_costs("fsu_bot-grippy")), encoding="utf-8")
+    result = run(
+        "--costs", str(costs), "--from", "1,-1,90", "--to", "-4,6,180", "--via", "0,3", "--out", str(out / "a")
+    )
+    assert result.exit_code == 0, result.output
+    return out / "a", result
+
+
+def test_the_trajectory_goes_from_pose_to_pose(written):
+    folder, _ = written
+    path = load_trajectory(folder / "trajectory.csv")
+    begin, end = path.sample([0.0, path.duration]).pose
+    assert begin == pytest.approx([1.0, -1.0, math.pi / 2], abs=1e-6)
+    assert end[:2] == pytest.approx([-4.0, 6.0], abs=1e-6)
+    assert math.cos(end[2]) == pytest.approx(-1.0)
+    way = path.sample(np.linspace(0, path.duration, 2000)).pose
+    assert np.hypot(*(way[:, :2] - [0.0, 3.0]).T).min() < 0.02
+
+
+def test_the_table_and_the_file_say_the_same_and_energy_is_least(written):
+    folder, result = written
+    plans = {one["minimise"]: one for one in json.loads((folder / "plan.json").read_text())["plans"]}
+    assert plans["energy"]["energy_j"] == min(one["energy_j"] for one in plans.values())
+    assert plans["time"]["duration_s"] == min(one["duration_s"] for one in plans.values())
+    assert f"{plans['distance']['energy_j']:.1f}" in result.output
+    assert {"paths.png", "power.png"} == {path.name for path in (folder / "figures").iterdir()}
+    assert "energy, written" in (folder / "plan.md").read_text() and (folder / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--from", "0,0", "--to", "5,0,0"), "give X,Y,DEG, 3 numbers"),
+        (("--from", "0,0,0", "--to", "5,nan,0"), "give X,Y,DEG, 3 numbers"),
+        (("--from", "0,0,0", "--to", "5,0,0", "--via", "1"), "give X,Y, 2 numbers"),
+        (("--from", "0,0,0", "--to", "5,0,0", "--minimise", "fuel"), "give energy, time or distance"),
+        (("--from", "0,0,0", "--to", "5,0,0", "--costs", "fsu_bot-defualt"), "did you mean 'fsu_bot-default'"),
+        (("--from", "0,0,0", "--to", "0,1,0"), "least radius of"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_writes_nothing(tmp_path, arguments, words):
+    result = run(*arguments, "--out", str(tmp_path / "out"))
+    assert result.exit_code != 0 and words in " ".join(result.output.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_long_way_is_pointed_out_and_a_computer_on_board_shortens_it(tmp_path):
+    ends = ("--costs", "fsu_bot-grippy", "--from", "0,0,0", "--to=-3,7,90")
+    lengths = []
+    for drawn in ((), ("--idle-power", "10")):
+        result = run(*ends, *drawn, "--out", str(tmp_path / "plan"))
+        assert result.exit_code == 0, result.output
+        energy = json.loads((tmp_path / "plan" / "plan.json").read_text())["plans"][0]
+        lengths.append(energy["length_m"])
+        assert ("times as long as the shortest" in result.output) == (not drawn)
+    assert lengths[1] < 0.8 * lengths[0]

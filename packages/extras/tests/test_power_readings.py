@@ -1,0 +1,172 @@
+"""Sensors of battery and motors: what they read, what they leave alone, and what their log tells of the drive."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_parts import ConstantTwist, FeedForward
+
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.log_csv import write_log as write_csv
+from diffdrive_mpc.sim.log_mcap import write_log as write_mcap
+from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc.sim.run import Run
+from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings
+from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor, load_sensor_set
+from diffdrive_mpc_extras.energy import identify_constants, logged_energy
+from diffdrive_mpc_extras.turn_costs import load_drive_constants
+from studies.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
+
+EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))
+CONSTANTS = ("torque_constant", "resistance", "idle_power")
+
+
+@given(st.floats(-50.0, 300.0), st.floats(6.0, 50.0), st.floats(0.0, 0.08))
+def test_a_battery_gives_what_is_taken(power: float, voltage: float, resistance: float) -> None:
+    battery = Battery(voltage=voltage, resistance=resistance)
+    volts, amperes = battery.loaded(power)
+    assert volts == pytest.approx(voltage - resistance * amperes, abs=1e-6 * voltage)
+    if power < voltage**2 / (4 * resistance + 1e-12):
+        assert volts * amperes == pytest.approx(power, rel=1e-6, abs=1e-6)
+        assert volts >= 0.5 * voltage
+
+
+def test_more_than_it_can_give_leaves_half_of_its_voltage() -> None:
+    assert Battery(voltage=12.0, resistance=0.1).loaded(1e4)[0] == pytest.approx(6.0)
+
+
+def run(sensors: str, **around: str) -> Run:
+    reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
+    return simulate(FeedForward(), make_plant("mujoco:fsu_bot", sensors=sensors, seed=4, **around), reference)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def logged() -> Run:
+    return run("power")
+
+
+def test_the_drive_is_the_same_with_the_sensors_and_so_is_the_rest_of_the_log(logged: Run) -> None:
+    plain = run("default")
+    assert np.isnan(plain.power_readings).all() and not set(READINGS) & set(plain.columns)
+    assert np.isfinite(logged.power_readings).all()
+    assert list(plain.columns) == [name for name in logged.columns if name not in READINGS]
+    for name, column in plain.columns.items():
+        if "step_time" not in name and "solve_time" not in name:
+            assert np.array_equal(column, logged.columns[name], equal_nan=column.dtype != object), name
+
+
+def test_a_scenario_and_a_world_read_the_same_battery(logged: Run) -> None:
+    for around in ({"scenario": "biased_gyro"}, {"world": "opening"}):
+        count = len(logged.time)
+        assert np.array_equal(run("power", **around).power_readings[:50], logged.power_readings[:50]), (around, count)
+
+
+def test_without_noise_the_battery_gives_the_energy_of_the_run() -> None:
+    build = load_simulated_robot("fsu_bot")
+    exact = build.sensors.model_copy(update={"power": EXACT})
+    plant = MujocoPlant(
+        1.0,
+        exact,
+        robot=build.robot,
+        twin=build.twin,
+        firmware=build.firmware,
+        drive=build.drive,
+        battery=build.battery,
+    )
+    reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
+    done = simulate(FeedForward(), plant, reference, extra_time=0.1)
+    power = done.power_readings[:, :2].prod(axis=1)
+    # The reading of a tick is of the sample before it.
+    counted = np.flatnonzero(done.counted) + 1
+    assert power[counted].sum() * done.sample_time == pytest.approx(done.metrics.energy_j, rel=1e-9)
+    currents = done.power_readings[1:, 2:]
+    assert currents == pytest.approx(done.motor_torque[:-1] / build.drive.torque_per_current)
+
+
+def test_readings_are_whole_steps_and_repeat_with_the_seed() -> None:
+    sensor = load_sensor_set("power").power
+    assert sensor is not None
+
+    def read(seed: int) -> np.ndarray:
+        reads = PowerReadings(sensor, Battery(), load_drive_constants(), seed)
+        return np.array([reads.value for _ in range(200) if reads.take(np.full((10, 2, 4), 1.0)) is None])
+
+    first = read(1)
+    assert np.array_equal(first, read(1)) and not np.array_equal(first, read(2))
+    assert np.abs(first * 100 - np.rint(first * 100)).max() < 1e-9
+    spread = first.std(axis=0)
+    assert spread == pytest.approx([0.02, *[0.05] * 5], rel=0.2)
+
+
+BAG = """
+topics:
+  command: /cmd_vel
+  odometry: /odom
+  battery: /battery_state
+  motors:
+    left: {topic: /motor_currents, fields: [data.0, data.2]}
+    right: {topic: /motor_currents, fields: [data.1, data.3]}
+wheels: {radius: 0.1075, track: 0.39}
+"""
+
+
+def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: Path) -> None:
+    write_csv(logged, tmp_path / "log.csv")
+    write_mcap(logged, tmp_path / "log.mcap")
+    (tmp_path / "bag.yaml").write_text(BAG)
+    (csv,), (mcap,), (bag,) = (
+        read_log(tmp_path / name, *mapping).records
+        for name, mapping in (("log.csv", ()), ("log.mcap", ()), ("log.mcap", (tmp_path / "bag.yaml",)))
+    )
+    assert csv.battery is not None and csv.motor_currents is not None
+    assert np.array_equal(csv.battery, logged.power_readings[:, :2])
+    assert np.array_equal(csv.motor_currents, logged.power_readings[:, 2:])
+    for name in ("battery", "motor_current", "motor_currents"):
+        assert np.array_equal(getattr(mcap, name), getattr(csv, name))
+        assert getattr(bag, name) == pytest.approx(getattr(csv, name), abs=1e-5)  # BatteryState has single precision
+    assert csv.wheels is not None and bag.wheels == pytest.approx(csv.wheels, abs=1e-9)
+    assert logged_energy([bag]) == pytest.approx(logged_energy([csv]), rel=1e-6)
+
+
+FLOORS = [("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"), ("default", "slippery")]
+
+
+def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:
+    """Ten turns, half a minute."""
+    commands = diagnostic_commands(
+        (400.0, -60.0, 15.0, -8.0, 4.5, -2.8, 1.8, -1.1, 0.8, -0.6), (0.2, 0.6, 0.4), 130, 100
+    )
+    plant = make_plant(f"mujoco:{robot}", surface=surface, seed=seed)
+    assert isinstance(plant, MujocoPlant)
+    return driven(plant, commands)
+
+
+def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
+    rng, errors = np.random.default_rng(31), []
+    for seed, (robot, surface) in enumerate(FLOORS, start=31):
+        usual = load_simulated_robot(robot).drive
+        drive = diagnostic(robot, surface, seed)
+        for k in range(4):
+            true = drawn(usual, rng)
+            prior = usual.model_copy(
+                update={name: getattr(true, name) for name in ("regeneration", "driver_efficiency")}
+            )
+            try:
+                found = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
+            except ValueError as error:
+                assert "apart" in str(error)
+                continue
+            errors.append(
+                [(getattr(found.constants, name) - getattr(true, name)) / found.deviation[name] for name in CONSTANTS]
+            )
+    assert len(errors) >= 12
+    normalised = np.array(errors)
+    assert 0.5 < math.sqrt(np.mean(normalised**2)) < 1.6
+    assert np.abs(normalised).max() < 5

@@ -1,0 +1,283 @@
+"""The predicted tracking error: what it grows with, where it is narrow, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc_extras.predicted_error.calibration import CalibratedRanges, ErrorScale, load_calibration
+from diffdrive_mpc_extras.predicted_error.features import FEATURES, path_features
+from diffdrive_mpc_extras.predicted_error.predicted_error import check_origin
+
+POPULATIONS = tuple(load_calibration().populations)
+DIRECTIONS = ("lateral", "along")
+STUDY = Path(__file__).parents[2] / "studies" / "predicted_error" / "study.yaml"
+
+
+@pytest.fixture(scope="module")
+def controller():
+    return Controller("ssm")
+
+
+def drive(speed=0.4, bend=0.0, change=0.0, seconds=10.0, name="path"):
+    """A path at constant speed whose curvature is `bend` and swings by `change` [1/m]."""
+    t = np.linspace(0.0, seconds, 400)
+    omega = speed * (bend + change * np.sin(2.0 * t))
+    theta = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * np.diff(t))])
+    middle = (theta[1:] + theta[:-1]) / 2
+    x, y = (np.concatenate([[0.0], np.cumsum(speed * f(middle) * np.diff(t))]) for f in (np.cos, np.sin))
+    return Trajectory.from_arrays(t, x, y, theta, np.full_like(t, speed), omega, name=name)
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize(
+    ("calm", "hard"),
+    [
+        ({"speed": 0.3}, {"speed": 0.9}),
+        ({"bend": 0.2}, {"bend": 1.5}),
+        ({"bend": 0.5}, {"bend": 0.5, "change": 1.5}),
+    ],
+    ids=["speed", "curvature", "change of curvature"],
+)
+def test_the_tube_is_wider_where_the_path_is_harder(controller, population, calm, hard):
+    easy, difficult = (controller.predict_error(drive(**path), population) for path in (calm, hard))
+    assert difficult.lateral.everywhere.mean() > 1.1 * easy.lateral.everywhere.mean()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+def test_dead_time_widens_the_tube(population):
+    path = drive(bend=0.8, change=1.5)
+    widths = []
+    for dead_time in (0.0, 0.1, 0.2):
+        config = load_config("ssm", {"extra_dead_time.v": dead_time, "extra_dead_time.omega": dead_time})
+        widths.append(Controller(config).predict_error(path, population).lateral.everywhere.max())
+    assert widths == sorted(widths)
+    assert widths[2] > 1.03 * widths[0]
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+def test_features_and_coefficients_are_not_negative(population):
+    """So the width is monotone in each feature."""
+    twist = np.random.default_rng(3).uniform(-1.5, 1.5, (500, 2))
+    features = path_features(twist, 0.02, load_config("ssm"), np.array([0.14, 0.08]))
+    assert features.shape == (500, len(FEATURES))
+    assert (features >= 0.0).all()
+    for direction in DIRECTIONS:
+        scale = getattr(load_calibration().population(population), direction)
+        assert (scale.row >= 0.0).all()
+        assert scale.everywhere > scale.at_each_place
+
+
+def along_path(predicted, direction, places):
+    """Widths at places of a path [m], each as a share of the whole path."""
+    share = predicted.arc_length / predicted.arc_length[-1]
+    return np.interp(places, share, getattr(predicted, direction).everywhere)
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_more_speed_everywhere_is_nowhere_narrower(controller, population, direction):
+    """The same circle or straight of 4 m, each time driven faster."""
+    for bend in (0.0, 0.3, 1.0):
+        widths = [
+            along_path(
+                controller.predict_error(drive(speed=v, bend=bend, seconds=4.0 / v), population),
+                direction,
+                np.linspace(0, 1, 50),
+            )
+            for v in (0.2, 0.4, 0.6, 0.8)
+        ]
+        assert (np.diff(widths, axis=0) >= -1e-9).all()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("name", ["square", "s", "cane"])
+def test_a_shipped_path_driven_faster_is_nowhere_narrower(controller, name, population, direction):
+    path = load_trajectory(name, controller.config)
+    t = np.linspace(0.0, path.duration, 1500)
+    sample = path.sample(t)
+    widths = []
+    for slower in (2.0, 1.5, 1.0):
+        timed = Trajectory.from_arrays(slower * t, *sample.pose.T, *(sample.twist / slower).T, name=name)
+        widths.append(along_path(controller.predict_error(timed, population), direction, np.linspace(0, 1, 80)))
+    assert (np.diff(widths, axis=0) >= -1e-9).all()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("speed", [0.2, 0.5, 0.8])
+def test_more_curvature_of_the_same_path_is_nowhere_narrower(controller, population, direction, speed):
+    widths = [
+        getattr(controller.predict_error(drive(speed=speed, bend=bend), population), direction).everywhere
+        for bend in (0.0, 0.2, 0.5, 1.0, 1.25)
+    ]
+    assert (np.diff(widths, axis=0) >= -1e-9).all()
+
+
+def test_turns_driven_before_make_a_later_turn_narrower(controller):
+    """The exception: slip was learned from them."""
+    t = np.linspace(0.0, 20.0, 2000)
+    last = []
+    for before in (0.0, 1.0):
+        omega = 0.4 * np.where(t > 15.0, 1.0, np.where(t < 8.0, before, 0.0))
+        theta = np.cumsum(omega) * (t[1] - t[0])
+        x, y = (np.cumsum(0.4 * f(theta)) * (t[1] - t[0]) for f in (np.cos, np.sin))
+        path = Trajectory.from_arrays(t, x, y, theta, np.full_like(t, 0.4), omega, name="turns")
+        last.append(controller.predict_error(path, "own").lateral.everywhere[-200:])
+    assert (last[1] < last[0]).all()
+
+
+@pytest.mark.parametrize("population", POPULATIONS)
+@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
+def test_shipped_linear_models_are_predicted_for_without_warning(name, population):
+    assert Controller(name).predict_error("circle", population).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("kinematic", "provenance.origin is assumed"),
+        ("p2_physical", r"lag of v is [\d.]+ s; errors are predicted for 0.108 to 0.368 s"),
+    ],
+)
+def test_a_model_without_its_lag_gets_no_narrow_tube(name, words):
+    with pytest.raises(ValueError, match=words) as error:
+        Controller(name).predict_error("circle")
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_with_more_lag_than_calibrated_is_refused():
+    config = load_config("ssm", {"extra_dead_time.omega": 0.25})
+    with pytest.raises(ValueError, match=r"lag of omega is 0.325 s; .* Identify the model"):
+        Controller(config).predict_error("circle")
+
+
+def test_assumed_numbers_are_refused_and_unknown_ones_count_as_identified(controller):
+    for provenance in ({}, {"origin": "identified"}, {"origin": "published"}):
+        check_origin(replace(controller.model, provenance=provenance))
+    with pytest.raises(ValueError, match="provenance.origin is assumed") as error:
+        check_origin(replace(controller.model, provenance={"origin": "assumed"}))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ({"speed": 1.2}, ["speed reaches 1.2 m/s"]),
+        ({"speed": 0.8, "bend": 1.5}, ["yaw rate reaches 1.2 rad/s"]),
+        ({"speed": 1.0, "bend": 1.2}, ["speed", "yaw rate"]),
+        ({"speed": 0.8, "bend": 1.25}, []),
+        ({"speed": 0.05}, []),
+    ],
+    ids=["speed", "yaw rate", "both", "at the bounds", "slow"],
+)
+def test_a_path_faster_than_the_calibration_is_predicted_with_a_warning(controller, path, words):
+    predicted = controller.predict_error(drive(**path))
+    assert len(predicted.warnings) == len(words)
+    for word, warning in zip(words, predicted.warnings, strict=True):
+        assert word in warning
+    assert np.isfinite(predicted.lateral.everywhere).all()
+
+
+def test_ranges_are_those_of_the_study():
+    data = yaml.safe_load(STUDY.read_text(encoding="utf-8"))
+    ranges = load_calibration().calibrated.model_dump()
+    assert {name: list(values) for name, values in ranges.items()} == {
+        "v": data["speed"],
+        "omega": data["yaw_rate"],
+        "lag_v": data["lag_v"],
+        "lag_omega": data["lag_omega"],
+    }
+
+
+def test_a_range_that_is_upside_down_is_refused():
+    ranges = load_calibration().calibrated.model_dump()
+    with pytest.raises(ValueError, match="smaller value before the larger"):
+        CalibratedRanges(**(ranges | {"v": (0.8, 0.2)}))
+
+
+def test_a_straight_slow_path_has_a_narrow_tube(controller):
+    slow = controller.predict_error(drive(speed=0.1), "own")
+    assert slow.lateral.at_each_place.max() < 0.005
+    assert slow.lateral.everywhere.max() < 0.01
+
+
+def test_the_worst_place_is_where_the_path_turns(controller):
+    """A straight, a quarter of a circle, a straight: the tube is widest in the curve, and says so."""
+    predicted = controller.predict_error("square", "own")
+    widest = predicted.widest("lateral")
+    assert predicted.lateral.everywhere[widest.index] == predicted.lateral.everywhere.max()
+    assert sum(widest.reasons.values()) == pytest.approx(1.0)
+    assert next(iter(widest.reasons)) in FEATURES
+    assert "m (" in widest.sentence
+    assert FEATURES[next(iter(widest.reasons))] in widest.sentence
+
+
+def test_shapes_and_determinism(controller):
+    first, second = (controller.predict_error(drive(bend=0.5), "drawn") for _ in range(2))
+    count = len(first.time)
+    assert first.pose.shape == (count, 3)
+    assert first.twist.shape == (count, 2)
+    for direction in DIRECTIONS:
+        tube, again = getattr(first, direction), getattr(second, direction)
+        assert tube.at_each_place.shape == tube.everywhere.shape == (count,)
+        assert (tube.everywhere > tube.at_each_place).all()
+        assert tube.everywhere.tobytes() == again.everywhere.tobytes()
+        np.testing.assert_allclose(sum(tube.shares.values()), 1.0)
+
+
+def test_a_prediction_changes_nothing_of_a_drive(controller):
+    controller.start("circle", 0.0)
+    controller.predict_error("square")
+    assert controller.reference.name == "circle"
+
+
+class Standing:
+    """A reference that stands where `value` says, and lasts as long as it is told."""
+
+    name = "standing"
+
+    def __init__(self, duration, value=0.0):
+        self.duration, self.value = duration, value
+
+    def sample(self, times):
+        n = np.size(times)
+        return ReferenceSample(np.full((n, 3), self.value), np.zeros((n, 2)), np.zeros(n))
+
+
+def test_a_million_points_end_in_one_line_and_two_hours_are_predicted(controller):
+    t = np.linspace(0.0, 3600.0, 1_000_000)
+    with pytest.raises(ConfigError, match="at most 500,000") as error:
+        Trajectory.from_arrays(t, 0.3 * t, np.zeros_like(t))
+    assert "\n" not in str(error.value)
+    assert np.isfinite(controller.predict_error(Standing(7200.0)).lateral.everywhere).all()
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        (Standing(5.0, np.nan), "not finite"),
+        (Standing(0.0), "it lasts 0 s"),
+        (Standing(np.nan), "it lasts nan s"),
+        (Standing(1e5), "give it in parts"),
+        (Trajectory.from_waypoints([[0, 0], [9, 0]], speed=3.0), "limits.v"),
+    ],
+)
+def test_what_cannot_be_predicted_ends_in_one_line(controller, reference, words):
+    with pytest.raises(ValueError, match=words) as error:
+        controller.predict_error(reference)
+    assert "\n" not in str(error.value)
+
+
+def test_unknown_names_end_in_one_line(controller):
+    with pytest.raises(ConfigError, match="give drawn or own"):
+        controller.predict_error("circle", "mine")
+    with pytest.raises(ValueError, match="unknown feature 'luck'"):
+        ErrorScale(coefficients={"luck": 1.0, "floor": 1.0}, at_each_place=1.0, everywhere=2.0)
+    with pytest.raises(ValueError, match="floor has to be above zero"):
+        ErrorScale(coefficients={"speed": 1.0}, at_each_place=1.0, everywhere=2.0)

@@ -1,0 +1,165 @@
+"""`diffdrive-mpc prove` and `simulate --from-run`, from the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from opened_report import content_of
+
+from commands import call
+from diffdrive_mpc_extras.campaign.check import check_definitions
+from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.parquet import read_table
+from diffdrive_mpc_extras.proof.boundaries import map_runs
+from diffdrive_mpc_extras.proof.proof_file import load_proof
+
+SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
+PROOF = """
+description: short drives of a model
+runs: 20
+factors:
+  trajectory: short.yaml
+  plant: "model:sm"
+  scenario: {one_of: [none, start_offset]}
+  sensors.pose.latency: {uniform: [0.0, 0.1]}   # s
+probe: {factors: {trajectory: short.yaml, plant: "model:sm"}, seeds: [1, 2]}
+maps:
+  latency-and-noise:
+    x: {factor: sensors.pose.latency, low: 0.0, high: 0.3, steps: 2}        # s
+    y: {factor: sensors.pose.position_sd, low: 0.001, high: 0.1, steps: 2}  # m
+boundaries:
+  sensors.pose.latency: {holds: 0.02, beyond: 0.5, within: 0.3, unit: s}
+"""
+
+
+@pytest.fixture
+def proof(tmp_path: Path) -> Path:
+    return write_proof(tmp_path)
+
+
+def write_proof(folder: Path) -> Path:
+    (folder / "short.yaml").write_text(SHORT, encoding="utf-8")
+    path = folder / "proof.yaml"
+    path.write_text(PROOF, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...]]:
+    """The folder of a proof, and the words of its command."""
+    folder = tmp_path_factory.mktemp("proven")
+    words = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
+    call(*words)
+    return folder / "out", words
+
+
+def test_a_proof_leaves_report_table_figures_and_worst_runs(
+    proven: tuple[Path, tuple[object, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, words = proven
+    report = (out / "prove.md").read_text(encoding="utf-8")
+    for part in ("How often", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
+        assert f"## {part}\n" in report
+    assert "0 of 20 runs had an unsafe command: with 95 % confidence fewer than 13.9 %" in report
+    assert {path.name for path in (out / "figures").iterdir()} == {"errors.png", "map-latency-and-noise.png"}
+    page = content_of(out / "report.html")
+    assert {view["kind"] for view in page["views"]} == {"chart", "map"}
+    assert page["toggles"][0]["values"] in (["none", "start_offset"], ["start_offset", "none"])
+    table = read_table(out / "prove.parquet").to_pydict()
+    assert (len(table["run"]), set(table["model"])) == (20, {"sm"})
+    found = json.loads((out / "prove.json").read_text(encoding="utf-8"))
+    assert found["rates"]["completed"]["of"] == 20
+    assert found["boundaries"][0]["tried"]["0.02"] == 2
+    files = sorted((out / "worst").iterdir())
+    assert [path.name for path in files] == ["01.yaml", "02.yaml", "03.yaml"]
+    # The worst are the worst, and each drives again to the same figures, from where it lies.
+    errors = sorted((error for error in table["position_rmse_m"]), reverse=True)
+    kept = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
+    assert kept == errors[:3]
+    said = call("simulate", "--from-run", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
+    assert "figures are those of the file, to the last bit" in " ".join(said.split())
+    assert (tmp_path / "worst.csv").stat().st_size > 0
+    # A repeated proof drives nothing, and says the same.
+    monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
+    call(*words)
+    body = report.partition("## How often")[2]
+    assert (out / "prove.md").read_text(encoding="utf-8").partition("## How often")[2] == body
+
+
+def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    plain = yaml.safe_load(proof.read_text(encoding="utf-8"))
+    proof.write_text(yaml.safe_dump({key: plain[key] for key in ("description", "runs", "factors")}), encoding="utf-8")
+    call("prove", "ssm", "--campaign", proof, "--out", out, "--jobs", "1", "--runs", "2", "--worst", "1")
+    (path,) = (out / "worst").iterdir()
+    told = yaml.safe_load(path.read_text(encoding="utf-8"))
+    told["figures"]["position_rmse_m"] *= 1.0 + 1e-12
+    told["environment"]["numpy"] = "1.0"
+    path.write_text(yaml.safe_dump(told), encoding="utf-8")
+    said = " ".join(call("simulate", "--from-run", path, "--trust-terms", tmp_path, code=1).split())
+    assert "1 of " in said
+    assert "figures are other ones: position_rmse_m is" in said
+    assert "other than then: numpy (1.0, now" in said
+
+
+def test_the_band_is_that_of_the_file(proof: Path, tmp_path: Path) -> None:
+    text = proof.read_text(encoding="utf-8").partition("maps:")[0]
+    # One of the two does not come to its end.
+    for band, inside in ((1.0, 1), (0.0001, 0)):
+        proof.write_text(f"{text}band: {band}\n", encoding="utf-8")
+        words = ("prove", "sm", "--campaign", proof, "--out", tmp_path / "out", "--jobs", "1", "--runs", "2")
+        assert f"The band is {1e3 * band:g} mm" in " ".join(call(*words, "--worst", "0").split())
+        results = json.loads((tmp_path / "out" / "prove.json").read_text(encoding="utf-8"))
+        assert (results["band_m"], results["rates"]["in_band"]["count"]) == (band, inside)
+
+
+def test_a_configuration_of_the_user_is_proven(proof: Path, tmp_path: Path) -> None:
+    config = tmp_path / "mine.yaml"
+    config.write_text("model: sm\nhorizon: 20\nlimits: {v: 0.9}\n", encoding="utf-8")
+    call("prove", config, "--campaign", proof, "--out", tmp_path / "out", "--jobs", "1", "--runs", "2", "--worst", "1")
+    (path,) = (tmp_path / "out" / "worst").iterdir()
+    assert yaml.safe_load(path.read_text(encoding="utf-8"))["factors"]["config"] == str(config)
+    assert (tmp_path / "out" / "prove.md").read_text(encoding="utf-8").splitlines()[2].startswith("* mine.yaml: ")
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (
+            ("trajectory: short", "model: sm\n  trajectory: short"),
+            "factors.model: remove it; the controller under test is ssm",
+        ),
+        (
+            ("boundaries:\n  sensors", "boundaries:\n  sensor"),
+            "probe and boundaries: unknown factor 'sensor.pose.latency'",
+        ),
+        (("low: 0.0, high", "low: 0.4, high"), "low (0.4) has to be below high (0.3)"),
+        (("latency-and-noise", "Latency"), "maps.Latency"),
+    ],
+)
+def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:
+    text = proof.read_text(encoding="utf-8")
+    assert change[0] in text
+    proof.write_text(text.replace(*change, 1), encoding="utf-8")
+    said = call("prove", "ssm", "--campaign", proof, "--out", tmp_path / "out", code=2)
+    assert line in " ".join(said.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_shipped_proof_can_be_driven() -> None:
+    proof = load_proof(None)
+    check_definitions(proof.definitions(64))
+    probe = Definition.of(dict(proof.probe.factors))
+    ends = [run for of in proof.maps.values() for run in map_runs(of, probe, 0)]
+    ends += [
+        probe.changed({factor: value})
+        for factor, search in proof.boundaries.items()
+        for value in (search.holds, search.beyond)
+    ]
+    check_definitions(ends)
+    # No seed of the probe is among those that are drawn.
+    drawn = {one.case.seed for one in proof.definitions()}
+    assert not drawn & set(proof.probe.seeds)

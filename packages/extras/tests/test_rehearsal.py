@@ -1,0 +1,459 @@
+"""Rehearsal: laps that are learned from, by the path and by the floor."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ideal_robot import IdealRobot, drive
+from scipy.integrate import cumulative_trapezoid
+
+from diffdrive_mpc import Controller, Measurement, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc.models.slip_laws import polynomial_twist
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
+from diffdrive_mpc.mpc.trajectories.drivable import NotDrivableError, nearest_drivable
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
+from diffdrive_mpc_extras.rehearsal.rehearsal import corrected
+
+DT = 0.0202
+BEND = lay_segments(
+    [Segment(v=0.5, omega=0.0, duration=1.5), Segment(v=0.5, omega=0.6, duration=2.0)],
+    TrajectoryLimits.of_robot(),
+    name="bend",
+)
+
+
+class Drifting(IdealRobot):
+    """Is carried to the left and back at the same times of every lap, by `drift` [m/s] at most: a known error."""
+
+    drift = 0.02
+
+    def moved(self, theta, before, after):
+        sideways = self.drift * np.sin(2 * np.pi * self.time / 3.0) * (self.time > 0.5)
+        return super().moved(theta, before, after) + self.model.dt * sideways * np.array(
+            [-np.sin(theta), np.cos(theta), 0.0]
+        )
+
+
+def controller(**settings):
+    values = {"rehearsal.enabled": True, **{f"rehearsal.{key}": value for key, value in settings.items()}}
+    return Controller(replace_values(load_config("ssm"), values))
+
+
+def lap(by, *, seed=0, noise=0.0, slip=None, reference=BEND, robot=Drifting, seconds=None):
+    """Drive one lap; returns the true position error (n, 2) [m] against the reference as it was given, and results."""
+    plant = robot(load_model("ssm").discretise(DT), reference.sample([0.0]).pose[0], slip=slip, noise=noise, seed=seed)
+    results, poses, times = drive(by, plant, reference, reference.duration + DT if seconds is None else seconds)
+    return (poses - reference.sample(times).pose)[:, :2], results
+
+
+def rms(error):
+    return np.sqrt(np.mean(np.sum(error**2, axis=1)))
+
+
+def test_a_known_error_that_repeats_is_removed():
+    learning = controller()
+    errors = [rms(lap(learning)[0]) for _ in range(5)]
+    assert errors[0] > 0.003
+    assert errors[-1] < 0.35 * errors[0]
+
+
+def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
+    learning, plain = controller(), Controller(load_config("ssm"))
+    learned = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
+    without = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
+    other = np.sqrt(np.mean([rms(error - without.mean(axis=0)) ** 2 for error in without]) * 6 / 5)
+    # At least half of what can be removed is.
+    total = np.mean([rms(error) for error in without])
+    assert rms(learned[-1]) < 0.5 * (total + other)
+
+
+def test_the_first_lap_is_driven_as_without_and_off_is_the_default():
+    plain = Controller(load_config("ssm"))
+    assert plain.rehearsal is None
+    assert np.array_equal(lap(controller(), noise=1.0)[0], lap(plain, noise=1.0)[0])
+
+
+def test_laps_repeat_bit_for_bit():
+    one, two = controller(), controller()
+    for seed in range(3):
+        assert np.array_equal(lap(one, seed=seed, noise=1.0)[0], lap(two, seed=seed, noise=1.0)[0])
+    assert np.array_equal(one.rehearsal.correction, two.rehearsal.correction)
+
+
+def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
+    learning = controller(max_correction=0.002, max_correction_rate=0.01, max_heading_correction=0.004)
+    for _ in range(4):
+        lap(learning)
+    found = learning.rehearsal
+    assert np.hypot(*found.correction.T[:2]).max() <= 0.002
+    assert np.hypot(*np.gradient(found.correction[:, :2], found.time, axis=0).T).max() <= 0.01 * (1 + 1e-9)
+    assert np.abs(found.correction[:, 2]).max() <= 0.004
+    assert np.abs(found.correction).max() > 0.001
+    assert not found.correction[0, :2].any()
+
+
+@pytest.mark.parametrize(("forgetting", "least", "most"), [(1.0, 0.0, 0.0), (0.5, 0.1, 0.8)])
+def test_forgetting_takes_its_share(forgetting, least, most):
+    keeping, forgetful = controller(), controller(forgetting=forgetting)
+    for _ in range(3):
+        lap(keeping)
+        lap(forgetful)
+    kept, left = (np.abs(one.rehearsal.correction).max() for one in (keeping, forgetful))
+    assert least * kept <= left <= most * kept
+
+
+class Mirrored(Drifting):
+    drift = -0.04
+
+
+@pytest.mark.parametrize(
+    ("laps", "other", "word"),
+    [(2, {"slip": Slip(yaw_gain=0.7)}, "another floor"), (3, {"robot": Mirrored}, "forgotten")],
+    ids=["another floor", "what makes it worse"],
+)
+def test_what_no_longer_holds_is_forgotten(laps, other, word):
+    learning = controller()
+    for _ in range(laps):
+        lap(learning)
+    assert learning.rehearsal.correction.any()
+    lap(learning, **other)
+    _, results = lap(learning)
+    assert word in results[0].message
+    assert not learning.rehearsal.correction.any()
+
+
+def test_a_lap_that_was_not_driven_to_its_end_teaches_nothing():
+    learning = controller()
+    for _ in range(2):
+        lap(learning)
+    lap(learning, seconds=1.0)
+    before = learning.rehearsal.correction.copy()
+    _, results = lap(learning)
+    assert "not driven to its end" in results[0].message
+    assert np.array_equal(learning.rehearsal.correction, before)
+
+
+def test_a_lap_without_poses_teaches_nothing():
+    learning = controller()
+    learning.start(BEND, 0.0)
+    for k in range(5):
+        learning.step(k * DT, Measurement())
+    learning.start(BEND, 0.0)
+    assert learning.rehearsal.laps == 0
+    assert "at 0.00 s it was STOPPED" in learning.step(0.0, Measurement()).message
+
+
+def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not():
+    learning = controller()
+    for pose in ((0.0, 0.0, 0.0), (2.0, -1.0, 1.0), (5.0, 3.0, -2.0)):
+        lap(learning, reference=starting_at(BEND, pose))
+    learning.start(starting_at(BEND, (0.0, 0.0, 3.0)), 0.0)
+    assert learning.rehearsal.laps == 3
+    learning.start(load_trajectory("circle"), 0.0)
+    assert learning.rehearsal.laps == 0
+    assert not learning.rehearsal.correction.any()
+
+
+def test_false_poses_teach_nothing():
+    def spoil(k, measurement):
+        off = np.array([3.0, -2.0, 0.0]) if k % 40 == 20 else np.array([np.nan] * 3) if k % 40 == 30 else np.zeros(3)
+        return replace(measurement, pose=replace(measurement.pose, value=measurement.pose.value + off))
+
+    learning, clean = controller(), controller()
+    for by, change in ((learning, spoil), (clean, None)):
+        for _ in range(2):
+            drive(
+                by, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change
+            )
+        by.start(BEND, 0.0)
+    assert learning.rehearsal.laps == 2
+    assert np.abs(learning.rehearsal.correction - clean.rehearsal.correction)[:, :2].max() < 0.003
+
+
+def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
+    topic = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
+    inbox = SimpleNamespace(now=0.0, odometry=topic, newest_pose=None, look_up_pose=lambda: None)
+    settings = SimpleNamespace(
+        statistics_window=10, drive_on_activate=True, start_at_robot=True, poses_from="odometry", odom_timeout=1.0,
+        blocked_timeout=9.0,
+    )  # fmt: skip
+    loop = ControlLoop(controller(), settings, inbox, BEND, in_sim_time=True)
+    robot, said = IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), []
+    for _ in range(2):
+        for _ in range(int(BEND.duration / DT) + 130):
+            inbox.now, measurement = robot.time, robot.measure()
+            inbox.measurement, inbox.newest_pose = lambda kept=measurement: kept, measurement.pose
+            tick = loop.tick()
+            said.append(tick.message)
+            robot.advance(tick.command)
+        loop.start()
+    assert any("learned from 1 laps" in message for message in said)
+
+
+def test_reset_forgets():
+    learning = controller()
+    lap(learning)
+    learning.reset()
+    learning.start(BEND, 0.0)
+    assert learning.rehearsal.laps == 0
+
+
+def test_a_corrected_reference_moves_as_its_poses_do():
+    time = np.linspace(0.0, BEND.duration, 200)
+    correction = 0.01 * np.column_stack([np.sin(time), 1 - np.cos(time), np.zeros_like(time)])
+    moved = corrected(BEND, time, correction)
+    given = BEND.sample(time)
+    offset = moved.sample(time).pose - given.pose
+    along = offset[:, 0] * np.cos(given.pose[:, 2]) + offset[:, 1] * np.sin(given.pose[:, 2])
+    assert np.allclose(along, correction[:, 0], atol=1e-12)
+    assert np.allclose(np.hypot(offset[:, 0], offset[:, 1]), np.hypot(*correction.T[:2]), atol=1e-12)
+    fine = np.linspace(0.5, BEND.duration - 0.5, 5000)
+    sample = moved.sample(fine)
+    rate = np.gradient(sample.pose, fine, axis=0)
+    v = rate[:, 0] * np.cos(sample.pose[:, 2]) + rate[:, 1] * np.sin(sample.pose[:, 2])
+    assert np.allclose(sample.twist, np.column_stack([v, rate[:, 2]]), atol=2e-3)
+
+
+def test_without_a_correction_it_is_the_same_reference():
+    time = np.arange(0.0, BEND.duration, DT)
+    same, given = corrected(BEND, time, np.zeros((len(time), 3))).sample(time), BEND.sample(time)
+    assert np.allclose(same.pose, given.pose, atol=1e-12)
+    assert np.allclose(same.twist, given.twist, atol=1e-9)
+
+
+CURVED = {"crab": 0.03, "veer": 0.02, "forward_coupling": 0.03, "yaw_coupling": 0.1}
+SETTINGS = {"rehearsal.enabled": True, "rehearsal.by": "floor"} | {
+    f"estimator.{name}_uncertainty": value for name, value in CURVED.items()
+}
+CONFIG = load_config("ssm", SETTINGS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0})
+INVERSE_GAIN = np.linalg.inv(load_model("ssm").dc_gain)
+FLOORS = ("p4_asphalt", "p4_concrete", "p4_grass")
+CORNER = lay_segments(
+    [Segment(v=0.5, omega=0.0, duration=1.5), Segment(v=0.0, omega=1.0, duration=1.5)]
+    + [Segment(v=0.5, omega=0.0, duration=1.0)],
+    TrajectoryLimits.of_robot(),
+    name="corner",
+)
+
+
+def coefficients(floor):
+    """Those of Table 2 but for a12: its product with side-slip is a lateral term that only the controller's law has."""
+    found = np.array(load_surface(floor).slip.polynomial.coefficients)
+    found[1] = 0.0
+    return found
+
+
+def planned(floor, reference=CORNER, config=CONFIG):
+    return nearest_drivable(reference, Slip.of_polynomial(coefficients(floor)), config, INVERSE_GAIN)
+
+
+def rolled_out(floor, times, wheels, start):
+    """Poses (n, 3) of a body on this floor by the paper's law, its twist added up in a fine grid."""
+    pieces = 20
+    fine = np.linspace(0.0, times[-1], pieces * (len(times) - 1) + 1)
+    inputs = np.column_stack([np.interp(fine, times, wheels[:, i]) for i in (0, 1)])
+    v, lateral, omega = polynomial_twist(coefficients(floor), inputs).T
+    theta = start[2] + cumulative_trapezoid(omega, fine, initial=0.0)
+    c, s = np.cos(theta), np.sin(theta)
+    x, y = (cumulative_trapezoid(rate, fine, initial=0.0) for rate in (c * v - s * lateral, s * v + c * lateral))
+    return np.column_stack([start[0] + x, start[1] + y, theta])[::pieces]
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_what_is_planned_is_where_the_floor_takes_the_robot(floor):
+    found = planned(floor)
+    driven = rolled_out(floor, found.times, found.wheels, found.reference.pose[0])
+    # Within an interval the twist is taken for its mean.
+    assert np.abs(driven - found.pose).max() < 5e-4
+    assert found.distance.max() > 0.003
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_limits_are_kept(floor):
+    found, limits = planned(floor), CONFIG.limits
+    commands = found.wheels @ INVERSE_GAIN.T
+    rates = np.diff(commands, axis=0) / found.times[1]
+    assert (np.abs(commands) <= np.array([limits.v, limits.omega]) + 1e-6).all()
+    assert (np.abs(rates) <= np.array([limits.v_slew, limits.omega_slew]) + 1e-5).all()
+    rim = np.abs(found.wheels[:, 0]) + 0.5 * CONFIG.wheels.track * np.abs(found.wheels[:, 1])
+    assert rim.max() <= limits.wheel_speed + 1e-6
+
+
+def test_no_motion_nearby_is_better():
+    """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
+    floor, price, rng = "p4_asphalt", CONFIG.drivable, np.random.default_rng(5)
+    found = planned(floor)
+    step, given = found.times[1], found.reference
+    # What gives the reference's twist where nothing slips sideways, by Newton's method on the paper's law.
+    own = np.array(given.twist)
+    for _ in range(30):
+        own += given.twist - polynomial_twist(coefficients(floor), own)[:, [0, 2]]
+    aim = given.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
+
+    def cost(wheels):
+        pose = rolled_out(floor, found.times, wheels, given.pose[0])
+        off, turned = np.sum((pose - given.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
+        beside = np.diff(wheels - own, axis=0) / step
+        rates = np.sum((beside * [price.v_rate, price.omega_rate]) ** 2)
+        ends = price.end * off[-1] + price.end_heading**2 * turned[-1]
+        return step * (off.sum() + price.heading**2 * turned.sum() + rates) + ends
+
+    least = cost(found.wheels)
+    assert cost(own) > 3 * least
+    for _ in range(8):
+        centre, width = rng.uniform(0.5, found.times[-1] - 0.5), rng.uniform(0.1, 0.3)
+        bump = np.exp(-(((found.times - centre) / width) ** 2))
+        bump[[0, -1]] = 0.0
+        change = 0.01 * bump[:, None] * rng.normal(size=2)
+        assert min(cost(found.wheels + change), cost(found.wheels - change)) > least * (1 - 1e-3)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    v=st.floats(0.2, 0.6),
+    omega=st.floats(-0.8, 0.8),
+    turn=st.floats(-1.2, 1.2).filter(lambda turn: abs(turn) > 0.1),
+    gains=st.tuples(st.floats(0.9, 1.1), st.floats(0.7, 1.2)),
+)
+def test_without_sideways_slip_it_is_the_reference(v, omega, turn, gains):
+    segments = [Segment(v=v, omega=omega, duration=1.0), Segment(v=0.0, omega=turn, duration=0.8)]
+    reference = lay_segments(segments, TrajectoryLimits.of_robot(), name="any")
+    slip = Slip(longitudinal_gain=gains[0], yaw_gain=gains[1])
+    found = nearest_drivable(reference, slip, CONFIG, INVERSE_GAIN)
+    # An interval in which the reference changes its acceleration has another mean twist.
+    assert found.distance.max() < 5e-4
+
+
+def test_it_is_the_same_path_elsewhere():
+    here = planned("p4_concrete")
+    there = planned("p4_concrete", starting_at(CORNER, (2000.0, -3000.0, 0.0)))
+    assert there.pose - here.pose == pytest.approx(np.tile([2000.0, -3000.0, 0.0], (len(here.pose), 1)), abs=1e-6)
+
+
+def test_a_least_turn_radius_is_kept():
+    radius = 1.0
+    wide = lay_segments(
+        [Segment(v=0.5, omega=0.0, duration=1.0), Segment(v=0.5, omega=0.4, duration=2.0)],
+        TrajectoryLimits.of_robot(),
+        name="wide",
+    )
+    config = load_config("ssm", SETTINGS | {"limits.min_turn_radius": radius})
+    found = planned("p4_grass", wide, config)
+    v, _, omega = polynomial_twist(coefficients("p4_grass"), found.wheels[1:-1]).T
+    assert (radius * np.abs(omega) <= v + 1e-6).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"drivable.iterations": 1}, "the solver ended with maximum iterations exceeded"),
+        ({"drivable.max_shift": 0.002}, "mm at most"),
+        ({"drivable.min_shift": 0.09}, "mm at most"),
+    ],
+)
+def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, words):
+    controller = Controller(load_config("ssm", SETTINGS | settings))
+    floor_lap(controller, "p4_concrete", CORNER)
+    rehearsal = controller.rehearsal
+    assert rehearsal.begin(CORNER, 0.0) is CORNER
+    assert words in rehearsal.said
+    assert "tracked as it is given" in rehearsal.said
+    assert not rehearsal.correction.any()
+
+
+def test_a_solver_that_fails_says_so():
+    with pytest.raises(NotDrivableError, match="iterations"):
+        planned("p4_concrete", config=load_config("ssm", {"drivable.iterations": 1}))
+    blink = lay_segments([Segment(v=0.0, omega=0.0, duration=0.01)], TrajectoryLimits.of_robot(), name="blink")
+    with pytest.raises(NotDrivableError, match="nothing to plan"):
+        planned("p4_concrete", blink)
+
+
+def floor_lap(by, floor, reference, seed=0):
+    """Root mean square of the position error against the reference as it was given [m], and the messages."""
+    run = simulate(by, make_plant("model:ssm", floor, seed=seed), reference)
+    return run.metrics.position_rmse_m, run.messages, run.true_pose
+
+
+@pytest.mark.long
+def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
+    """On the floor where the robot turns about a point furthest from its middle; and bit for bit twice."""
+    square, laps = load_trajectory("square"), []
+    # Again as far as the first lap that drives what was planned.
+    for controller, count in ((Controller(CONFIG), 4), (Controller(CONFIG), 2)):
+        laps.append([floor_lap(controller, "p4_concrete", square, seed) for seed in range(count)])
+    errors = [error for error, _, _ in laps[0]]
+    assert errors[0] > 0.020
+    assert errors[3] < 0.010
+    assert any("slip learned from 3 laps" in message for message in laps[0][3][1])
+    assert all(np.array_equal(one[2], other[2]) for one, other in zip(*laps, strict=False))
+
+
+def test_the_first_lap_is_as_without():
+    plain = Controller(load_config("ssm", SETTINGS | {"rehearsal.enabled": False}))
+    learning = Controller(load_config("ssm", SETTINGS))
+    assert np.array_equal(floor_lap(plain, "p4_grass", CORNER)[2], floor_lap(learning, "p4_grass", CORNER)[2])
+
+
+def first_slip(controller):
+    plant = make_plant("model:ssm", "p4_grass", seed=9)
+    return controller.step(plant.time, plant.measure()).estimate.slip
+
+
+def test_the_estimate_begins_with_what_was_learned_until_reset():
+    controller = Controller(CONFIG)
+    floor_lap(controller, "p4_concrete", CORNER)
+    controller.start(CORNER, 0.0)
+    learned = controller.rehearsal.slip
+    assert first_slip(controller) == learned
+    assert learned.yaw_gain * learned.omega_gain == pytest.approx(0.606, abs=0.05)
+    assert learned.v_offset == 0.0
+    controller.update(limits={"omega": 1.9})
+    controller.step(0.1, make_plant("model:ssm", "p4_grass").measure())
+    controller.start(CORNER, 0.0)
+    assert first_slip(controller) == controller.rehearsal.slip
+    assert controller.rehearsal.config.limits.omega == 1.9
+    controller.reset()
+    controller.start(CORNER, 0.0)
+    assert first_slip(controller) == Slip()
+    assert controller.rehearsal.laps == 0
+
+
+def test_slip_that_is_not_estimated_stays_as_configured():
+    off = {f"estimator.{name}_uncertainty": 0.0 for name in CURVED_SLIPS} | {"compensation.side_slip": False}
+    controller = Controller(load_config("ssm", SETTINGS | off))
+    floor_lap(controller, "p4_concrete", CORNER)
+    controller.rehearsal.begin(CORNER, 0.0)
+    learned = controller.rehearsal.slip
+    assert learned == replace(
+        Slip(), omega_gain=learned.omega_gain, yaw_gain=learned.yaw_gain, longitudinal_gain=learned.longitudinal_gain
+    )
+
+
+def test_what_makes_it_worse_is_forgotten():
+    """Learned where the robot turns about a point behind its middle, driven where it turns about one ahead of it."""
+    controller = Controller(CONFIG)
+    for _ in range(2):
+        floor_lap(controller, "p4_concrete", CORNER)
+    floor_lap(controller, "p4_concrete_left", CORNER)
+    controller.start(CORNER, 0.0)
+    assert "forgotten" in controller.rehearsal.said
+    assert controller.rehearsal.laps == 0
+    assert controller.rehearsal.slip == Slip()
+
+
+def test_another_reference_is_driven_by_the_same_floor():
+    controller = Controller(CONFIG)
+    floor_lap(controller, "p4_concrete", load_trajectory("square"))
+    assert isinstance(controller.rehearsal, FloorRehearsal)
+    assert controller.rehearsal.begin(CORNER, 0.0) is not CORNER

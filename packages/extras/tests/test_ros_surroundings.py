@@ -1,0 +1,293 @@
+"""A costmap and moving things by topics, over DDS."""
+
+import math
+import re
+import time
+from array import array
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from ros_parts import stack
+
+from diffdrive_mpc.mpc import Controller, Mode
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc_extras.free_space.config import FreeSpace
+
+pytest.importorskip("rclpy")
+
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+
+from diffdrive_mpc.mpc.ros.conversions import MessageError, time_message
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc_extras.free_space.surroundings import SurroundingsError
+from diffdrive_mpc_extras.ros.surroundings_input import SurroundingsInput, read_costmap, read_obstacles
+
+SEEING = {"free_space.enabled": True}
+
+
+def costmap(now, wall=None):
+    """6 m by 6 m around the origin, with a wall at x [m]."""
+    message = OccupancyGrid()
+    message.header.frame_id, message.header.stamp = "odom", time_message(now)
+    message.info.resolution, message.info.width, message.info.height = 0.05, 120, 120
+    message.info.origin.position.x = message.info.origin.position.y = -3.0
+    message.info.origin.orientation.w = 1.0
+    cells = np.zeros((120, 120), dtype=np.int8)
+    if wall is not None:
+        column = int((wall + 3.0) / 0.05)
+        cells[:, column : column + 4] = 100
+    message.data = array("b", cells.tobytes())
+    return message
+
+
+def cloud(now, rows, names=("x", "y", "radius", "vx", "vy")):
+    message = PointCloud2(height=1, width=len(rows), point_step=8 * len(names))
+    message.header.frame_id, message.header.stamp = "odom", time_message(now)
+    message.fields = [PointField(name=n, offset=8 * i, datatype=8, count=1) for i, n in enumerate(names)]
+    message.data = np.asarray(rows, dtype=float).tobytes()
+    return message
+
+
+def test_a_costmap_is_read_as_rectangles():
+    found = read_costmap(serialize_message(costmap(5, wall=1.0)), FreeSpace())
+    assert found.grid.boxes.shape == (1, 4, 2)
+    assert found.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
+    assert found.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0])
+    assert (found.frame, found.stamp) == ("odom", 5)
+
+
+def test_points_are_read_as_discs():
+    found = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
+    assert found.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
+    standing = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
+    assert standing.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
+    assert read_obstacles(serialize_message(cloud(7, []))).discs.shape == (0, 5)
+
+
+def change(**values):
+    """Sets fields of a message, those of fields by names with `__`; the rest stays honest."""
+
+    def apply(message):
+        for name, value in values.items():
+            *path, last = name.split("__")
+            part = message
+            for step in path:
+                part = getattr(part, step)
+            setattr(part, last, value)
+        return message
+
+    return apply
+
+
+def cells_of(values):
+    return change(data=array("b", np.resize(np.array(values, dtype=np.int8), 120 * 120).tobytes()))
+
+
+def field(index, **values):
+    def apply(message):
+        change(**values)(message.fields[index])
+        return message
+
+    return apply
+
+
+BAD_GRIDS = {
+    "narrower": (change(info__width=100), "says 100 x 120"),
+    "none": (change(info__width=0), "says 0 x 120"),
+    "lying": (change(info__width=2**32 - 1, info__height=2**32 - 1), "says 4294967295 x 4294967295"),
+    "empty": (change(info__width=0, info__height=0, data=[]), "0 cells"),
+    "large": (
+        change(info__width=600, info__height=500, data=array("b", bytes(300_000))),
+        "cells, at most 250,000|300[0-9]+ bytes",
+    ),
+    "origin NaN": (change(info__origin__position__x=math.nan), "not finite"),
+    "origin infinite": (change(info__origin__position__y=-math.inf), "not finite"),
+    "origin far": (change(info__origin__position__x=1e300), "m away"),
+    "no orientation": (change(info__origin__orientation__w=0.0), "no unit quaternion"),
+    "resolution 0": (change(info__resolution=0.0), "resolution 0.0 m"),
+    "resolution negative": (change(info__resolution=-0.05), "resolution -0.05 m"),
+    "resolution NaN": (change(info__resolution=math.nan), "resolution nan m"),
+    "resolution infinite": (change(info__resolution=math.inf), "resolution inf m"),
+    "resolution huge": (change(info__resolution=1e30), "resolution 1"),
+    "resolution tiny": (change(info__resolution=1e-30), "resolution 0.0 m"),
+    "cells": (cells_of([-128]), "cells from -128"),
+    "pieces": (cells_of([*[100, 0] * 60, *[0] * 120]), "rectangles|pieces"),
+    "frame": (change(header__frame_id="moon"), "frame_id is 'moon'"),
+    "no frame": (change(header__frame_id=""), "frame_id is ''"),
+    "words": (change(header__frame_id="od\x1b[31m\nom"), "frame_id is"),
+    "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
+    "past": (change(header__stamp__sec=-(2**31)), "before the last"),
+}
+BAD_CLOUDS = {
+    "no radius": (field(2, name="size"), "no field radius"),
+    "no fields": (change(fields=[]), "no field x"),
+    "many": (change(width=501), "501 points"),
+    "lying": (change(width=2**32 - 1, height=2**32 - 1), "points; give 500"),
+    "none": (change(width=0), "length"),
+    "short": (change(data=bytes(39)), "length"),
+    "step 0": (change(point_step=0), "length"),
+    "step huge": (change(point_step=2**32 - 1), "length"),
+    "big-endian": (change(is_bigendian=True), "big-endian"),
+    "offset": (field(0, offset=2**32 - 1), "inside a point"),
+    "count": (field(0, count=1000), "inside a point"),
+    "kind": (field(0, datatype=0), "inside a point"),
+    "NaN": (change(data=np.full(5, math.nan).tobytes()), "not finite"),
+    "infinite": (change(data=np.array([1.0, 0, math.inf, 0, 0]).tobytes()), "not finite"),
+    "far": (change(data=np.array([1e9, 0, 1, 0, 0.0]).tobytes()), "m away"),
+    "negative radius": (change(data=np.array([5, 5, -1, 0, 0.0]).tobytes()), "radius -1 m"),
+    "huge radius": (change(data=np.array([5, 5, 1e6, 0, 0.0]).tobytes()), r"radius 1e\+06 m"),
+    "fast": (change(data=np.array([5, 5, 0.1, 1e5, 0.0]).tobytes()), "is faster than"),
+    "large": (change(data=bytes(100_000), width=2500), "bytes|2500 points"),
+    "frame": (change(header__frame_id="moon"), "frame_id is 'moon'"),
+    "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
+    "past": (change(header__stamp__sec=-(2**31)), "before the last"),
+}
+OF_THE_NODE = {"frame", "no frame", "words", "future", "past"}
+"""Whether a message is of here and now is not known where it is read."""
+POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize("name", sorted(BAD_GRIDS.keys() - OF_THE_NODE))
+def test_a_bad_costmap_is_refused_in_one_line(name):
+    spoil, words = BAD_GRIDS[name]
+    with pytest.raises((MessageError, SurroundingsError), match=words) as refused:
+        read_costmap(serialize_message(spoil(costmap(0))), FreeSpace())
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", sorted(BAD_CLOUDS.keys() - OF_THE_NODE))
+def test_bad_points_are_refused_in_one_line(name):
+    spoil, words = BAD_CLOUDS[name]
+    with pytest.raises((MessageError, SurroundingsError), match=words) as refused:
+        read_obstacles(serialize_message(spoil(cloud(0, POINT))))
+    assert "\n" not in str(refused.value)
+
+
+def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the_robot(capfd):
+    """At 20 Hz on both topics, while the robot drives: no exception, a command for each tick, few warnings."""
+    with stack(SEEING, trajectory="s", drive=True, use_costmap=True, use_obstacles=True) as s:
+        base, seen = s.base, s.node._surroundings
+        topics = (
+            (seen.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
+            (seen.obstacles, s.publisher(PointCloud2, "obstacles"), lambda now: cloud(now, POINT), BAD_CLOUDS),
+        )
+        heard = {watch.name: set() for watch, *_ in topics}
+        turns = {watch.name: list(bad.values()) for watch, _, _, bad in topics}
+
+        def send(publisher, message, watch, count):
+            before = getattr(watch, count)
+            publisher.publish(message)
+            base.until(lambda: getattr(watch, count) > before, f"{watch.name} {count}")
+
+        def drive(ticks, *, honest):
+            """Bad ones each second or third tick, honest ones each tenth."""
+            for tick in range(ticks):
+                for watch, publisher, message, _ in topics:
+                    if honest and tick % 10 == 0:
+                        send(publisher, message(base.now), watch, "accepted")
+                    if tick % 5 in (1, 3):
+                        spoil, words = turns[watch.name][0]
+                        turns[watch.name] = turns[watch.name][1:] + turns[watch.name][:1]
+                        send(publisher, spoil(message(base.now)), watch, "refused")
+                        assert re.search(words, watch.last_refusal), (words, watch.last_refusal)
+                        heard[watch.name].add(words)
+                base.step()
+            return s.loop.last
+
+        began = time.monotonic()
+        assert drive(80, honest=True).mode == Mode.TRACKING
+        assert base.commands[-1][0] > 0.1
+        assert {name: len(words) for name, words in heard.items()} == {
+            watch.name: len({words for _, words in bad.values()}) for watch, _, _, bad in topics
+        }
+        most = 1 + (time.monotonic() - began) / 5.0
+        said = capfd.readouterr().err
+        for watch, *_ in topics:
+            assert 1 <= said.count(f"{watch.name} refused") <= most
+        assert "Traceback" not in said and "\x1b" not in said.replace("\x1b[0m", "").replace("\x1b[33m", "")
+        # Nothing honest any more.
+        last = drive(45, honest=False)
+        assert last.mode == Mode.STOPPED and "the surroundings are" in last.message
+        assert drive(60, honest=True).mode == Mode.TRACKING
+
+
+def test_a_combination_that_is_refused_does_not_pass_for_fresh():
+    """A wall and one disc fit; with four discs nothing that was told since the last good messages counts."""
+    controller = Controller(load_config("ssm", SEEING | {"free_space.max_pieces": 4}))
+    inbox = SimpleNamespace(now=100.0, frame="odom", time_of=lambda stamp: stamp * 1e-9)
+    aside = SimpleNamespace(submit=lambda _, job, arguments, done, failed: done(job(*arguments)))
+    said = []
+    seen = SurroundingsInput(NodeSettings(use_costmap=True, use_obstacles=True), controller, inbox, aside, said.append)
+
+    def tell(count):
+        stamp = round(inbox.now * 1e9)
+        seen.take_obstacles(serialize_message(cloud(stamp, count * POINT)))
+
+    seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
+    tell(1)
+    assert not seen.fault and seen.obstacles.accepted == 1
+    inbox.now += 0.9 * controller.config.free_space.max_age
+    seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
+    tell(4)
+    assert "5 convex pieces" in said[-1] and (seen.obstacles.accepted, seen.obstacles.refused) == (1, 1)
+    inbox.now += 0.2 * controller.config.free_space.max_age
+    assert "obstacles is" in seen.fault and "costmap" not in seen.fault
+    tell(1)
+    assert not seen.fault
+
+
+def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wall():
+    with stack(SEEING, trajectory="s", drive=True, use_costmap=True) as s:
+        base, seen = s.base, s.node._surroundings
+        assert not base.run(20).any()
+        assert "the surroundings are" in s.loop.last.message
+        publisher = base.node.create_publisher(OccupancyGrid, "costmap", 1)
+        base.until(lambda: publisher.get_subscription_count() > 0, "the subscription")
+
+        def show(wall):
+            count = seen.costmap.accepted
+            publisher.publish(costmap(base.now, wall))
+            base.until(lambda: seen.costmap.accepted > count, "the costmap to be read")
+
+        commands = []
+        for tick in range(60):
+            if tick % 10 == 0:
+                show(None)
+            commands.append(base.step())
+        assert np.abs(commands).max() > 0.1
+        wall = base.plant.true_pose[0] + 0.6
+        for tick in range(150):
+            if tick % 10 == 0:
+                show(wall)
+            base.step()
+            assert base.plant.true_pose[0] + 0.25 < wall
+        assert "the reference" in s.loop.last.message or s.loop.last.mode == Mode.STOPPED
+        # Nobody tells any more.
+        show(None)
+        base.run(60)
+        assert s.loop.last.mode == Mode.STOPPED
+        assert "s old; free_space.max_age" in s.loop.last.message
+        assert "old" in seen.fault
+
+
+def test_large_messages_are_not_read_and_bad_ones_are_named():
+    with stack(SEEING, trajectory="s", use_costmap=True, use_obstacles=True) as s:
+        base, seen = s.base, s.node._surroundings
+        seen.take_costmap(bytes(300_000))
+        assert "300000 bytes" in seen.costmap.last_refusal
+        publisher = base.node.create_publisher(PointCloud2, "obstacles", qos_profile_sensor_data)
+        base.until(lambda: publisher.get_subscription_count() > 0, "the subscription")
+        elsewhere = cloud(base.now, [[1.0, 2.0, 0.3, 0.0, 0.0]])
+        elsewhere.header.frame_id = "map"
+        publisher.publish(elsewhere)
+        base.until(lambda: seen.obstacles.refused > 0, "the refusal")
+        assert "frame_id is 'map'" in seen.obstacles.last_refusal
+
+
+def test_topics_of_surroundings_need_a_controller_that_sees():
+    with pytest.raises(ValueError, match=r"set free_space\.enabled"), stack(use_costmap=True):
+        pass

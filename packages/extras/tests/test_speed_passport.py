@@ -1,0 +1,182 @@
+"""`diffdrive-mpc prove --tolerance`: what its statistics promise, and paths timed by what it measures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import norm
+
+from commands import call
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.statistics import Rate
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories import load_segments
+from diffdrive_mpc.mpc.trajectories.random_spline import random_splines
+from diffdrive_mpc_extras.campaign.campaign_file import Campaign
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, drive_all
+from diffdrive_mpc_extras.proof.passport import PASSPORT, Key, SpeedSearch, largest_lateral, measure, members
+from diffdrive_mpc_extras.proof.proof_file import PassportPlan, load_proof
+
+SHIPPED = load_proof(None)
+ROBOTS = {name: data for name, data in SHIPPED.factors.items() if name not in {"trajectory", "scenario"}}
+
+
+def test_a_speed_that_passes_is_wrong_no_more_often_than_it_says() -> None:
+    # Errors of known distribution: 0.1 s over the speed in the median, log-normal. Many speeds are just too fast.
+    spread, tolerance = 0.5, 0.05
+    just = tolerance / 0.1 / np.exp(spread * norm.ppf(0.95))
+    speeds = [just * factor for factor in (0.2, 0.4, 0.6, 0.8, 0.95, 1.0 + 1e-9, 1.02, 1.05, 1.1, 1.2, 1.4)]
+    plan, repeats, wrong, none = SHIPPED.passport, 80, 0, 0
+    for repeat in range(repeats):
+
+        def drive(keys: list[Key], repeat: int = repeat) -> Mapping[Key, FloatArray]:
+            lateral = {}
+            for key in keys:
+                _, _, number, block, first = key
+                normal = np.random.default_rng([repeat, block, first]).standard_normal(len(members(plan, block, first)))
+                lateral[key] = 0.1 * speeds[number] * np.exp(spread * normal)
+            return lateral
+
+        search = SpeedSearch("floor", 0.0, tolerance, speeds, plan)
+        measure([search], drive)
+        wrong += search.speed is not None and search.speed > just
+        none += search.speed is None
+    assert Rate.of_runs(wrong, repeats).low < 1.0 - plan.confidence
+    assert none < 0.1 * repeats
+
+
+PLAN: dict[str, Any] = {
+    "share": 0.7,
+    "confidence": 0.8,
+    "search_runs": 5,
+    "proof_runs": 8,
+    "tries": 2,
+    "draw_seed": 5,
+    "curvatures": [0.0, 2.0],
+    "speeds": [0.2, 0.5, 1.0],
+    "straight": 0.5,
+    "arc": 1.0,
+    "surfaces": {"firm": SHIPPED.passport.surfaces["firm"]},
+}
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small passport."""
+    folder = tmp_path_factory.mktemp("passport")
+    plain = {"description": "drawn robots", "runs": 1, "factors": ROBOTS, "passport": PLAN}
+    (folder / "mine.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
+    call(
+        "prove",
+        "ssm",
+        "--campaign",
+        folder / "mine.yaml",
+        "--tolerance",
+        "0.03,0.01",
+        "--out",
+        folder / "out",
+        "--jobs",
+        "1",
+    )
+    return folder / "out"
+
+
+def test_a_passport_is_a_table_a_page_and_a_file(measured: Path) -> None:
+    passport = yaml.safe_load((measured / PASSPORT).read_text(encoding="utf-8"))
+    assert [(row["surface"], row["tolerance"]) for row in passport["rows"]] == [("firm", 0.01), ("firm", 0.03)]
+    rows = json.loads((measured / "passport.json").read_text(encoding="utf-8"))["speeds"]
+    assert [row["speed"] for row in rows] == [speed for row in passport["rows"] for speed in row["speeds"]]
+    fresh = [rate for row in rows for rate in row["fresh"].values()]
+    assert {rate["of"] for rate in fresh} == {PLAN["proof_runs"]}
+    # More room, more speed.
+    assert all(close <= wide for close, wide in zip(*(row["speeds"] for row in passport["rows"]), strict=True))
+    text = (measured / "passport.md").read_text(encoding="utf-8")
+    assert "within 10 mm [m/s]" in text
+    assert "one-sided with 90.0 %, as there are 2 tries" in text
+    assert (measured / "report.html").is_file()
+
+
+def held_out(
+    folder: Path,
+    passport: Path | None,
+    surface: str,
+    tolerance: float,
+    paths: list[str],
+    runs: int,
+    jobs: int | None = 1,
+) -> Rate:
+    """How many robots stay inside on paths that no passport was measured on: robots and seeds are others, too."""
+    factors = ROBOTS | SHIPPED.passport.surfaces[surface] | {"seed": {"each": 90000}, "trajectory": {"one_of": []}}
+    use = {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
+    files = []
+    for name in paths:
+        path = folder / f"{name}-{surface}-{tolerance:g}-{passport is not None}.yaml"
+        path.write_text(yaml.safe_dump({"timing": "smooth", **drawn(name), **use}), encoding="utf-8")
+        files.append(str(path))
+    factors["trajectory"] = {"one_of": files}
+    campaign = Campaign(description="held out", runs=runs, sampler="random", draw_seed=90, factors=factors)
+    with ProgressBar("") as bar:
+        place = CampaignPlace(folder / "runs", jobs)
+        outcomes = drive_all([one.changed({"model": "ssm"}) for one in campaign.definitions()], place, bar)
+    assert not [run.row["error"] for run in outcomes if run.row["error"]]
+    return Rate.of_runs(sum(largest_lateral(run) <= tolerance for run in outcomes), runs)
+
+
+def drawn(name: str) -> dict[str, object]:
+    """A path as fast as the limits allow: bends [1/m], random waypoints, or segments with their speed raised."""
+    if name.startswith("spline-"):
+        return {"waypoints": random_splines().waypoints(int(name.removeprefix("spline-"))).tolist()}
+    if name == "bends":
+        bends = (0.0, 1.8, -1.4, 0.9)
+        return {"segments": [{"v": 0.9, "omega": 0.9 * bend, "duration": 1.0} for bend in bends]}
+    segments = load_segments(name)
+    faster = min(min(1.5 / abs(one.v), 2.0 / max(abs(one.omega), 1e-9)) for one in segments)
+    rows = [{"v": faster * one.v, "omega": faster * one.omega, "duration": one.duration / faster} for one in segments]
+    return {"segments": rows}
+
+
+def test_a_path_timed_by_a_passport_stays_inside_and_one_that_is_not_does_not(measured: Path, tmp_path: Path) -> None:
+    assert held_out(tmp_path, measured / PASSPORT, "firm", 0.01, ["bends"], 10).high >= PLAN["share"]
+    assert held_out(tmp_path, None, "firm", 0.01, ["bends"], 10).high < PLAN["share"]
+
+
+LONG_PATHS = ["slalom", "figure8", "cane", "s", "spline-340001", "spline-340002", "spline-340003"]
+
+
+@pytest.mark.long
+def test_paths_timed_by_the_shipped_plan_stay_inside(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    call("prove", "ssm", "--tolerance", "0.01,0.02,0.05", "--out", out)
+    for surface in SHIPPED.passport.surfaces:
+        for tolerance in (0.01, 0.02, 0.05):
+            rate = held_out(tmp_path, out / PASSPORT, surface, tolerance, LONG_PATHS, 150, jobs=None)
+            assert rate.high >= SHIPPED.passport.share
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--tolerance", "1cm"], "--tolerance '1cm': give lengths in m with commas between them"),
+        (["--tolerance", "0.01,0"], "--tolerance '0.01,0': each has to be above zero"),
+    ],
+)
+def test_a_mistake_is_one_line(words: list[str], line: str, tmp_path: Path) -> None:
+    assert line in " ".join(call("prove", "ssm", *words, "--out", tmp_path / "out", code=2).split())
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"curvatures": [1.0, 0.0]}, "curvatures and speeds have to rise"),
+        ({"proof_runs": 6}, "proof_runs: 6 cannot show a share of 0.7"),
+    ],
+)
+def test_a_plan_that_cannot_be_is_refused(change: dict[str, object], line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        PassportPlan.model_validate(PLAN | change)

@@ -1,0 +1,240 @@
+"""The network that grows and shrinks, and what the torque curves may say."""
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, load_checked
+from diffdrive_mpc_extras.terrain import Shear, load_terrain, side_torques
+from diffdrive_mpc_extras.torque import MranNetwork, TorqueCurves, TorqueSettings, load_torque_settings
+from diffdrive_mpc_extras.turn_costs import least_radius, load_vehicle
+
+SETTINGS = load_torque_settings()
+BOT = load_vehicle("fsu_bot")
+VINYL, ASPHALT = load_terrain("vinyl"), load_terrain("asphalt")
+STIFF = ASPHALT.model_copy(update={"slip": None, "shear": Shear(mu_outer=1.2, mu_inner=0.8, modulus=4e-4)})
+RADII = np.geomspace(0.4, 200.0, 30)
+
+
+def network(**changes):
+    return MranNetwork(SETTINGS.network.model_copy(update=changes))
+
+
+def swept(found, function, passes=30, rng=None):
+    x = np.linspace(-1.0, 6.0, 60)
+    for k in range(passes):
+        for one in x[:: 1 if k % 2 else -1]:
+            found.learn(one, function(one) + (0.0 if rng is None else 0.08 * rng.normal()))
+    return x
+
+
+def with_exponent(value):
+    return SETTINGS.model_copy(update={"curves": SETTINGS.curves.model_copy(update={"speed_exponent": value})})
+
+
+def test_it_begins_empty_and_says_nothing():
+    assert len(network().units) == 0
+    assert network()(np.zeros(3)).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_the_first_unit_makes_up_for_the_error_that_called_it():
+    found = network(window=1, distance=(0.3, 0.3))
+    error = found.learn(2.0, 0.5)
+    assert error == 0.5
+    assert found(2.0) == pytest.approx(0.5)
+    assert found.units.tolist() == [[0.5, 2.0, SETTINGS.network.width[1]]]
+
+
+@pytest.mark.parametrize(
+    "changes", [{"instant_error": 0.6}, {"window_error": 0.6}], ids=["small error", "small error of the window"]
+)
+def test_no_unit_is_added_unless_all_criteria_are_met(changes):
+    found = network(**changes)
+    for _ in range(50):
+        found.learn(2.0, 0.5)
+    assert len(found.units) == 0
+    assert found(2.0) == pytest.approx(0.5, abs=0.05), "it adapts what it has"
+
+
+def test_no_unit_is_added_beside_another():
+    found = network(window=1, distance=(0.3, 0.3))
+    found.learn(2.0, 0.5)
+    found.learn(2.2, -0.5)
+    assert len(found.units) == 1
+    found.learn(2.9, 0.9)
+    assert len(found.units) == 2
+    assert found.units[1, 2] == pytest.approx(SETTINGS.network.overlap * abs(2.9 - found.units[0, 1]), rel=0.05)
+
+
+def test_there_are_never_more_units_than_the_most():
+    rng = np.random.default_rng(0)
+    found = network(most_units=5, distance=(0.05, 0.05), window=1)
+    for _ in range(500):
+        found.learn(*rng.uniform(-3, 3, 2))
+    assert 1 <= len(found.units) <= 5
+
+
+def test_it_learns_a_smooth_curve_from_noise():
+    def curve(x):
+        return 0.9 / (1 + np.exp(1.5 * (x - 1.5)))
+
+    found = network()
+    x = swept(found, curve, rng=np.random.default_rng(3))
+    assert np.sqrt(np.mean((found(x) - curve(x)) ** 2)) < 0.03
+    assert len(found.units) < 20
+
+
+def test_one_update_of_the_offset_alone_is_kalman_s():
+    # A network without units that may not grow is one number with a variance.
+    found = network(instant_error=9.0, drift=0.0)
+    settings = SETTINGS.network
+    found.learn(0.0, 1.0)
+    assert found.offset == pytest.approx(settings.doubt / (settings.doubt + settings.noise**2))
+    for _ in range(99):
+        found.learn(0.0, 1.0)
+    # After n equal samples: the prior counts as noise^2 / doubt samples of zero.
+    assert found.offset == pytest.approx(100 / (100 + settings.noise**2 / settings.doubt))
+
+
+def test_a_unit_that_says_nothing_for_long_goes():
+    found = network(window=1, distance=(0.3, 0.3), prune_after=40, prune_below=0.05)
+    found.learn(0.0, 0.8)
+    found.learn(5.0, 0.5)
+    assert len(found.units) == 2
+    # The second bump vanishes; samples near it say so.
+    for _ in range(1500):
+        found.learn(5.0, found.offset)
+        found.learn(0.0, 0.8)
+    assert len(found.units) == 1
+    assert found(0.0) == pytest.approx(0.8, abs=0.1)
+
+
+def test_nonsense_is_left_out():
+    found = network(window=1)
+    found.learn(1.0, 0.4)
+    before = found.units
+    for x, y in ((np.nan, 0.0), (1.0, np.inf), (np.inf, 0.1)):
+        assert np.isnan(found.learn(x, y))
+    assert np.array_equal(found.units, before)
+    found.learn(1.0, 1e300)
+    assert np.isfinite(found(np.linspace(-5, 8, 20))).all()
+
+
+def test_the_prior_is_learned_from_30_triplets():
+    curves = TorqueCurves.from_prior(BOT, VINYL)
+    true = side_torques(BOT, VINYL, RADII, SETTINGS.curves.speed)
+    assert np.sqrt(np.mean((curves.outer(RADII) - true.outer) ** 2)) < 0.03 * BOT.torque_limit
+    assert np.sqrt(np.mean((curves.inner(RADII) - true.inner) ** 2)) < 0.03 * BOT.torque_limit
+    assert max(curves.units) <= SETTINGS.network.most_units
+    assert curves.least_radius() == 0.0
+
+
+def drive(terrain, hold=3.5, dt=0.02):
+    radii = np.geomspace(200.0, 0.5, 24) * np.tile([1, -1], 12)
+    speeds = np.tile([0.2, 0.4, 0.6], 8)
+    found = side_torques(BOT, terrain, radii, speeds)
+    count = round(hold / dt)
+    left = np.where(radii < 0, found.outer, found.inner)
+    right = np.where(radii < 0, found.inner, found.outer)
+    commands = np.repeat(np.stack([speeds, speeds / radii], -1), count, axis=0)
+    return commands, np.repeat(left, count), np.repeat(right, count), dt
+
+
+def test_another_terrain_is_learned_from_a_prior_that_is_wrong():
+    rng, settings = np.random.default_rng(1), with_exponent(0.0)
+    curves = TorqueCurves.from_prior(BOT, VINYL, settings)
+    commands, left, right, dt = drive(STIFF)
+    noise = 0.15 * rng.normal(size=(2, len(left)))
+    used = curves.learn_drive(commands, left + noise[0], right + noise[1], dt)
+    assert used == pytest.approx((1 - 1.5 / 3.5) * len(left), rel=0.01)
+    true = side_torques(BOT, STIFF, RADII, 0.4)
+    top = np.minimum(true.outer, BOT.torque_limit)
+    assert np.sqrt(np.mean((curves.outer(RADII) - top) ** 2)) < 0.1 * np.sqrt(np.mean(top**2))
+    expected = least_radius(lambda r: side_torques(BOT, STIFF, r, 0.4).outer, BOT.torque_limit)
+    assert curves.least_radius() == pytest.approx(expected, rel=0.2)
+
+
+def test_what_follows_a_change_of_the_command_is_not_learned():
+    curves = TorqueCurves(4.6)
+    commands = np.array([[0.4, 0.1]] * 100 + [[0.4, 0.2]] * 100)
+    assert curves.learn_drive(commands, np.full(200, -1.0), np.full(200, 2.0), 0.02) == 2 * (100 - 75)
+
+
+def test_torques_that_build_up_late_are_learned_as_they_are_in_the_end():
+    commands, left, right, dt = drive(STIFF)
+    lag, (late_left, late_right) = 0.45, (np.empty_like(left), np.empty_like(right))
+    for late, true in ((late_left, left), (late_right, right)):
+        now = 0.0
+        for k, target in enumerate(true):
+            now += (target - now) * dt / lag
+            late[k] = now
+    hasty = SETTINGS.model_copy(update={"curves": with_exponent(0.0).curves.model_copy(update={"settling": 0.5})})
+    top = np.minimum(side_torques(BOT, STIFF, RADII, 0.4).outer, BOT.torque_limit)
+
+    def off(settings):
+        curves = TorqueCurves.from_prior(BOT, VINYL, settings)
+        curves.learn_drive(commands, late_left, late_right, dt)
+        return np.sqrt(np.mean((curves.outer(RADII) - top) ** 2) / np.mean(top**2))
+
+    assert off(with_exponent(0.0)) < 0.07 < off(hasty)
+
+
+@pytest.mark.parametrize("radius", [0.0, 1e-9, 1e9, np.inf, -0.5, -np.inf])
+def test_what_it_says_is_finite_and_within_the_limit(radius):
+    curves = TorqueCurves(2.0)
+    for r in (0.5, 1.0, 2.0, 4.0):
+        for _ in range(50):
+            curves.learn(r, 0.4, 50.0, -50.0)
+    for side in (curves.outer, curves.inner):
+        said = side(np.array([radius]))
+        assert np.isfinite(said).all() and (np.abs(said) <= 2.0).all()
+
+
+def test_beyond_what_was_shown_it_holds():
+    curves = TorqueCurves(4.0)
+    for _ in range(60):
+        for r in (0.8, 1.0, 1.5, 2.0):
+            curves.learn(r, 0.4, 3.0 / r, -1.0 / r)
+    assert curves.shown == pytest.approx((0.8, 2.0))
+    assert curves.outer(50.0) == curves.outer(2.0)
+    assert curves.outer(0.2) == curves.outer(0.8)
+
+
+def test_left_right_forward_and_backward_are_one_turn():
+    curves = TorqueCurves.from_prior(BOT, ASPHALT.model_copy(update={"slip": None}))
+    left, right = curves.torques([[0.4, 0.4]])[0], curves.torques([[0.4, -0.4]])[0]
+    assert left.tolist() == right[::-1].tolist()
+    assert left[1] > 0 > left[0]
+    # Backward and counter-clockwise the left wheels are outside, and turn backward.
+    back = curves.torques([[-0.4, 0.4]])[0]
+    assert back.tolist() == [-left[1], -left[0]]
+    spin = curves.torques([[0.0, 0.5]])[0]
+    assert spin[1] > 0 > spin[0]
+    assert curves.torques([[0.0, 0.0]]).tolist() == [[0.0, 0.0]]
+    assert np.isfinite(curves.torques([[0.4, 0.0]])).all()
+
+
+def test_a_backward_drive_teaches_the_same():
+    commands, left, right, dt = drive(ASPHALT, hold=2.0)
+    forward, backward = TorqueCurves(4.6), TorqueCurves(4.6)
+    forward.learn_drive(commands, left, right, dt)
+    # Commands with both signs changed: the same circle, gone through the other way.
+    backward.learn_drive(-commands, -left, -right, dt)
+    assert backward.outer(RADII) == pytest.approx(forward.outer(RADII))
+
+
+def test_samples_that_are_nothing_change_nothing():
+    curves = TorqueCurves.from_prior(BOT, VINYL)
+    before = curves.outer(RADII)
+    curves.learn(np.nan, 0.4, 1.0, 1.0)
+    curves.learn(1.0, 0.0, 1.0, 1.0)
+    curves.learn(1.0, 0.4, np.inf, 1.0)
+    assert np.array_equal(curves.outer(RADII), before)
+
+
+def test_bad_settings_get_a_sentence(tmp_path):
+    with pytest.raises(ConfigError, match="torque limit"):
+        TorqueCurves(0.0)
+    text = (SETTINGS.model_dump_json()).replace('"width":[0.3,1.2]', '"width":[1.2,0.3]')
+    (tmp_path / "s.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="lower one"):
+        load_checked(TorqueSettings, tmp_path / "s.yaml")

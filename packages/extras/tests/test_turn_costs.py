@@ -1,0 +1,237 @@
+"""Turn costs: the slip law from a drive, torques over every command, power as numbers and as an expression."""
+
+import casadi as ca
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffdrive_mpc import ConfigError, integrate_pose
+from diffdrive_mpc.models.slip_laws import polynomial_twist
+from diffdrive_mpc_extras.energy import predict_energy
+from diffdrive_mpc_extras.terrain import load_terrain
+from diffdrive_mpc_extras.torque import TorqueCurves
+from diffdrive_mpc_extras.torque.torque_curves import costs_of_curves
+from diffdrive_mpc_extras.turn_costs import (
+    SlipCoefficients,
+    identify_slip,
+    identify_slip_from_poses,
+    load_drive_constants,
+    load_turn_costs,
+    load_vehicle,
+    turn_costs_text,
+)
+
+BOT, MOTORS = load_vehicle("fsu_bot"), load_drive_constants("fsu_bot")
+TRUE = np.array(load_terrain("asphalt").slip)
+FLOORS = ("slippery", "default", "carpet", "grippy")
+GRID = np.array([[v, w] for v in (-0.6, -0.2, 0.0, 0.2, 0.4, 0.6) for w in np.linspace(-1.2, 1.2, 41)])
+
+
+@pytest.fixture(scope="module")
+def curves():
+    return TorqueCurves.from_prior(BOT, load_terrain("vinyl"))
+
+
+@pytest.fixture(scope="module")
+def vinyl(curves):
+    return costs_of_curves(curves, TRUE, name="vinyl", vehicle=BOT, drive=MOTORS, provenance="prior")
+
+
+def drive(rng, count=40, hold=25):
+    v, radius = rng.uniform(0.2, 0.6, count), rng.uniform(0.8, 20.0, count) * rng.choice([-1, 1], count)
+    return np.repeat(np.stack([v, v / radius], -1), hold, axis=0)
+
+
+def test_a_slip_law_is_found_again_within_its_doubt():
+    rng = np.random.default_rng(3)
+    commands = drive(rng)
+    clean = identify_slip(commands, polynomial_twist(TRUE, commands))
+    assert clean.coefficients == pytest.approx(TRUE, abs=1e-9)
+    off = []
+    for _ in range(60):
+        noisy = polynomial_twist(TRUE, commands) + rng.normal(0, [0.01, 0.01, 0.03], (len(commands), 3))
+        found = identify_slip(commands, noisy)
+        off.append((found.coefficients - TRUE) / found.deviations)
+    # Normal errors: their spread over the stated deviation is one.
+    assert np.std(off) == pytest.approx(1.0, abs=0.15)
+
+
+def test_noise_that_hangs_together_makes_the_law_less_certain():
+    rng = np.random.default_rng(4)
+    commands = drive(rng)
+    slow = np.repeat(rng.normal(0, [0.01, 0.01, 0.03], (len(commands) // 25, 3)), 25, axis=0)
+    white = rng.normal(0, [0.01, 0.01, 0.03], slow.shape)
+    clean = polynomial_twist(TRUE, commands)
+    assert (
+        identify_slip(commands, clean + slow).deviations > 3 * identify_slip(commands, clean + white).deviations
+    ).all()
+
+
+def test_poses_tell_the_law_as_twists_do():
+    commands, dt = drive(np.random.default_rng(5)), 0.05
+    law = TRUE.copy()
+    law[1] = 0.0  # integrate_pose knows no lateral speed
+    poses = [np.array([1.0, -2.0, 0.4])]
+    for v, _, omega in polynomial_twist(law, commands):
+        poses.append(integrate_pose(poses[-1], v, omega, dt))
+    found = identify_slip_from_poses(commands, np.array(poses[:-1]), dt)
+    assert found.coefficients == pytest.approx(law, abs=1e-9)
+
+
+def test_what_settles_and_what_is_not_finite_is_left_out():
+    commands = drive(np.random.default_rng(6))
+    twist = polynomial_twist(TRUE, commands)
+    twist[::25] += 1.0  # the first row after each change
+    twist[7] = np.nan
+    assert identify_slip(commands, twist, 0.02, 0.02).coefficients == pytest.approx(TRUE, abs=1e-9)
+    assert np.abs(identify_slip(commands, twist).coefficients - TRUE).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("commands", "twist", "words"),
+    [
+        (np.ones((50, 3)), np.ones((50, 3)), "give (n, 2) and (n, 3)"),
+        (np.ones((5, 2)), np.ones((5, 3)), "give 30 or more"),
+        (np.tile([0.4, 0.1], (50, 1)), np.ones((50, 3)), "turns to both sides at two speeds"),
+        (np.tile([0.4, 0.0], (50, 1)), np.ones((50, 3)), "turns to both sides at two speeds"),
+    ],
+)
+def test_a_drive_that_tells_no_slip_law_is_refused(commands, twist, words):
+    with pytest.raises(ConfigError, match=words.replace("(", r"\(").replace(")", r"\)")):
+        identify_slip(commands, twist)
+
+
+def test_the_table_says_what_the_curves_say(vinyl, curves):
+    forward = GRID[(GRID[:, 0] > 0) & (np.abs(GRID[:, 1]) < 2 * GRID[:, 0])]
+    assert vinyl.torques(forward) == pytest.approx(curves.torques(forward), abs=0.06)
+    driven = drive(np.random.default_rng(7))
+    energy = vinyl.power(driven).sum() * 0.02
+    assert energy == pytest.approx(predict_energy(BOT, MOTORS, curves, driven, 0.02).energy, rel=0.01)
+
+
+@pytest.mark.parametrize("name", FLOORS)
+def test_torques_obey_the_symmetries_of_the_robot(name):
+    costs = load_turn_costs(f"fsu_bot-{name}")
+    torques = costs.torques(GRID)
+    assert costs.torques(GRID * [1, -1]) == pytest.approx(torques[:, ::-1], abs=1e-12)  # mirrored
+    assert costs.torques(-GRID) == pytest.approx(-torques, abs=1e-12)  # backward
+    assert np.abs(torques).max() <= costs.vehicle.torque_limit
+    assert costs.torques([[0.0, 0.0]]) == pytest.approx(np.zeros((1, 2)), abs=1e-12)
+    spot = costs.torques([[0.0, 0.5]])
+    assert spot[0, 0] == pytest.approx(-spot[0, 1])
+
+
+@pytest.mark.parametrize("name", FLOORS)
+@pytest.mark.parametrize("symbol", [ca.SX.sym, ca.MX.sym])
+def test_the_expression_is_the_power_and_smooth(name, symbol):
+    costs = load_turn_costs(f"fsu_bot-{name}")
+    v, omega = symbol("v"), symbol("w")
+    power = costs.symbolic_power(v, omega)
+    both = ca.vertcat(v, omega)
+    said = ca.Function("power", [v, omega], [power, ca.gradient(power, both), ca.hessian(power, both)[0]])
+    rows = GRID[GRID[:, 0] > 0]
+    values = np.array([float(said(*row)[0]) for row in rows])
+    true = costs.power(rows)
+    assert np.abs(values - true).max() < 0.03 * true.max() + 0.1
+    # Even and flat in curvature at straight on, curved upward; finite everywhere.
+    value, gradient, hessian = (np.array(one) for one in said(0.4, 0.0))
+    assert gradient[1] == pytest.approx(0.0, abs=1e-9)
+    ahead = float(said(0.4, 1e-5)[0])
+    assert (ahead - float(value.squeeze())) * 2e10 == pytest.approx(hessian[1, 1], rel=0.05)
+    assert all(np.isfinite(np.array(one)).all() for row in GRID for one in said(*row))
+
+
+@given(v=st.floats(0.1, 0.6), omega=st.floats(-1.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_the_gradient_of_the_expression_is_that_of_its_values(v, omega):
+    said = _gradient()
+    step = 1e-5
+    for k, (dv, dw) in enumerate(((step, 0.0), (0.0, step))):
+        slope = (float(said(v + dv, omega + dw)[0]) - float(said(v - dv, omega - dw)[0])) / (2 * step)
+        assert float(said(v, omega)[1][k]) == pytest.approx(slope, rel=1e-3, abs=1e-2)
+
+
+def _gradient(kept=[]):  # noqa: B006 - made once
+    if not kept:
+        v, omega = ca.SX.sym("v"), ca.SX.sym("w")
+        power = load_turn_costs("fsu_bot-slippery").symbolic_power(v, omega)
+        kept.append(ca.Function("power", [v, omega], [power, ca.gradient(power, ca.vertcat(v, omega))]))
+    return kept[0]
+
+
+def test_without_regeneration_a_side_that_brakes_gives_nothing():
+    costs = load_turn_costs("fsu_bot-grippy")
+    kept = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
+    turn = [[0.4, 0.1]]
+    inner = kept.torques(turn)[0, 0] * kept.vehicle.rims(np.array(turn))[0, 0] / kept.vehicle.wheel_radius
+    assert inner < 0 and kept.power(turn) > costs.power(turn)
+    v, omega = ca.SX.sym("v"), ca.SX.sym("w")
+    said = ca.Function("power", [v, omega], [kept.symbolic_power(v, omega)])
+    assert float(said(0.4, 0.1)) == pytest.approx(kept.power(turn)[0], rel=0.02)
+
+
+@given(v=st.floats(-0.6, 0.6), omega=st.floats(-0.5, 0.5))
+@settings(max_examples=60, deadline=None)
+def test_commands_give_the_twist_that_is_asked(v, omega):
+    costs = load_turn_costs("fsu_bot-default")
+    assert costs.twist(costs.command(v, omega))[[0, 2]] == pytest.approx([v, omega], abs=1e-9)
+
+
+def test_least_radii_are_those_of_the_curves_and_go_with_speed():
+    assert load_turn_costs("fsu_bot-slippery").least_radius() == 0.0
+    grippy = load_turn_costs("fsu_bot-grippy")
+    assert 1.5 < grippy.least_radius() < 2.5
+    assert grippy.least_radius(0.6) == pytest.approx(1.5 * grippy.least_radius(0.4), rel=0.01)
+    outer = grippy.torques([[0.4, 0.4 / grippy.least_radius()]])[0, 1]
+    assert outer == pytest.approx(0.95 * BOT.torque_limit, rel=1e-3)
+    with pytest.raises(ConfigError, match=r"speed 0 m/s"):
+        grippy.least_radius(0)
+
+
+def test_what_is_written_is_read_again(vinyl, tmp_path):
+    path = tmp_path / "costs.yaml"
+    path.write_text(turn_costs_text(vinyl), encoding="utf-8")
+    again = load_turn_costs(path)
+    assert "vehicle: fsu_bot" in path.read_text(encoding="utf-8")
+    assert again.power(GRID) == pytest.approx(vinyl.power(GRID), abs=0.01)
+    loaded = vinyl.model_copy(update={"vehicle": BOT.carrying(5.0)})
+    path.write_text(turn_costs_text(loaded), encoding="utf-8")
+    assert load_turn_costs(path).vehicle == loaded.vehicle
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"curve": {"radius": [1, 2, 2], "outer": [1, 1, 1], "inner": [0, 0, 0]}}, "has to ascend"),
+        ({"curve": {"radius": [1, 2, 3], "outer": [1, 1, 1, 1], "inner": [0, 0, 0]}}, "give as many of each"),
+        ({"vehicle": "fsu_bott"}, "did you mean 'fsu_bot'"),
+        ({"slip": {"a14": 1.0}}, "did you mean 'slip.a31'"),
+    ],
+)
+def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change, words):
+    plain = yaml.safe_load(turn_costs_text(load_turn_costs("fsu_bot-carpet")))
+    for key, value in change.items():
+        plain[key] = plain[key] | value if isinstance(value, dict) else value
+    path = tmp_path / "costs.yaml"
+    path.write_text(yaml.safe_dump(plain), encoding="utf-8")
+    with pytest.raises(ConfigError, match=words) as error:
+        load_turn_costs(path)
+    assert "\n" not in str(error.value)
+
+
+def test_curves_that_were_shown_nothing_give_no_table():
+    with pytest.raises(ConfigError, match="learn a drive first"):
+        costs_of_curves(TorqueCurves(4.6), np.zeros(9), name="none", vehicle=BOT, drive=MOTORS, provenance="nothing")
+    with pytest.raises(ConfigError, match="nine finite numbers"):
+        SlipCoefficients.of(np.zeros(8))
+
+
+def test_power_at_rest_adds_to_that_of_every_command() -> None:
+    own = load_turn_costs("fsu_bot-default")
+    fed = own.with_idle_power(own.drive.idle_power + 7.0)
+    commands = np.array([[0.4, 0.0], [0.4, 0.15], [0.0, 0.0], [-0.2, 0.3]])
+    np.testing.assert_allclose(fed.power(commands) - own.power(commands), 7.0)
+    with pytest.raises(ConfigError, match="idle power -1"):
+        own.with_idle_power(-1.0)

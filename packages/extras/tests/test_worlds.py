@@ -1,0 +1,339 @@
+"""Worlds: what is touched is counted, what is hidden is not seen, what is drawn can be passed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from loop_parts import ConstantTwist, FeedForward, FixedStep
+
+from diffdrive_mpc import ConfigError, RobotLostError
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc_extras.worlds.drawn_world import drawing, drawn_world
+from diffdrive_mpc_extras.worlds.passage import outline_points
+from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Polygon, Shapes, Wall, distance_to_polygon
+from diffdrive_mpc_extras.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
+from diffdrive_mpc_extras.worlds.world import World
+from diffdrive_mpc_extras.worlds.world_file import SHIPPED, load_world
+from diffdrive_mpc_extras.worlds.world_plant import TouchedError, WorldPlant
+
+WIDTH, LENGTH = 0.38, 0.30
+"""Of the robot of the papers: over its tyres, and of its body [m]."""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(f"description: mine\ntime_limit: 20\n{text}", encoding="utf-8")
+    return path
+
+
+def plant_in(folder: Path, text: str) -> WorldPlant:
+    plant = make_plant("mujoco", sensors="perfect", world=written(folder, text))
+    assert isinstance(plant, WorldPlant)
+    return plant
+
+
+def drive(plant: WorldPlant, command: tuple[float, float], ticks: int) -> FloatArray:
+    plant.reset((0, 0, 0))
+    driven = []
+    for _ in range(ticks):
+        driven.append(plant.true_pose)
+        plant.advance(command)
+    return np.array(driven)
+
+
+def test_a_wall_ahead_is_touched_where_it_stands_with_the_speed_of_the_robot(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, "ends_at_contact: false\nwalls: [{start: [1, -1], end: [1, 1], thickness: 0.1}]\n")
+    driven = drive(plant, (0.5, 0.0), 200)
+    (contact,) = plant.contacts
+    assert contact.obstacle == "wall 0"
+    assert contact.x == pytest.approx(0.95, abs=0.01)
+    assert contact.speed == pytest.approx(0.5, abs=0.03)
+    # The front of the body stops at the wall, and the wall does not give way.
+    assert driven[-1, 0] == pytest.approx(0.95 - LENGTH / 2, abs=0.01)
+
+
+def test_along_a_wall_nothing_is_touched_until_the_tyres_do(tmp_path: Path) -> None:
+    for gap, touched in ((0.01, False), (-0.01, True)):
+        near = WIDTH / 2 + gap
+        middle = near + 0.05
+        wall = f"{{start: [0.5, {middle}], end: [3, {middle}], thickness: 0.1}}"
+        text = f"ends_at_contact: false\nwalls: [{wall}]\n"
+        plant = plant_in(tmp_path, text)
+        drive(plant, (0.5, 0.0), 150)
+        assert bool(plant.contacts) == touched
+
+
+def test_a_turn_on_the_spot_counts_the_speed_of_the_corner(tmp_path: Path) -> None:
+    # The corners reach 0.242 m, the sides 0.15 and 0.19 m.
+    plant = plant_in(tmp_path, "ends_at_contact: false\nposts: [{at: [0.27, 0], radius: 0.05}]\n")
+    drive(plant, (0.0, 1.0), 100)
+    assert plant.contacts
+    # Contact is at 0.22 to 0.242 m from the middle; the true yaw rate is about the commanded one.
+    assert plant.contacts[0].speed == pytest.approx(0.23, rel=0.25)
+
+
+def test_a_contact_ends_the_run_and_says_what_was_touched(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, "posts: [{at: [0.6, 0.1], radius: 0.1}]\n")
+    with pytest.raises(TouchedError, match=r"it touched post 0 at x = 0\.5\d m, y = 0\.\d\d m with 0\.\d\d m/s"):
+        drive(plant, (0.5, 0.0), 200)
+    run = simulate(FeedForward(), plant, ConstantTwist(0.5, 0.0, 3.0))
+    assert "post 0" in run.ended
+    assert run.passage is not None and run.passage.contacts == 1 and not run.passage.arrived
+    assert run.passage.clearance_m == 0.0
+
+
+def test_a_world_far_away_changes_no_bit_of_a_run(tmp_path: Path) -> None:
+    far = "posts: [{at: [50, 50], radius: 1}]\nboxes: [{centre: [60, 0], size: [1, 2]}]\nmovers: [{x: 70, y: 0}]\n"
+    with_it = drive(plant_in(tmp_path, far), (0.6, 0.5), 100)
+    without = make_plant("mujoco", sensors="perfect")
+    without.reset((0, 0, 0))
+    for pose in with_it:
+        np.testing.assert_array_equal(without.true_pose, pose)
+        without.advance((0.6, 0.5))
+
+
+def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> None:
+    looks, poses = [], []
+    for _ in range(2):
+        plant = make_plant("mujoco", world="crossing", seed=4)
+        assert isinstance(plant, WorldPlant)
+        plant.reset((0, 0, 0))
+        seen = []
+        for _ in range(60):
+            seen.append(plant.look())
+            plant.advance((0.3, 0.1))
+        looks.append([(one.time, one.discs, one.grid.cells.tobytes()) for one in seen if one is not None and one.grid])
+        poses.append(plant.true_pose)
+    assert looks[0] == looks[1] and len(looks[0]) == 12
+    np.testing.assert_array_equal(*poses)
+
+
+def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, "movers: [{x: 0, y: 0, time: 2, direction: 1.57, speed: 1.0}]\n")
+    driven = drive(plant, (0.0, 0.0), 200)
+    (contact,) = plant.contacts
+    assert contact.obstacle == "mover 0"
+    # Edge to edge after 2 s less the time for half a width and the radius.
+    assert contact.time == pytest.approx(2.0 - (WIDTH / 2 + 0.25), abs=0.02)
+    assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02)
+    assert contact.fastest < 0.005
+    assert np.abs(driven[-1]).max() < 1e-3
+
+
+def test_a_person_run_into_while_driving_ends_the_run(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, "movers: [{x: 0.8, y: 0}]\n")
+    with pytest.raises(RobotLostError, match="mover 0"):
+        drive(plant, (0.5, 0.0), 100)
+
+
+def test_what_is_taken_away_can_be_driven_through_and_stands_again_after_a_reset(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, "boxes: [{centre: [0.8, 0], size: [0.2, 1], until: 2.0}]\n")
+    with pytest.raises(RobotLostError):
+        drive(plant, (0.5, 0.0), 120)
+    driven = drive(plant, (0.2, 0.0), 260)
+    assert driven[-1, 0] > 0.95 and not plant.contacts
+    with pytest.raises(RobotLostError):
+        drive(plant, (0.5, 0.0), 120)
+
+
+def test_what_stands_behind_a_wall_is_not_seen(tmp_path: Path) -> None:
+    wall, sight = Wall(start=(1.0, -0.5), end=(1.0, 0.5)), load_world("slalom").sight
+    shapes = Shapes((wall.corners,), np.array([[2.0, 0.0, 0.2], [2.0, 1.9, 0.2]]))
+    distances, bearings = cast_rays(np.zeros(3), shapes, sight)
+    ahead = np.abs(bearings) < 0.4
+    np.testing.assert_allclose(distances[ahead] * np.cos(bearings[ahead]), 0.95, atol=1e-9)
+    # The second post stands beside the wall's shadow: rays end on it.
+    to_post = np.hypot(*(distances[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)]) - [2.0, 1.9]).T)
+    assert np.isclose(to_post, 0.2).sum() > 5
+    hidden, beside = Mover(x=2.0, y=0.0), Mover(x=2.0, y=1.9)
+    assert not in_view(hidden, 0.0, np.zeros(3), shapes, sight)
+    assert in_view(beside, 0.0, np.zeros(3), Shapes((wall.corners,), np.zeros((0, 3))), sight)
+    # Behind the back: the field of view is 270 degrees.
+    assert not in_view(Mover(x=-2.0, y=0.0), 0.0, np.zeros(3), shapes, sight)
+    assert in_view(Mover(x=-2.0, y=0.0), 0.0, np.array([0.0, 0.0, math.pi]), shapes, sight)
+    assert not in_view(Mover(x=2.0, y=1.9, seen_from=1.0), 0.5, np.zeros(3), Shapes((), np.zeros((0, 3))), sight)
+
+
+def test_the_costmap_knows_what_rays_have_met_and_nothing_beyond(tmp_path: Path) -> None:
+    walls = "walls: [{start: [1, -3], end: [1, 3], thickness: 0.1}]\n"
+    text = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
+    seen = Eyes(load_world(written(tmp_path, text)), 0).look(0.0, [0, 0, 0])
+    assert seen is not None and seen.grid is not None
+    grid = seen.grid
+
+    def cell(x: float, y: float) -> int:
+        return int(grid.cells[math.floor((y - grid.origin[1]) / 0.05), math.floor((x - grid.origin[0]) / 0.05)])
+
+    assert cell(0.5, 0.0) == FREE and cell(0.96, 0.0) == OCCUPIED
+    assert cell(1.3, 0.0) == cell(1.6, 0.0) == UNKNOWN  # behind the wall
+    assert cell(-1.5, 0.0) == UNKNOWN  # behind the back
+    assert set(np.unique(grid.cells)) == {UNKNOWN, FREE, OCCUPIED}
+
+
+def test_the_costmap_remembers_what_it_saw_and_forgets_what_has_gone(tmp_path: Path) -> None:
+    text = "boxes: [{centre: [1, 0], size: [0.2, 0.2], until: 5.0}]\nsight: {range_sd: 0, latency: 0}\n"
+    eyes = Eyes(load_world(written(tmp_path, text)), 0)
+
+    def occupied(time: float, pose: tuple[float, float, float]) -> int:
+        seen = eyes.look(time, pose)
+        assert seen is not None and seen.grid is not None
+        return int((seen.grid.cells == OCCUPIED).sum())
+
+    assert occupied(0.0, (0, 0, 0)) >= 4
+    assert occupied(1.0, (0.5, 0.0, math.pi)) >= 4  # turned away
+    assert occupied(6.0, (0, 0, 0)) == 0
+
+
+def test_looks_come_late_and_in_their_rate(tmp_path: Path) -> None:
+    eyes = Eyes(load_world(written(tmp_path, "sight: {period: 0.1, latency: 0.06, kind: shapes}\n")), 0)
+    arrived = [(k / 50, seen.time) for k in range(50) if (seen := eyes.look(k / 50, [0, 0, 0])) is not None]
+    assert len(arrived) == 10
+    for now, of in arrived:
+        assert 0.06 - 1e-9 <= now - of <= 0.08 + 1e-9
+
+
+def test_the_velocity_of_a_person_is_found_and_the_noise_is_as_stated(tmp_path: Path) -> None:
+    sight = "sight: {person_sd: 0.03, latency: 0, kind: shapes, range: 9}\n"
+    text = "movers: [{x: 2, y: -2, direction: 1.57, speed: 1.0}]\n" + sight
+    world = load_world(written(tmp_path, text))
+    errors = []
+    for seed in range(60):
+        eyes = Eyes(world, seed)
+        looks = [eyes.look(k / 10, [0, 0, 0]) for k in range(16)]
+        assert looks[0] is not None and looks[-1] is not None
+        first, last = looks[0].discs[0], looks[-1].discs[0]
+        errors.append([first.x - 2.0, first.y + 2.0, last.vx, last.vy - 1.0])
+        assert first.vx == first.vy == 0.0  # one place is no velocity
+    errors = np.array(errors)
+    assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60)
+    assert 0.02 < errors[:, :2].std() < 0.04
+    assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.06 and errors[:, 2:].std() < 0.2
+
+
+@pytest.mark.parametrize("through", [False, True])
+def test_drawn_worlds_can_be_passed_and_are_the_same_each_time(through: bool) -> None:
+    of, densities = drawing(), []
+    for seed in range(6):
+        world = drawn_world(seed, through=through)
+        drawn_world.cache_clear()
+        assert drawn_world(seed, through=through) == world
+        densities.append(len(world.posts))
+        assert world.way is not None
+        assert filled(world, of.disc_radius)
+        way = np.array(world.way.waypoints)
+        if through:
+            # Some post stands in the way of the robot's hull.
+            assert world.shapes(0.0).distance(dense(way)).min() < WIDTH / 2
+        else:
+            assert world.shapes(0.0).distance(dense(way)).min() > of.disc_radius - 0.02
+    assert len(set(densities)) > 3
+
+
+def dense(way: FloatArray) -> FloatArray:
+    return np.vstack([a + np.linspace(0, 1, 30)[:, None] * (b - a) for a, b in itertools.pairwise(way)])
+
+
+def filled(world: World, radius: float) -> bool:
+    """Whether a disc comes from start to goal, by filling the free cells from the start: no A*, another grid."""
+    step = 0.04
+    x, y = np.arange(-0.4, 8.4, step), np.arange(-2.6, 2.6, step)
+    points = np.column_stack([one.ravel() for one in np.meshgrid(x, y)])
+    free = (world.shapes(0.0).distance(points) > radius).reshape(len(y), len(x))
+    reached = np.zeros_like(free)
+    reached[np.argmin(np.abs(y)), np.argmin(np.abs(x))] = True
+    while True:
+        spread = reached.copy()
+        spread[1:] |= reached[:-1]
+        spread[:-1] |= reached[1:]
+        spread[:, 1:] |= reached[:, :-1]
+        spread[:, :-1] |= reached[:, 1:]
+        spread &= free
+        if (spread == reached).all():
+            break
+        reached = spread
+    assert world.way is not None
+    goal = world.way.waypoints[-1]
+    return bool(reached[np.argmin(np.abs(y - goal[1])), np.argmin(np.abs(x - goal[0]))])
+
+
+def test_shipped_worlds_are_what_they_say() -> None:
+    names = {path.stem for path in SHIPPED.glob("*.yaml")}
+    assert names == {"blocked", "crossing", "crowd", "doorway", "opening", "slalom"}
+    left, right = load_world("doorway").walls
+    opening = left.corners[:, 1].min() - right.corners[:, 1].max()
+    assert opening == pytest.approx(WIDTH + 0.10)
+    drawn = [load_world("crossing", seed).movers[0] for seed in range(40)]
+    assert len({one.speed for one in drawn}) == 40
+    assert all(0.3 <= one.speed <= 1.6 and abs(math.sin(one.direction)) > 0.4 for one in drawn)
+    assert {one.seen_from == 0.0 for one in drawn} == {True, False}
+
+
+def test_distances_from_shapes() -> None:
+    box = Box(centre=(1.0, 2.0), size=(2.0, 1.0), angle=math.pi / 2)
+    np.testing.assert_allclose(sorted(box.corners.tolist()), [[0.5, 1], [0.5, 3], [1.5, 1], [1.5, 3]], atol=1e-12)
+    points = np.array([[1.0, 2.0], [2.5, 2.0], [2.5, 4.0]])
+    np.testing.assert_allclose(distance_to_polygon(points, box.corners), [0.0, 1.0, math.sqrt(2)], atol=1e-12)
+    clockwise = Polygon(points=((0, 0), (0, 1), (1, 0)))
+    np.testing.assert_allclose(distance_to_polygon(np.array([[0.2, 0.2], [-1, 0]]), clockwise.corners), [0, 1])
+    corners = np.abs(outline_points((LENGTH, WIDTH))).max(axis=0)
+    np.testing.assert_allclose(corners, [LENGTH / 2, WIDTH / 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("post: []\n", r"unknown key 'post'; did you mean 'posts'"),
+        ("posts: [{at: [0, 0], radius: -1}]\n", r"posts\.0\.radius"),
+        ("walls: [{start: [1, 1], end: [1, 1]}]\n", r"walls\.0: start and end coincide"),
+        ("polygons: [{points: [[0, 0], [2, 0], [0.5, 0.5], [0, 2]]}]\n", r"give a convex polygon"),
+        ("movers: [{x: [3, 1], y: 0}]\n", r"a range goes from low to high"),
+        ("movers: [{x: 0, y: 0, speed: [1, 50]}]\n", r"movers\.0\.speed"),
+        ("way: {waypoints: [[0, 0]], speed: 1}\n", r"way\.waypoints"),
+        ("sight: {rage: 3}\n", r"sight\.rage'; did you mean 'sight\.range'"),
+        ("posts: [{at: [.nan, 0], radius: 1}]\n", r"posts\.0\.at\.0"),
+    ],
+)
+def test_a_mistake_in_a_file_gets_its_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence) as error:
+        load_world(written(tmp_path, text))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["doorwy", "drawn:x", "drawn:-1", "drawn:3:over", "drawn"])
+def test_a_world_that_is_not_there_gets_its_sentence(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"drawn:SEED"):
+        load_world(name)
+
+
+def test_a_plant_without_a_body_refuses_a_world() -> None:
+    with pytest.raises(ConfigError, match="use 'mujoco'"):
+        make_plant("model:sm", world="doorway")
+
+
+def test_the_goal_ends_the_run_when_the_way_is_driven(tmp_path: Path) -> None:
+    plant = plant_in(tmp_path, "way: {waypoints: [[0, 0], [1, 0]], speed: 0.5}\n")
+    run = simulate(FeedForward(), plant, ConstantTwist(0.5, 0.0, 2.0))
+    assert run.passage is not None and run.passage.arrived
+    # Long before the time limit of 20 s; it drove 1 m in 2 s.
+    assert 2.0 <= run.passage.time_s < 2.5 and run.time[-1] < 3.0
+    assert run.passage.clearance_m == math.inf
+
+
+class Unwilling(FeedForward):
+    """Never moves."""
+
+    def step(self, t: float, measurement: Measurement) -> FixedStep:
+        return FixedStep(np.zeros(2))
+
+
+def test_a_robot_that_stands_for_good_ends_the_run_where_nothing_changes(tmp_path: Path) -> None:
+    still, moving = "posts: [{at: [5, 5], radius: 1}]\n", "movers: [{x: 5, y: 5}]\n"
+    runs = [simulate(Unwilling(), plant_in(tmp_path, text), ConstantTwist(0.5, 0.0, 2.0)) for text in (still, moving)]
+    assert [round(run.time[-1]) for run in runs] == [10, 20]  # give_up, and the time limit of the file
+    for run in runs:
+        assert run.passage is not None and not run.passage.arrived and run.passage.contacts == 0

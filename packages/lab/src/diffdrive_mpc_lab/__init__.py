@@ -1,0 +1,11 @@
+"""The laboratory: the controller, a simulated robot and a peer as one page for a browser."""
+
+from importlib.metadata import version
+
+_ROOT = "0.3"
+"""Minor version of diffdrive-mpc that this package is built on."""
+
+if not version("diffdrive-mpc").startswith(f"{_ROOT}."):
+    raise ImportError(
+        f"diffdrive-mpc-lab {_ROOT} needs diffdrive-mpc {_ROOT}, found {version('diffdrive-mpc')}: install both of one version"
+    )

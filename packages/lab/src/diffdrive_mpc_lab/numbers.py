@@ -1,0 +1,283 @@
+"""The laboratory's numbers: flat arrays for C, in the order of structs that are generated from the same names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import load_reference
+from diffdrive_mpc.bench.peers.tracking_peer import MODEL, slew_step
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.core.library import constant_fields, load_core
+from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
+from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc_extras.peers.rpp import load_parameters
+from diffdrive_mpc_lab.formulas import FLOOR
+
+Struct = dict[str, FloatArray]
+"""Numbers of a struct of C by the names of its fields, in their order."""
+
+
+@cache
+def lab_settings() -> dict[str, Any]:
+    """What can be chosen in the page, `settings.yaml`."""
+    settings: dict[str, Any] = read_yaml(Path(__file__).with_name("settings.yaml"))
+    return settings
+
+
+def values_of(name: str) -> list[Any]:
+    """The values of a choice."""
+    return list(lab_settings()["choices"][name]["values"])
+
+
+def default_of(name: str) -> Any:  # noqa: ANN401 - a name or a number
+    """The value of a choice that is not made."""
+    return lab_settings()["choices"][name]["default"]
+
+
+# Structs.
+
+
+def robot() -> Struct:
+    """Of `lab_robot`: sample time [s], and limits of the link [m/s, rad/s]."""
+    parameters = load_robot()
+    return _struct(sample_time=parameters.sample_time, limits=[parameters.limits.v, parameters.limits.omega])
+
+
+def floor(surface: str) -> Struct:
+    """Of `lab_floor`; raises ConfigError for a floor with one of the papers' laws, which C does not have."""
+    slip = load_surface(surface).slip
+    if slip.polynomial is not None or slip.virtual_track is not None:
+        raise ConfigError(f"surface '{surface}': the laboratory has floors of gains and side-slip alone; take another")
+    return _struct(**{name: getattr(slip, name) for name in FLOOR})
+
+
+def sensors(name: str) -> Struct:
+    """Of `lab_sensors`; covariances are those that the plant's measurements state, zero where they state none."""
+    parameters, wheels = load_sensor_set(name), WheelKinematics(load_robot().wheel_radius, load_robot().track)
+    pose, gyro = parameters.pose, parameters.gyro
+    first = _first_measurement(name)
+
+    def stated(stamped: Stamped | None, size: int) -> FloatArray:
+        covariance = None if stamped is None else stamped.covariance
+        return np.zeros(size * size) if covariance is None else np.ravel(covariance)
+
+    return _struct(
+        period=pose.period or load_robot().sample_time,
+        latency=pose.latency,
+        loss=pose.loss,
+        stamped_on_arrival=pose.stamped_on_arrival,
+        pose_sd=[pose.position_sd, pose.position_sd, pose.heading_sd],
+        gyro_sd=gyro.noise_sd,
+        gyro_bias_sd=gyro.bias_sd,
+        encoder_sd=parameters.encoders.speed_sd,
+        body_to_wheels=wheels.body_to_wheels,
+        wheels_to_body=wheels.wheels_to_body,
+        pose_covariance=stated(first.pose, 3),
+        twist_covariance=stated(first.wheel_twist, 2),
+        gyro_covariance=stated(first.yaw_rate, 1),
+    )
+
+
+def _first_measurement(sensor_set: str) -> Measurement:
+    """The first measurement with a pose, of a robot that stands."""
+    plant = make_plant("model:ssm", sensors=sensor_set)
+    while (measurement := plant.measure()).pose is None:
+        plant.advance(np.zeros(2))
+    return measurement
+
+
+def peer() -> Struct:
+    """Of `lab_rpp`: the parameters of regulated pure pursuit, and the limits that the bench gives it."""
+    config = load_config(MODEL)
+    step = slew_step(config.limits, config.sample_time)
+    return _struct(
+        **load_parameters().model_dump(),
+        most_v=config.limits.v,
+        most_omega=config.limits.omega,
+        step_v=step[0],
+        step_omega=step[1],
+    )
+
+
+def drawing() -> Struct:
+    """Of `lab_drawing`: how a drawn line becomes a path, and how fast that is driven."""
+    shape, limits = lab_settings()["drawing"], load_robot()
+    return _struct(
+        spacing=shape["spacing"],
+        rounds=shape["rounds"],
+        acceleration=limits.reference_acceleration.v,
+        lateral=limits.reference_acceleration.lateral,
+        yaw_rate=load_settings().reach_share * limits.limits.omega,
+    )
+
+
+def _struct(**values: Any) -> Struct:  # noqa: ANN401 - a number or an array
+    return {name: np.ravel(np.asarray(value, dtype=float)) for name, value in values.items()}
+
+
+def flat(struct: Struct) -> FloatArray:
+    """The numbers of a struct as they lie in memory."""
+    return np.concatenate(list(struct.values()))
+
+
+# What is no struct: arrays that C points into.
+
+
+def plant_model(name: str, dead_time: float) -> FloatArray:
+    """For `lab_set_model`: the velocity model `name` with more dead time [s]."""
+    late = load_linear_model(name).with_extra_dead_time([dead_time, dead_time])
+    sampled = late.discretise(load_robot().sample_time)
+    matrices = (np.ravel(matrix) for matrix in (sampled.A, sampled.B0, sampled.B1, sampled.C))
+    return np.concatenate([[sampled.order, *sampled.delay], *matrices])
+
+
+def noise(seed: int) -> FloatArray:
+    """For `lab_set_noise`: what the streams of `sim.sensing.sensors.Sensors` draw from `seed`."""
+    rows = lab_settings()["noise_rows"]
+    pose, gyro, encoders, losses = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(4))
+    drawn = [pose.standard_normal((rows, 3)), gyro.standard_normal(rows), encoders.standard_normal((rows, 4))]
+    return np.concatenate([[rows], *map(np.ravel, drawn), losses.random(rows)])
+
+
+def reference(path: str, speed: float) -> FloatArray | None:
+    """For `lab_set_reference`: a shipped path, at its own speed where `speed` is 0; None if it is too fast."""
+    try:
+        laid = load_reference(Case(trajectory=path, top_speed=speed or None))
+    except ConfigError:
+        return None
+    if not isinstance(laid, (ArcTrajectory, SplineTrajectory)):
+        raise ConfigError(f"path '{path}': it is neither of arcs nor a spline, which is all that the page can sample")
+    native = laid.native
+    head = [float(len(native.table) == 16), native.table.shape[1], len(native.breaks), laid.duration]
+    return np.concatenate([head, native.breaks, native.table.ravel()])
+
+
+# The controller's constants.
+
+
+def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
+    """The configuration of the page's controller: the shipped one of `model`, with `choices` by name, without re-entry.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a value is out of range.
+    """
+    overrides: dict[str, object] = {"reentry.enabled": False}
+    for name, value in choices.items():
+        key = lab_settings()["choices"][name]["key"]
+        keys = [f"{key}.v", f"{key}.omega"] if name == "told" else [key]
+        overrides |= dict.fromkeys(keys, value if name == "horizon" else float(value))
+    return replace_values(load_config(model), overrides)
+
+
+class Constants(NamedTuple):
+    """Sizes and constants of a controller as `lab_read_controller` reads them: a field after the other."""
+
+    sizes: FloatArray
+    fields: dict[str, FloatArray]
+
+
+def controller(config: ControllerConfig) -> Constants:
+    """The numbers of `ddmpc_sizes` and `ddmpc_constants` for a configuration; a pointer's count comes before it."""
+    problem = build_problem(config, chosen_model(config, None), ())
+    fields = {}
+    for name, value in constant_fields(problem.sizes, problem.constants()):
+        numbers = np.ravel(np.asarray(value, dtype=float))
+        fields[name] = np.concatenate([[numbers.size], numbers]) if isinstance(value, np.ndarray) else numbers
+    return Constants(np.array(list(problem.sizes.values()), dtype=float), fields)
+
+
+def structs() -> dict[str, Struct]:
+    """Every struct that is generated, by its name in C, with an example of its numbers."""
+    return {
+        "lab_robot": robot(),
+        "lab_floor": floor("default"),
+        "lab_sensors": sensors("default"),
+        "lab_rpp": peer(),
+        "lab_drawing": drawing(),
+    }
+
+
+_HEADER = """\
+/* Generated from app/lab/numbers.py; do not edit. */
+#ifndef LAB_NUMBERS_H
+#define LAB_NUMBERS_H
+
+#include "core.h"
+
+{structs}
+void lab_read_controller(const double *at, ddmpc_sizes *sizes, ddmpc_constants *constants);
+
+#endif
+"""
+_SOURCE = """\
+/* Generated from app/lab/numbers.py; do not edit. */
+#include "lab_numbers.h"
+
+void lab_read_controller(const double *at, ddmpc_sizes *sizes, ddmpc_constants *constants)
+{{
+{lines}
+}}
+"""
+
+
+def generated_texts() -> dict[str, str]:
+    """Texts of lab_numbers.h and lab_numbers.c."""
+    declared = "\n".join(
+        f"typedef struct {{\n{''.join(_member(*item) for item in struct.items())}}} {name};\n"
+        for name, struct in structs().items()
+    )
+    return {
+        "lab_numbers.h": _HEADER.format(structs=declared),
+        "lab_numbers.c": _SOURCE.format(lines="\n".join(f"    {line}" for line in _readers())),
+    }
+
+
+def _member(name: str, numbers: FloatArray) -> str:
+    return f"    double {name}{f'[{numbers.size}]' if numbers.size > 1 else ''};\n"
+
+
+def _readers() -> Iterator[str]:
+    ffi, _ = load_core()
+    for name, _ in ffi.typeof("ddmpc_sizes").fields:
+        yield f"sizes->{name} = (int)*at++;"
+    for name, field in ffi.typeof("ddmpc_constants").fields:
+        if field.type.kind == "pointer":
+            yield f"constants->{name} = at + 1;"
+            yield "at += 1 + (int)*at;"
+        elif field.type.kind == "array":
+            yield f"for (int i = 0; i < {field.type.length}; i++)"
+            yield f"    constants->{name}[i] = *at++;"
+        else:
+            yield f"constants->{name} = ({field.type.cname})*at++;"
+
+
+def report_fields(header: str) -> dict[str, tuple[int, int]]:
+    """Place and length of each field of `lab_report`, from the text of lab.h."""
+    match = re.search(r"typedef struct \{([^}]*)\} lab_report;", header)
+    assert match is not None
+    declared = re.sub(r"/\*.*?\*/|\bdouble\b|\s", "", match[1]).replace(";", ",").strip(",")
+    fields, place = {}, 0
+    for name, length in re.findall(r"(\w+)(?:\[(\d+)\])?", declared):
+        fields[name] = (place, int(length or 1))
+        place += int(length or 1)
+    return fields

@@ -1,0 +1,324 @@
+"""The laboratory in a real browser: drives as those of Python, and every link, control and file."""
+
+from __future__ import annotations
+
+import fcntl
+import importlib.util
+import json
+import shlex
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from firefox import opened_firefox
+
+from commands import invoke
+from diffdrive_mpc import Controller, integrate_pose, load_trajectory
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit
+from diffdrive_mpc_lab.build import main, page_text
+from diffdrive_mpc_lab.formulas import FLOOR, plant_functions
+from diffdrive_mpc_lab.numbers import configuration, default_of, lab_settings, plant_model, values_of
+from diffdrive_mpc_lab.pool import VARIED, experiments
+from studies.documents.browser import opened_browser
+from studies.site.staging import laboratory_page
+
+in_browser = pytest.mark.system("browser")
+PATHS = ("circle", "square", "s", "cane")
+# Of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiplication and another libm than Python.
+ROUNDING = 1e-11
+LARGEST_PAGE, LONGEST_OPENING = 3e6, 2.0
+
+
+@pytest.fixture(scope="session")
+def page_file(tmp_path_factory: pytest.TempPathFactory, testrun_uid: str) -> Path:
+    """The page, built once for all workers."""
+    page = tmp_path_factory.getbasetemp().parent / f"lab-{testrun_uid}.html"
+    with page.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not page.exists():
+            page.write_text(page_text(), encoding="utf-8")
+    return page
+
+
+@contextmanager
+def laboratory(page_file: Path, link: str = "", **options: Any) -> Iterator[Any]:
+    """The page, opened from the file system without a network; in the end nothing was complained about or asked for."""
+    complaints: list[str] = []
+    requests: list[str] = []
+    with opened_browser() as browser:
+        settings = {"viewport": {"width": 1280, "height": 900}, "offline": True, "accept_downloads": True} | options
+        page = browser.new_context(**settings).new_page()
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        visit(page, page_file, link)
+        yield page
+        assert complaints == []
+        assert {url.partition("#")[0] for url in requests if not url.startswith(("data:", "blob:"))} == {
+            page_file.as_uri()
+        }
+
+
+def visit(page: Any, page_file: Path, link: str = "") -> None:
+    page.goto("about:blank")
+    page.goto(page_file.as_uri() + (f"#{link}" if link else ""))
+    page.wait_for_selector("html[data-ready]", state="attached")
+
+
+def judged(page: Any) -> float:
+    """Position RMSE [m] of the whole drive with what is set, once the page has driven it."""
+    page.wait_for_function("() => laboratory.whole !== null")
+    return float(page.evaluate("laboratory.whole.rms"))
+
+
+def choices(page: Any) -> dict[str, Any]:
+    return dict(page.evaluate("laboratory.choices"))
+
+
+def middle(node: Any) -> tuple[float, float]:
+    """Where the middle of an element is on the screen, once it is there."""
+    node.scroll_into_view_if_needed()
+    box = node.bounding_box()
+    return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+
+# Without a browser.
+
+
+def test_formulas_in_c_are_those_of_the_plant() -> None:
+    floor_of, move_of = plant_functions()
+    slip = load_surface("ice").slip
+    output, pose = np.array([0.7, -0.9]), np.array([0.3, -0.2, 2.0])
+    body, wheels = floor_of(output, [getattr(slip, name) for name in FLOOR])
+    assert body.full().ravel() == pytest.approx(slip.body(output), abs=1e-15)
+    assert wheels.full().ravel() == pytest.approx(slip.wheels(output), abs=1e-15)
+    v, lateral, omega = slip.body(output)
+    expected = integrate_pose(pose, v, omega, 0.02, -lateral / (v * omega))
+    moved = move_of(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()
+    assert moved == pytest.approx(expected, abs=1e-15)
+
+
+def test_defaults_and_experiments_are_choices() -> None:
+    for name in lab_settings()["choices"]:
+        assert default_of(name) in values_of(name)
+    for experiment in experiments():
+        for side in ("a", "b"):
+            assert all(name == "ice" or value in values_of(name) for name, value in experiment[side].items())
+    config = configuration("sm", {"told": 0.08, "horizon": 20, "across": 350})
+    assert (config.extra_dead_time.omega, config.horizon, config.weights.across) == (0.08, 20, 350.0)
+    assert not config.reentry.enabled
+    assert set(VARIED) < set(lab_settings()["choices"])
+    assert plant_model("ssm", 0.12)[1] > plant_model("ssm", 0.0)[1]
+
+
+def test_without_the_compiler_one_line_says_what_installs_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The builder ends with it, and the site has it in place of the page."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert main([str(tmp_path / "lab.html")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "error: the laboratory needs Zig's C compiler: pip install ziglang, or make lab"
+    assert not list(tmp_path.iterdir())
+    assert "make lab installs it" in laboratory_page()
+
+
+# In the browser.
+
+
+@in_browser
+def test_drives_are_those_of_python(page_file: Path) -> None:
+    """Twelve: commands, poses and those of the peer, with limits that press and weights that are not shipped."""
+    varied = {"ssm": (700, 6), "sm": (350, 3), "mbm": (1500, 10)}
+    with laboratory(page_file) as page:
+        judged(page)
+        standard = choices(page)
+        for model, (across, slew) in varied.items():
+            for path in PATHS:
+                chosen = standard | {"model": model, "robot": model, "path": path, "across": across, "slew": slew}
+                driven = page.evaluate("(chosen) => laboratory.judge.drive(chosen)", chosen)
+                config = configuration(model, {"told": 0.04, "across": across, "slew": slew})
+                reference, plant = load_trajectory(path, config), f"model:{model}+0.04"
+                run = simulate(Controller(config), make_plant(plant), reference)
+                peer = simulate(RegulatedPurePursuit(), make_plant(plant), reference)
+                assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
+                assert np.abs(run.true_pose - np.array(driven["poses"])).max() < ROUNDING
+                assert np.abs(peer.command - np.array(driven["peer"])).max() < ROUNDING
+                assert driven["rms"] == pytest.approx(run.metrics.position_rmse_m, abs=1e-12)
+
+
+@pytest.mark.system("firefox")
+def test_firefox_drives_as_python_and_refuses_a_hostile_link(page_file: Path, tmp_path: Path) -> None:
+    ready = "async () => { while (!window.laboratory?.whole) await new Promise((go) => setTimeout(go, 20)); }"
+    with opened_firefox("firefox-esr", tmp_path) as tab:
+        tab.open(f"{page_file.as_uri()}#horizon=1e308")
+        tab.evaluate(f"async () => {{ await ({ready})(); return null; }}")
+        line, chosen = tab.evaluate("() => [document.getElementById('notice').textContent, laboratory.choices]")
+        assert "'horizon=1e308' is no choice" in line
+        assert chosen["horizon"] == default_of("horizon")
+        for path in PATHS:
+            driven = tab.evaluate("(chosen) => laboratory.judge.drive(chosen)", chosen | {"path": path})
+            config = configuration("ssm", {"told": 0.04})
+            run = simulate(Controller(config), make_plant("model:ssm+0.04"), load_trajectory(path, config))
+            assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
+
+
+@in_browser
+def test_files_drive_in_simulate_to_the_figures_of_the_page(page_file: Path, tmp_path: Path) -> None:
+    """A shipped path, one at another speed, and a drawn one; with lost poses, ice everywhere and other limits."""
+    drawn = "drawn=0,0;60,5;120,50;180,60;240,10;300,0"
+    links = (
+        "path=circle&dead=0.12&told=0.08&surface=ice&sensors=half_lost&seed=1&horizon=20&slew=3",
+        "path=slalom&speed=0.8&model=mbm&robot=sm&wheel=1.2",
+        f"{drawn}&speed=0.5&model=kinematic&sensors=perfect&smooth=100",
+    )
+    with laboratory(page_file) as page:
+        for number, link in enumerate(links):
+            visit(page, page_file, link)
+            rms = judged(page)
+            assert page.evaluate("location.hash.slice(1).split('&').sort()") == sorted(link.split("&"))
+            folder = tmp_path / str(number)
+            for button in ("#save", "#savepath"):
+                if page.locator(button).is_visible():
+                    with page.expect_download() as coming:
+                        page.locator(button).click()
+                    coming.value.save_as(folder / coming.value.suggested_filename)
+            command = page.locator("#command").inner_text()
+            assert f"# {command}" in (folder / "lab.yaml").read_text()
+            words = [str(folder / word) if (folder / word).exists() else word for word in shlex.split(command)[1:]]
+            printed = invoke(app, *words).stdout
+            assert f"position RMSE {1000 * rms:.1f} mm" in printed
+
+
+@in_browser
+def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_file: Path) -> None:
+    script = "<script>document.title='taken'</script><img src=x onerror=document.title='taken'>"
+    links = (
+        "horizon=1e308",
+        "across=-1e308&path=circle",
+        "ice=1e308,1",
+        "drawn=" + ";".join(["0,0"] * 65),
+        "drawn=0,0;9999,0",
+        f"path={script}",
+        f"{script}=1",
+        "__proto__=1",
+        "constructor=1",
+        "path=circle&path=square",
+        "path=square&speed=1.1",
+        "%E0%A4%A",
+        "path=" + "x" * 1_000_000,
+    )
+    with laboratory(page_file) as page:
+        standard = choices(page)
+        title = page.title()
+        for link in links:
+            page.evaluate("(link) => { location.hash = link }", link)
+            page.wait_for_function("() => !document.getElementById('notice').hidden")
+            line = page.locator("#notice").inner_text()
+            assert line.startswith("This link cannot be used, so the default is shown: ")
+            assert len(line) < 160
+            assert "\n" not in line
+            assert choices(page) == standard
+            assert page.title() == title
+            page.evaluate("laboratory.choose({ seed: 0 })")
+        visit(page, page_file, "path=" + "x" * 1_000_000)
+        assert choices(page) == standard
+
+
+@in_browser
+def test_every_control_changes_what_is_set_and_the_link_opens_it_again(page_file: Path) -> None:
+    with laboratory(page_file) as page:
+        for name in lab_settings()["choices"]:
+            control = page.locator(f"#choice-{name}")
+            other = next(value for value in values_of(name) if value != default_of(name))
+            if control.evaluate("(node) => node.type") == "range":
+                control.fill(str(values_of(name).index(other)))
+            else:
+                control.select_option(str(other))
+            assert choices(page)[name] == other
+        everything = choices(page)
+        judged(page)
+        visit(page, page_file, page.evaluate("location.hash.slice(1)"))
+        assert choices(page) == everything
+        assert page.locator("#notice").is_hidden()
+
+
+@in_browser
+def test_pointer_finger_and_keyboard_do_what_the_page_says(page_file: Path) -> None:
+    with laboratory(page_file, viewport={"width": 390, "height": 844}, has_touch=True) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        floor = page.locator("#floor")
+        page.wait_for_function("() => laboratory.report.time > 0.5")
+        page.touchscreen.tap(*middle(floor))
+        page.wait_for_function("() => laboratory.report.error > 0.1")
+        page.locator("#tool-ice").tap()
+        page.touchscreen.tap(*middle(floor))
+        assert len(choices(page)["ice"]) == 1
+        assert "ice=" in page.evaluate("location.hash")
+        page.locator("#tool-draw").click()
+        x, y = middle(floor)
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for step in range(20):
+            page.mouse.move(x + 6 * step, y + 3 * step)
+        page.mouse.up()
+        assert len(choices(page)["drawn"]) > 3
+        floor.focus()
+        page.keyboard.press("Space")
+        paused_at = page.evaluate("laboratory.paused && laboratory.report.pose[0]")
+        page.keyboard.press("ArrowRight")
+        assert page.evaluate("laboratory.report.pose[0]") == pytest.approx(paused_at + 0.05)
+        page.keyboard.press("c")
+        page.keyboard.press("Space")
+        assert page.locator("#cover").get_attribute("aria-pressed") == "true"
+        page.wait_for_function("() => laboratory.report.mode >= 2")
+        page.keyboard.press("p")
+        page.keyboard.press("r")
+        page.wait_for_function("() => laboratory.report.time < 0.5")
+
+
+@in_browser
+def test_reduced_motion_stands_until_asked_and_shows_the_whole_drive(page_file: Path) -> None:
+    with laboratory(page_file, reduced_motion="reduce", color_scheme="dark") as page:
+        assert judged(page) < 0.01
+        assert page.evaluate("laboratory.report.ticks") == 0
+        page.locator("#pause").press("Enter")
+        page.wait_for_function("() => laboratory.report.ticks > 10")
+        background = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert sum(json.loads(f"[{background.removeprefix('rgb(').removesuffix(')')}]")) < 150
+
+
+@in_browser
+def test_experiments_show_what_they_say(page_file: Path) -> None:
+    with laboratory(page_file) as page:
+        for experiment in experiments():
+            rms = {}
+            for side in ("a", "b"):
+                page.locator(f"#{experiment['name']}-{side}").click()
+                assert experiment["see"] in page.locator("#seen").inner_text()
+                rms[side] = judged(page)
+            assert rms["b"] <= experiment["share"] * rms["a"], experiment["name"]
+
+
+@in_browser
+def test_it_is_small_and_drives_soon(page_file: Path) -> None:
+    """The quickest of three openings: other tests run beside it."""
+    assert page_file.stat().st_size < LARGEST_PAGE
+    took = []
+    with laboratory(page_file) as page:
+        for _ in range(3):
+            began = time.perf_counter()
+            visit(page, page_file)
+            page.wait_for_function("() => laboratory.report.ticks > 0")
+            took.append(time.perf_counter() - began)
+            if took[-1] < LONGEST_OPENING:
+                break
+    assert min(took) < LONGEST_OPENING

@@ -1,0 +1,52 @@
+"""The judge as C files for a microcontroller, with the rules as constants."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc_monitor.judge import source_texts
+from diffdrive_mpc_monitor.rules import Rules
+
+_SOURCES = Path(__file__).parent / "sources"
+_BOARD = Path(__file__).parents[1] / "export" / "sources" / "project" / "stm32f4"
+"""Start-up, memory and serial line of the board are the same for every program."""
+_BOARD_FILES = ("board.h", "startup.c", "stm32f4.ld", "toolchain.cmake")
+
+
+def export_judge(rules: Rules, folder: Path) -> list[Path]:
+    """Write judge, rules, examples and a project for an STM32F4 into `folder`; returns the files.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the folder is a file.
+    OSError
+        If it cannot be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"--export {folder}: it is no folder")
+    shutil.copytree(_SOURCES, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in _BOARD_FILES:
+        shutil.copyfile(_BOARD / name, folder / "stm32f4" / name)
+    ours = folder / "ddmon"
+    ours.mkdir(exist_ok=True)
+    for name, text in (source_texts() | rules_texts(rules)).items():
+        (ours / name).write_text(text, encoding="utf-8")
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def rules_texts(rules: Rules) -> dict[str, str]:
+    """Texts of rules.c and rules.h."""
+    members = ",\n".join(f"    .{name} = {value!r}" for name, value in rules.numbers.items())
+    about = "".join("_" if letter in '*/\\?"' else letter for letter in plain_line(rules.name, longest=80))
+    header = (
+        '#ifndef DDMON_RULES_H\n#define DDMON_RULES_H\n\n#include "judge.h"\n\n'
+        f"/* {about} */\nextern const ddmon_rules ddmon_default_rules;\n\n#endif\n"
+    )
+    return {
+        "rules.c": f'#include "rules.h"\n\nconst ddmon_rules ddmon_default_rules = {{\n{members},\n}};\n',
+        "rules.h": header,
+    }

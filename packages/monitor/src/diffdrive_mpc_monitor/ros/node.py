@@ -1,0 +1,257 @@
+"""The monitor as a node: commands come in on one topic, and those that may pass go out on another."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry, Path
+from pydantic import Field
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import Imu
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, check
+from diffdrive_mpc_monitor.judge import Judge
+from diffdrive_mpc_monitor.rules import load_rules
+
+# ROS messages to plain numbers and back: the monitor's own, so that no mistake of the controller's is made twice.
+
+
+Message = Any
+"""ROS messages have no types to check."""
+
+
+def seconds(stamp: Message) -> float:
+    """A stamp [s]."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def planar(pose: Message) -> tuple[float, float, float]:
+    """(3,) x [m], y [m], yaw [rad] of a pose; NaN where its orientation is none."""
+    q = pose.orientation
+    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not abs(norm - 1.0) < 0.02:
+        return (math.nan, math.nan, math.nan)
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return (pose.position.x, pose.position.y, yaw)
+
+
+def command(twist: tuple[float, float], stamp: Message, frame: str, *, stamped: bool) -> Message:
+    """A command v [m/s], omega [rad/s]."""
+    plain = Twist()
+    plain.linear.x, plain.angular.z = twist
+    if not stamped:
+        return plain
+    message = TwistStamped(twist=plain)
+    message.header.stamp, message.header.frame_id = stamp, frame
+    return message
+
+
+# Settings of the monitor's process, beside its rules.
+
+
+class MonitorSettings(StrictModel, strict=True):
+    """Topics, frames and what is watched. They are its ROS parameters, with these descriptions, read at start-up."""
+
+    rules: str = Field("default", min_length=1, description="rules: a shipped name or the path of a YAML file [-]")
+    controller: str = Field(
+        "diffdrive_mpc", min_length=1, description="name of the controller's node: its reference_path and mode are read"
+    )
+    stamped: bool = Field(True, description="commands are TwistStamped; false: Twist [-]")
+    use_pose_topic: bool = Field(
+        False, description="references are in map_frame, where `pose` says where the robot is; false: in odom_frame [-]"
+    )
+    use_imu: bool = Field(True, description="the yaw rate on `imu` tells how the robot turns; false: its wheels [-]")
+    odom_frame: str = Field("odom", min_length=1, description="frame_id that odometry must have [-]")
+    map_frame: str = Field("map", min_length=1, description="frame_id that poses must have [-]")
+    base_frame: str = Field("base_link", min_length=1, description="child_frame_id that odometry must have [-]")
+    exclusive: bool = Field(True, description="another publisher on `cmd_vel` stops the robot [-]")
+
+
+UNCHECKED, CHECKED = "cmd_vel_unchecked", "cmd_vel"
+"""Topics of commands: what the controller sends, and what the base gets."""
+PASSING, STOPPED = "PASSING", "STOPPED"
+"""What the monitor says on `~/state`; why follows after a colon."""
+_PERIOD = 0.02
+# Who else publishes commands is looked up so often, and diagnostics are sent [s].
+_LOOK_PERIOD, _DIAGNOSTICS_PERIOD = 0.5, 1.0
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_STANDING = frozenset({"IDLE", "PAUSED", "FAULT", "STOPPED", "FINISHED", "unconfigured", "inactive", "finalized"})
+# How long the last command may take to reach the base when the monitor ends [s].
+_LAST_WORDS = 0.3
+
+
+class MonitorNode(Node):
+    """Forwards commands as long as all rules hold; then stops the robot until a person resets it.
+
+    Parameters
+    ----------
+    defaults
+        Defaults of its parameters.
+    **options
+        As for `rclpy.node.Node`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the rules or a parameter cannot be used.
+    models.compiled.compiler.NotCompiledError
+        If the judge is not there.
+    """
+
+    def __init__(self, defaults: MonitorSettings | None = None, **options: Any) -> None:  # noqa: ANN401
+        super().__init__("monitor", **options)
+        self._settings = settings = self._read(defaults or MonitorSettings())
+        self._rules = load_rules(settings.rules).with_sensors(pose=settings.use_pose_topic, gyro=settings.use_imu)
+        self._judge = Judge(self._rules, self._now)
+        self._told = ""
+        kind = TwistStamped if settings.stamped else Twist
+        newest = QoSProfile(depth=1)
+        self._checked = self.create_publisher(kind, CHECKED, newest)
+        self._state = self.create_publisher(String, "~/state", _LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Every command is judged, not the newest alone: one that is lost cannot be.
+        self.create_subscription(kind, UNCHECKED, self._take_command, QoSProfile(depth=50))
+        self.create_subscription(Odometry, "odom", self._take_odometry, qos_profile_sensor_data)
+        self.create_subscription(Path, f"{settings.controller}/reference_path", self._take_reference, _LATCHED)
+        self.create_subscription(String, f"{settings.controller}/mode", self._take_mode, _LATCHED)
+        if settings.use_imu:
+            self.create_subscription(Imu, "imu", self._take_gyro, qos_profile_sensor_data)
+        if settings.use_pose_topic:
+            self.create_subscription(PoseWithCovarianceStamped, "pose", self._take_pose, qos_profile_sensor_data)
+        self.create_service(Trigger, "~/reset", self._reset)
+        in_sim_time = bool(self.get_parameter("use_sim_time").value)
+        clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PERIOD, self._tick, clock=clock)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK_PERIOD, self._look_around, clock=steady)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=steady)
+        self._announce()
+        self.get_logger().info(
+            f"rules '{settings.rules}' ({self._rules.name}): {self.resolve_topic_name(UNCHECKED)} to "
+            f"{self.resolve_topic_name(CHECKED)}"
+        )
+
+    def stop(self) -> None:
+        """Send zero as the last command, and wait until it has arrived, though not for long."""
+        self._send((0.0, 0.0))
+        self._checked.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+
+    @property
+    def _now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    def _read(self, defaults: MonitorSettings) -> MonitorSettings:
+        """Declare every setting as a parameter, and read them; raises ConfigError if one cannot be used."""
+        for name, field in MonitorSettings.model_fields.items():
+            about = ParameterDescriptor(description=str(field.description), read_only=True)
+            self.declare_parameter(name, getattr(defaults, name), about)
+        names = MonitorSettings.model_fields
+        return check(MonitorSettings, {name: self.get_parameter(name).value for name in names}, "parameters")
+
+    def _take_command(self, message: Message) -> None:
+        settings = self._settings
+        twist = message.twist if settings.stamped else message
+        stamp = seconds(message.header.stamp) if settings.stamped else 0.0
+        sideways = (twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y)
+        v = twist.linear.x if not any(sideways) else math.nan  # which no differential drive can do
+        out = self._judge.command(self._now, stamp, v, twist.angular.z)
+        # With the stamp of the controller: a base in lock step waits for the answer to its tick.
+        self._send(out, message.header.stamp if settings.stamped else None)
+        self._announce()
+
+    def _take_odometry(self, message: Message) -> None:
+        settings = self._settings
+        if message.child_frame_id != settings.base_frame or message.header.frame_id != settings.odom_frame:
+            self._ignore("odometry", f"{message.header.frame_id} to {message.child_frame_id}")
+            return
+        twist = message.twist.twist
+        pose = planar(message.pose.pose)
+        self._judge.odometry(self._now, seconds(message.header.stamp), (twist.linear.x, twist.angular.z), pose)
+
+    def _take_gyro(self, message: Message) -> None:
+        self._judge.gyro(self._now, seconds(message.header.stamp), message.angular_velocity.z)
+
+    def _take_pose(self, message: Message) -> None:
+        if message.header.frame_id != self._settings.map_frame:
+            self._ignore("a pose", message.header.frame_id)
+            return
+        self._judge.pose(self._now, seconds(message.header.stamp), planar(message.pose.pose))
+
+    def _take_reference(self, message: Message) -> None:
+        settings = self._settings
+        frame = settings.map_frame if settings.use_pose_topic else settings.odom_frame
+        points = [(seconds(point.header.stamp), *planar(point.pose)) for point in message.poses]
+        if message.header.frame_id != frame:
+            self._ignore("a reference", message.header.frame_id)
+            points = [(math.nan, 0.0, 0.0, 0.0)]  # is none, and stops the robot
+        self._judge.reference(self._now, points)
+        self._announce()
+
+    def _take_mode(self, message: Message) -> None:
+        self._judge.says(self._now, drives=message.data.partition(":")[0] not in _STANDING)
+
+    def _tick(self) -> None:
+        out = self._judge.tick(self._now)
+        if out is not None:
+            self._send(out)
+        self._announce()
+
+    def _look_around(self) -> None:
+        """Whether somebody else can command the base."""
+        others = self.count_publishers(self.resolve_topic_name(CHECKED)) - 1
+        self._judge.outside(self._now, wrong=self._settings.exclusive and others > 0)
+
+    def _reset(self, _: Message, response: Message) -> Message:
+        """A person says that the robot may drive again."""
+        self._look_around()
+        wrong = self._judge.reset(self._now)
+        response.success = not wrong
+        response.message = f"still stopped: {wrong.words}" if wrong else "commands pass again"
+        self._announce()
+        return response
+
+    def _send(self, twist: tuple[float, float], stamp: Message = None) -> None:
+        stamp = self.get_clock().now().to_msg() if stamp is None else stamp
+        self._checked.publish(command(twist, stamp, self._settings.base_frame, stamped=self._settings.stamped))
+
+    @property
+    def _name(self) -> str:
+        """Its full name without the first slash: two robots differ by their namespaces."""
+        return str(self.get_fully_qualified_name()).lstrip("/")
+
+    @property
+    def _words(self) -> str:
+        verdict = self._judge.verdict
+        return f"{STOPPED}: {verdict.words}; call {self._name}/reset" if verdict else PASSING
+
+    def _announce(self) -> None:
+        """Say what it does when that changes."""
+        words = self._words
+        if words == self._told:
+            return
+        self._told = words
+        self._state.publish(String(data=words))
+        log = self.get_logger()
+        log.info(words) if words == PASSING else log.error(words)
+
+    def _diagnose(self) -> None:
+        stopped = bool(self._judge.verdict)
+        level = DiagnosticStatus.ERROR if stopped else DiagnosticStatus.OK
+        name = self._name
+        status = DiagnosticStatus(name=f"{name}: rules", hardware_id=name, level=level, message=self._words)
+        status.values = [KeyValue(key="rule", value=self._judge.verdict.rule)]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _ignore(self, topic: str, frame: str) -> None:
+        self.get_logger().warning(f"{topic} in frame '{frame}' is not used", throttle_duration_sec=1.0)

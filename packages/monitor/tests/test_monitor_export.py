@@ -1,0 +1,130 @@
+"""The judge as C files: for a host with all warnings, and on an emulated microcontroller beside the one of Python."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+
+import numpy as np
+import pytest
+from test_monitor_judge import RULES, START, random_drive
+from typer.testing import CliRunner
+
+from commands import invoke
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc_monitor.export import export_judge, rules_texts
+from diffdrive_mpc_monitor.judge import Judge, rule_names
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
+CORTEX = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffp-contract=off", "-O2")
+LINK = ("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-nostartfiles", "--specs=nano.specs")
+EMULATOR = "qemu-system-arm -M netduinoplus2 -nographic -monitor none -serial stdio -icount shift=0,sleep=off"
+PATIENCE = 120.0
+WHAT = ("begin", "point", "reference", "odometry", "gyro", "pose", "says", "command", "tick", "reset")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("judge") / "exported"
+    invoke(app, "monitor", "--export", made)
+    return made
+
+
+def test_the_example_runs_with_sanitizers(folder):
+    command = ["gcc", *STRICT, "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    command += [f"-I{folder / 'ddmon'}", *map(str, sorted((folder / "ddmon").glob("*.c")))]
+    program = folder / "example"
+    subprocess.run([*command, str(folder / "examples" / "main.c"), "-lm", "-o", str(program)], check=True)
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert "the robot is off its path" in said and "it stands at" in said
+
+
+def test_a_name_is_no_code():
+    named = RULES.model_copy(update={"name": "x */ int i; \\\n#error ??/"})
+    header = rules_texts(named)["rules.h"]
+    assert header.count("*/") == 1 and "#error" not in header.splitlines() and "\\" not in header
+
+
+def test_where_a_file_stands_it_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    result = CliRunner().invoke(app, ["monitor", "--export", str(tmp_path / "file")])
+    assert result.exit_code == 2 and "it is no folder" in result.stderr and result.stderr.count("\n") == 1
+
+
+class Emulated:
+    """The judge on QEMU's STM32F4; frames of eight doubles each way."""
+
+    def __init__(self, image):
+        self.process = subprocess.Popen(
+            [*EMULATOR.split(), "-kernel", str(image)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        # One that hangs does not hold the tests.
+        self.watchdog = threading.Timer(PATIENCE, self.process.kill)
+        self.watchdog.start()
+        assert self.read(1)[0] == 1.0
+
+    def read(self, count):
+        data = self.process.stdout.read(8 * count)
+        assert len(data) == 8 * count, "the program does not answer"
+        return np.frombuffer(data)
+
+    def __call__(self, what, *numbers):
+        frame = np.zeros(8)
+        frame[: 1 + len(numbers)] = (WHAT.index(what), *numbers)
+        self.process.stdin.write(frame.tobytes())
+        self.process.stdin.flush()
+        return self.read(8)
+
+    def close(self):
+        self.watchdog.cancel()
+        self.process.kill()
+        self.process.communicate()
+
+
+def flat(name, arguments, words):
+    """Numbers of a call: now, stamp, values."""
+    if name == "says":
+        return (arguments[0], 0.0, float(words["drives"]))
+    if name == "tick":
+        return arguments
+    now, stamp, *values = arguments
+    return (now, stamp, *np.hstack([np.ravel(value) for value in values]).tolist())
+
+
+@pytest.mark.system("microcontroller")
+def test_the_microcontroller_decides_the_same(folder):
+    """Every call, until it has stopped the robot: rule, instant, command. Only sines differ in their last bits."""
+    image = folder / "judge.elf"
+    sources = [*sorted((folder / "ddmon").glob("*.c")), *sorted((folder / "stm32f4").glob("*.c"))]
+    command = ["arm-none-eabi-gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", *CORTEX, *LINK]
+    command += [f"-I{folder / 'ddmon'}", "-T", str(folder / "stm32f4" / "stm32f4.ld"), *map(str, sources)]
+    subprocess.run([*command, "-lm", "--specs=nosys.specs", "-o", str(image)], check=True)
+    judge, board, calls_since = Judge(RULES, START), Emulated(image), 0
+    try:
+        board("begin", START)
+        for name, arguments, words in random_drive(0):
+            found = getattr(judge, name)(*arguments, **words)
+            if name == "reference":
+                for point in arguments[1]:
+                    board("point", arguments[0], 0.0, *point)
+                assert board("reference", arguments[0])[0] == 1.0
+                continue
+            reply = board(name, *flat(name, arguments, words))
+            verdict = judge.verdict
+            calls_since += bool(verdict)
+            if calls_since > 100:
+                break
+            assert rule_names()[int(reply[3])] == verdict.rule
+            if verdict:
+                assert reply[4] == verdict.at
+            if name in ("command", "tick"):
+                assert bool(reply[0]) == (found is not None)
+                assert found is None or np.abs(reply[1:3] - found).max() <= 1e-9
+        assert judge.verdict
+    finally:
+        board.close()
+
+
+def test_export_gives_every_file(folder):
+    given = {str(path.relative_to(folder)) for path in export_judge(RULES, folder)}
+    assert {"CMakeLists.txt", "README.md", "ddmon/judge.c", "ddmon/rules.c", "stm32f4/main.c"} <= given

@@ -1,0 +1,425 @@
+"""The judge of the monitor: what each rule catches, what it lets pass, and the oracle of all of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from oracle.judge import OracleJudge
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc_monitor.judge import Judge, load_judge, rule_names
+from diffdrive_mpc_monitor.rules import FOLDER, Rules, load_rules
+
+DT = 0.0202
+START = 1000.0
+RULES = load_rules()
+
+
+class Robot:
+    """Obeys with a lag of a tenth of a second along a straight reference; what goes wrong is set from outside."""
+
+    def __init__(self, judge, speed=0.4, duration=10.0):
+        self.judge, self.now, self.speed = judge, START, speed
+        times = np.linspace(0.0, duration, round(20 * duration) + 1)
+        way = speed * times
+        self.points = np.column_stack([START + times, way, 0 * times, 0 * times]).tolist()
+        judge.reference(self.now, self.points)
+        self.state, self.twist, self.out = np.zeros(3), np.zeros(2), (0.0, 0.0)
+        self.deaf = self.blind = self.lost = False
+
+    def drive(self, seconds, command=None, stamp=None, silent=False):
+        """Drive on; returns the commands (n, 2) that reached the base."""
+        sent = []
+        for _ in range(round(seconds / DT)):
+            judge, now = self.judge, self.now
+            if not self.blind:
+                judge.gyro(now, now, self.twist[1])
+                judge.odometry(now, now, self.twist.tolist(), self.state.tolist())
+            if not self.lost:
+                judge.pose(now, now, self.state.tolist())
+            v = min(self.speed, 1.9 * (now - START)) if command is None else command[0]
+            if not silent:
+                self.out = judge.command(now, now if stamp is None else stamp(now), v, command[1] if command else 0.0)
+            stopped = judge.tick(now)
+            self.out = self.out if stopped is None else stopped
+            sent.append(self.out)
+            if not self.deaf:
+                self.twist = self.twist + 0.2 * (np.array(self.out) - self.twist)
+            x, y, theta = self.state
+            v, omega = self.twist
+            self.state = np.array([x + DT * v * math.cos(theta), y + DT * v * math.sin(theta), theta + DT * omega])
+            self.now += DT
+        return np.array(sent)
+
+
+def stand(robot):
+    robot.drive(1.0, (0.0, 0.0))
+
+
+@pytest.fixture
+def robot():
+    return Robot(Judge(RULES, START))
+
+
+def test_a_sound_drive_passes_unchanged(robot):
+    sent = robot.drive(10.0)
+    assert not robot.judge.verdict
+    assert sent[-1].tolist() == [0.4, 0.0]
+    assert robot.drive(1.0, (0.0, 0.0))[0].tolist() == [0.0, 0.0]
+    assert not robot.judge.verdict
+
+
+@pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_never_reaches_the_base(robot, v):
+    robot.drive(2.0)
+    sent = robot.drive(1.0, (v, 0.0))
+    assert robot.judge.verdict.rule == "not_finite"
+    assert np.isfinite(sent).all()
+    assert np.all(np.diff(sent[:, 0]) <= 0) and sent[-1, 0] == 0.0
+
+
+@pytest.mark.parametrize("sensor", ["pose", "odometry", "gyro"])
+@pytest.mark.parametrize("spoilt", ["not finite", "in the future", "repeated"])
+def test_a_reading_that_cannot_be_used_is_none(robot, sensor, spoilt):
+    """Sound readings beside it keep the robot going; without them the sensor is too old, however many bad ones come."""
+
+    def send(place):
+        values = [*robot.twist, *robot.state]
+        values = {"pose": values[2:], "odometry": values, "gyro": values[1:2]}[sensor]
+        stamp = {"in the future": robot.now + 5.0, "repeated": sound}.get(spoilt, robot.now)
+        if spoilt == "not finite":
+            values[place % len(values)] = (math.nan, math.inf)[place % 2]
+        words = {"pose": [values], "odometry": [values[:2], values[2:]], "gyro": values}[sensor]
+        getattr(robot.judge, sensor)(robot.now, stamp, *words)
+
+    for place in range(100):
+        sound = robot.now
+        robot.drive(DT)
+        send(place)
+    assert not robot.judge.verdict
+    setattr(robot, "lost" if sensor == "pose" else "blind", True)
+    for _ in range(250):
+        for part in range(5 if spoilt == "not finite" else 1):
+            send(part)
+        # The other of the two sensors that a blind robot lacks.
+        if sensor == "gyro":
+            robot.judge.odometry(robot.now, robot.now, robot.twist.tolist(), robot.state.tolist())
+        if sensor == "odometry":
+            robot.judge.gyro(robot.now, robot.now, robot.twist[1])
+        robot.drive(DT)
+    assert robot.judge.verdict.rule == sensor
+
+
+def test_it_brakes_at_the_braking_limits_and_stays(robot):
+    robot.drive(2.0)
+    sent = robot.drive(1.0, (1.6, 0.0))[:, 0]
+    assert robot.judge.verdict.rule == "speed"
+    falling = sent[sent > 0]
+    assert len(falling) == pytest.approx(0.4 / (RULES.commands.v_braking * DT), abs=1)
+    assert np.abs(np.diff([0.4, *falling])).max() <= RULES.commands.v_braking * DT + 1e-12
+    # Sound commands do not help: a person has to say so.
+    assert not robot.drive(2.0, (0.0, 0.0)).any() and not robot.drive(0.5, (0.01, 0.0)).any()
+    assert robot.judge.verdict.words == "a command is too fast: 1.6 m/s, the limit is 1.5 m/s"
+
+
+def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
+    """A robot that turns to the wrong side turns on as long as the ramp lasts."""
+    robot.drive(2.0)
+    robot.deaf = True
+    robot.twist = np.array([-0.5, 0.0])
+    sent = robot.drive(0.5)
+    assert robot.judge.verdict.rule == "answer_v"
+    first = np.flatnonzero(sent[:, 0] == 0.0)[0]
+    assert sent[first - 1, 0] == 0.4
+
+
+@pytest.mark.parametrize(
+    ("rule", "harm"),
+    [
+        ("silent", lambda r: r.drive(0.5, silent=True)),
+        ("old_command", lambda r: r.drive(0.1, stamp=lambda now: now - 0.3)),
+        ("command_ahead", lambda r: r.drive(0.1, stamp=lambda now: now + 0.3)),
+        ("slew", lambda r: r.drive(0.1, (0.9, 0.0))),
+        ("yaw_slew", lambda r: r.drive(0.1, (0.4, 1.5))),
+        ("yaw_rate", lambda r: r.drive(0.1, (0.4, 2.1))),
+        ("not_to_move", lambda r: (r.judge.says(r.now, drives=False), r.drive(2.0))),
+        ("strays", lambda r: (stand(r), r.judge.reference(r.now, r.points[:41]), r.drive(8.0, (0.04, 0.0)))),
+        ("strays", lambda r: (r.judge.says(r.now, drives=True), r.drive(7.5, (0.34, 0.0)))),
+        ("off_path", lambda r: (r.judge.says(r.now, drives=True), stand(r), r.drive(1.5, (0.0, 0.0)))),
+        ("odometry", lambda r: (setattr(r, "blind", True), r.drive(0.5))),
+        ("pose", lambda r: (setattr(r, "lost", True), r.drive(3.0))),
+        ("no_reference", lambda r: (r.judge.reference(r.now, []), r.drive(0.5))),
+        ("bad_reference", lambda r: r.judge.reference(r.now, [[r.now, 0, 0, 0], [r.now + 1, 5, 0, 0]])),
+        ("outside", lambda r: r.judge.outside(r.now, wrong=True)),
+        ("off_heading", lambda r: (stand(r), r.judge.reference(r.now, [[r.now, *r.state]]), r.drive(4.5, (0.0, 0.3)))),
+        ("pose_jumps", lambda r: (r.state.__setitem__(1, 0.6), r.drive(1.0))),
+        ("pose_turns", lambda r: (r.state.__setitem__(2, 0.7), r.drive(0.6))),
+        ("clock", lambda r: r.judge.tick(r.now - 5.0)),
+    ],
+)
+def test_each_rule_stops_the_robot(robot, rule, harm):
+    robot.drive(2.0)
+    assert not robot.judge.verdict
+    harm(robot)
+    assert robot.judge.verdict.rule == rule
+    assert "\n" not in robot.judge.verdict.words and len(robot.judge.verdict.words) > 10
+
+
+def test_a_robot_that_is_held_up_may_be_late(robot):
+    """It does less than commanded: that is no fault of the controller, and does no harm."""
+    robot.drive(2.0)
+    robot.twist, robot.deaf = np.zeros(2), True
+    robot.drive(3.0)
+    robot.deaf = False
+    robot.drive(4.0)
+    assert not robot.judge.verdict
+
+
+def pause(robot, seconds):
+    """The controller says that it stands, and does; then it drives on from rest."""
+    robot.judge.says(robot.now, drives=False)
+    robot.drive(seconds, (0.0, 0.0))
+    robot.judge.says(robot.now, drives=True)
+    for v in np.arange(0.0, robot.speed, 1.9 * DT):
+        robot.drive(DT, (v, 0.0))
+
+
+def test_a_robot_that_stood_may_be_late():
+    """Though its reference went on meanwhile."""
+    robot = Robot(Judge(RULES, START), duration=30.0)
+    robot.judge.says(robot.now, drives=True)
+    robot.drive(2.0)
+    pause(robot, 3.0)
+    robot.drive(10.0)
+    assert not robot.judge.verdict
+
+
+@pytest.mark.parametrize(("again", "rule"), [(True, ""), (False, "off_path")])
+def test_one_that_stood_for_long_needs_its_reference_anew(again, rule):
+    """Moved on by as long as it stood: then it is on time, and is held to that."""
+    robot = Robot(Judge(RULES, START), duration=30.0)
+    robot.judge.says(robot.now, drives=True)
+    robot.drive(2.0)
+    late = 60.0
+    if again:
+        robot.judge.reference(robot.now, [[t + late, *pose] for t, *pose in robot.points])
+    pause(robot, late)
+    robot.drive(10.0)
+    assert robot.judge.verdict.rule == rule
+    if again:
+        robot.drive(4.0, (0.0, 0.0))
+        assert robot.judge.verdict.rule == "off_path"
+
+
+@pytest.mark.parametrize("renewed", ["reference", "word", "motion", "nothing"])
+def test_one_that_never_returns_is_stopped_in_time(renewed):
+    """Whatever is sent anew, said or done to it: beside its path for as long as it has to return, and no longer."""
+    robot = Robot(Judge(RULES, START), duration=60.0)
+    robot.judge.says(robot.now, drives=True)
+    robot.drive(2.0)
+    for _ in range(10):
+        robot.state[1] += 0.025
+        robot.drive(DT)
+    began = robot.now
+    while not robot.judge.verdict and robot.now < began + 40.0:
+        robot.drive(0.5)
+        if renewed == "reference":
+            robot.judge.reference(robot.now, robot.points)
+        elif renewed == "word":
+            robot.judge.says(robot.now, drives=False)
+            robot.judge.says(robot.now, drives=True)
+        elif renewed == "motion":
+            robot.state[1] = 0.5 - robot.state[1]
+    assert robot.judge.verdict.rule in ("strays", "off_path")
+    assert robot.judge.verdict.at - began <= RULES.returning.within + RULES.path.lasting + 0.1
+
+
+@pytest.mark.parametrize(("moved", "rule"), [(0.25, ""), (0.6, "pose_jumps")])
+def test_a_robot_that_something_else_moved_may_return(robot, moved, rule):
+    """By so much and no further: its wheels did not do that."""
+    robot.drive(2.0)
+    for _ in range(10):
+        robot.state[1] += 0.1 * moved
+        robot.drive(DT)
+    robot.drive(0.5)
+    while robot.state[1] > 0.01 and not robot.judge.verdict:
+        robot.state[1] -= 0.002
+        robot.drive(DT)
+    robot.drive(1.0)
+    assert robot.judge.verdict.rule == rule
+
+
+def test_zero_is_never_refused(robot):
+    """A controller may stop at any time, from any speed, with any stamp."""
+    robot.drive(2.0)
+    robot.drive(0.1, (0.0, 0.0), stamp=lambda now: now - 5.0)
+    assert not robot.judge.verdict
+
+
+def test_a_burst_of_late_messages_is_no_jump():
+    """Stamps tell when commands were decided: five that come together after 0.1 s are a sound ramp."""
+    judge = Judge(RULES, START)
+    now = START
+    judge.reference(now, [[START, 0, 0, 0], [START + 9, 9, 0, 0]])
+    for k in range(1, 60):
+        at = now + DT * (k - k % 5 + 5)
+        judge.gyro(at, at, 0.0)
+        judge.odometry(at, at, (0.0, 0.0), (0.0, 0.0, 0.0))
+        judge.pose(at, at, (0.0, 0.0, 0.0))
+        judge.command(at, now + DT * k, 0.5 * DT * k, 0.0)
+    assert not judge.verdict
+
+
+def test_a_person_resets_it_when_the_cause_is_gone(robot):
+    robot.drive(2.0)
+    robot.drive(0.2, (1.6, 0.0))
+    assert robot.judge.reset(robot.now).rule == "still_moved"
+    robot.drive(1.0, (0.0, 0.0))
+    assert not robot.judge.reset(robot.now)
+    assert not robot.judge.verdict
+    before = robot.drive(0.5, (0.02, 0.0))
+    assert before[-1, 0] == 0.02 and not robot.judge.verdict
+
+
+def test_no_reset_while_sensors_are_silent(robot):
+    robot.drive(2.0)
+    robot.blind = True
+    robot.drive(1.0)
+    robot.drive(1.0, (0.0, 0.0))
+    assert robot.judge.reset(robot.now).rule == "odometry"
+    robot.blind = False
+    robot.drive(0.5, (0.0, 0.0))
+    assert not robot.judge.reset(robot.now)
+
+
+@pytest.mark.parametrize(("away", "rule"), [(0.9, "no_reference"), (1.2, "no_reference"), (0.3, "")])
+def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(away, rule):
+    """Off its path it is where it may not be while it returns."""
+    robot = Robot(Judge(RULES, START))
+    robot.drive(2.0)
+    robot.state[1] = 0.9
+    robot.drive(3.0)
+    assert robot.judge.verdict.rule == "pose_jumps"
+    robot.state[1] = away
+    robot.drive(3.0, (0.0, 0.0))
+    robot.judge.reference(robot.now, [[t + 6.0, *pose] for t, *pose in robot.points])
+    assert not robot.judge.reset(robot.now)
+    robot.drive(1.0, (0.04, 0.0))
+    assert robot.judge.verdict.rule == rule
+
+
+def test_every_rule_has_words():
+    ffi, lib = load_judge()
+    names = rule_names()
+    assert len(set(names)) == len(names) == lib.DDMON_RULES > 25
+    words = [ffi.string(lib.ddmon_words(k)) for k in range(len(names))]
+    assert all(words) and len(set(words)) == len(words)
+    assert ffi.string(lib.ddmon_words(-1)) == ffi.string(lib.ddmon_words(len(names))) == b"an unknown rule"
+
+
+def random_drive(seed):
+    """A drive with something wrong, as calls: name, arguments. It begins soundly; from seed 18 on it also stands."""
+    draw = np.random.default_rng(seed)
+    kind, stands = seed % 12, 1.0 if seed >= 18 else 0.0
+    now, state, twist, command = START, np.zeros(3), np.zeros(2), np.zeros(2)
+    curve = draw.uniform(-0.5, 0.5)
+    times = np.arange(0.0, 6.01, 0.1)
+    heading = curve * times
+    speed = draw.uniform(0.2, 0.5)
+    x = np.cumsum(speed * 0.1 * np.cos(heading)) - speed * 0.1
+    y = np.cumsum(speed * 0.1 * np.sin(heading))
+    yield "reference", (START, np.column_stack([START + times, x, y, heading]).tolist()), {}
+    begins, drives = draw.uniform(0.8, 1.5) + 1.5 * stands, True
+    for _ in range(round(250 * (1.0 + 0.5 * stands))):
+        t = now - START
+        went_on, drives = drives, not 1.0 <= t < 1.0 + stands
+        if drives and not went_on and seed % 2:
+            late = START + stands
+            yield "reference", (now, np.column_stack([late + times, x, y, heading]).tolist()), {}
+        wrong = t > begins
+        wanted = np.array([speed, curve]) * (t < 6.0 + stands and drives)
+        if wrong:
+            wanted = {
+                0: wanted * [1, -1],
+                1: wanted * [-1, 1],
+                2: command,
+                3: wanted + [0.9, 0],
+                4: wanted + [0, 1.9],
+                5: wanted * 0 + 0.2,
+            }.get(kind, wanted)
+        command = command + np.clip(wanted - command, [-2 * DT, -6 * DT], [2 * DT, 6 * DT])
+        if kind == 6 and wrong:
+            command = command + draw.normal(0, 0.1, 2)
+        noise = draw.normal(0.0, 0.01, 3)
+        if not (kind == 7 and wrong):
+            yield "gyro", (now, now, float(twist[1] * (-2.0 if kind == 8 and wrong else 1.0) + noise[0])), {}
+            yield "odometry", (now, now, (twist + noise[:2]).tolist(), state.tolist()), {}
+        if draw.random() < 0.4:
+            held = np.zeros(3) if kind == 9 and wrong else state
+            yield "pose", (now, now - 0.03, (held + noise).tolist()), {}
+        yield "says", (now,), {"drives": drives and not (kind == 10 and wrong)}
+        if not (kind == 11 and wrong and draw.random() < 0.8):
+            yield "command", (now, now if kind % 2 else 0.0, *map(float, command)), {}
+        yield "tick", (now,), {}
+        twist = twist + 0.2 * (command - twist)
+        v, omega = twist
+        state = state + DT * np.array([v * math.cos(state[2]), v * math.sin(state[2]), omega])
+        now += DT
+
+
+@pytest.mark.parametrize("seed", [*range(20), 24, 25])
+def test_the_oracle_agrees(seed):
+    """At every call: whether it stopped the robot, when, and why."""
+    rules = RULES if seed < 12 or seed >= 18 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0)
+    ours, theirs = Judge(rules, START), OracleJudge(rules, START)
+    for name, arguments, words in random_drive(seed):
+        getattr(ours, name)(*arguments, **words)
+        getattr(theirs, "odometry_" if name == "odometry" else name)(*arguments, **words)
+        found = ours.verdict
+        assert bool(found) == (theirs.stopped is not None), (name, arguments, found, theirs.stopped)
+        if found:
+            assert found.at == theirs.stopped[0] and found.rule in theirs.stopped[1]
+            break
+
+
+def test_the_oracle_was_asked_for_many_rules():
+    found = set()
+    for seed in range(18):
+        judge = Judge(RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0), START)
+        for name, arguments, words in random_drive(seed):
+            getattr(judge, name)(*arguments, **words)
+        found.add(judge.verdict.rule)
+    assert len(found - {""}) >= 6, found
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("commands.v: -1", "commands.v"),
+        ("commands.slowest: 0.001", "commands.quickest has to be shorter than commands.slowest"),
+        ("agreement.window: 9", "agreement.window"),
+        ("commands.vv: 1", "did you mean 'commands.v'"),
+        ("path.distance: .nan", "path.distance"),
+    ],
+)
+def test_mistakes_in_rules_are_one_line(tmp_path, text, words):
+    import yaml
+
+    values = yaml.safe_load((FOLDER / "default.yaml").read_text(encoding="utf-8"))
+    key, _, value = text.partition(": ")
+    group, name = key.split(".")
+    values[group][name] = yaml.safe_load(value)
+    path = tmp_path / "rules.yaml"
+    path.write_text(yaml.safe_dump(values), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_rules(path)
+    assert words in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_rules_and_the_struct_of_c_have_the_same_names():
+    ffi, _ = load_judge()
+    fields = [name for name, _ in ffi.typeof("ddmon_rules").fields]
+    assert fields == list(RULES.numbers)
+    assert all(field.description for field in Rules.model_fields.values())
