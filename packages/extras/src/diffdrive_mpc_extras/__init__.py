@@ -5,7 +5,8 @@ from importlib.metadata import version
 _ROOT = "0.3"
 """Minor version of diffdrive-mpc that this package is built on."""
 
-if not version("diffdrive-mpc").startswith(f"{_ROOT}."):
+_installed = version("diffdrive-mpc")
+if not _installed.startswith(f"{_ROOT}."):
     raise ImportError(
-        f"diffdrive-mpc-extras {_ROOT} needs diffdrive-mpc {_ROOT}, found {version('diffdrive-mpc')}: install both of one version"
+        f"diffdrive-mpc-extras needs diffdrive-mpc {_ROOT}, found {_installed}: install both of one version"
     )
