@@ -8,5 +8,5 @@ _ROOT = "0.3"
 _installed = version("diffdrive-mpc")
 if not _installed.startswith(f"{_ROOT}."):
     raise ImportError(
-        f"diffdrive-mpc-extras needs diffdrive-mpc {_ROOT}, found {_installed}: install both of one version"
+        f"diffdrive-mpc-extras needs diffdrive-mpc {_ROOT}, not {_installed}: install both of one version"
     )

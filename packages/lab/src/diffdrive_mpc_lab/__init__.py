@@ -7,4 +7,4 @@ _ROOT = "0.3"
 
 _installed = version("diffdrive-mpc")
 if not _installed.startswith(f"{_ROOT}."):
-    raise ImportError(f"diffdrive-mpc-lab needs diffdrive-mpc {_ROOT}, found {_installed}: install both of one version")
+    raise ImportError(f"diffdrive-mpc-lab needs diffdrive-mpc {_ROOT}, not {_installed}: install the same version")
