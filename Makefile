@@ -131,7 +131,7 @@ test-system: $(LAB_READY) ## tests that need Debian packages: a browser, ffmpeg,
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
-	PYTHONPATH=tests:tests/models:tests/extras $(BIN)/python -m fuzz $(FUZZ)
+	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
 
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)
@@ -176,7 +176,7 @@ site: $(READY) ## the documents as a site: out/site
 	@echo "$(SITE_OUT)/index.html"
 
 lab: $(LAB_READY) ## the laboratory, one page for a browser that needs nothing else: out/lab.html
-	$(BIN)/python -m diffdrive_mpc_lab.build $(LAB_OUT)
+	$(BIN)/diffdrive-mpc lab --out $(LAB_OUT)
 
 notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages
 	$(BIN)/python -m studies.site.notebooks

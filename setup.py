@@ -33,12 +33,10 @@ class BuildWithCore(build_py):
             from diffdrive_mpc.models.compiled.compiler import NotCompiledError  # noqa: PLC0415
             from diffdrive_mpc.mpc.core.packaged import write_packaged as write_core  # noqa: PLC0415
             from diffdrive_mpc.sim.core.library import write_packaged as write_twin  # noqa: PLC0415
-            from diffdrive_mpc_monitor.judge import write_packaged as write_judge  # noqa: PLC0415
 
             package = Path(self.build_lib, "diffdrive_mpc")
             try:
                 write_core(package / "mpc" / "core")
-                write_judge(package / "mpc" / "monitor" / "core")
                 write_twin(package / "sim" / "core")
             except NotCompiledError as error:
                 sys.exit(f"error: the package's C is not compiled: {error}; install gcc, or take a wheel")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from two_processes import drive_over_dds
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
@@ -14,7 +15,6 @@ from diffdrive_mpc.app.replay.open_loop import replay
 from diffdrive_mpc.app.replay.reading import read_recording
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from studies.ros.two_processes import drive_over_dds
 
 DT = 0.0202
 CASE = Case(trajectory="cane", sensors="slam", overrides=(("weights.across", 90.0),))

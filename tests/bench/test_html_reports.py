@@ -11,6 +11,7 @@ import pytest
 from bench_parts import quick_outcome
 from opened_report import check_page, check_report, content_of, opened
 
+from browser import opened_browser
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
@@ -35,7 +36,6 @@ from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.documents.browser import opened_browser
 from studies.documents.screenshots import screenshot
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")

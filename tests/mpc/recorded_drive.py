@@ -89,7 +89,7 @@ def _held(commands: TopicRows, ticks: FloatArray) -> FloatArray:
     return np.where(newest[:, None] >= 0, commands.value[newest], 0.0)
 
 
-def _body_twist(message: Any) -> Reading:  # noqa: ANN401 - the types are made by rosbags
+def _body_twist(message: Any) -> Reading:
     twist = message.twist
     return float(twist.linear.x), float(twist.linear.y), float(twist.angular.z)
 

@@ -31,7 +31,7 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
     Raises MissingPackageError without Playwright, ConfigError where there is no such browser.
     """
     try:
-        from playwright.sync_api import sync_playwright  # noqa: PLC0415 - optional
+        from playwright.sync_api import sync_playwright
     except ImportError as error:
         raise MissingPackageError("screenshots need playwright: pip install playwright") from error
     program = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -47,9 +47,9 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
             browser.close()
 
 
-def open_report(page: Any, report: Path) -> None:  # noqa: ANN401 - Playwright is optional
+def open_report(page: Any, report: Path) -> None:
     """Open a report in a page of Playwright, and wait until all of it is drawn; raises ConfigError if it never is."""
-    from playwright.sync_api import TimeoutError as NotDrawnError  # noqa: PLC0415 - optional
+    from playwright.sync_api import TimeoutError as NotDrawnError
 
     page.goto(report.resolve().as_uri())
     try:

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 from test_over_dds import BOUND, true_twists
+from two_processes import own_domain, running
 
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
-from studies.ros.two_processes import own_domain, running
 
 
 @pytest.mark.long
