@@ -154,9 +154,9 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/python -m studies models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(STUDY_OUT)/tracking $(STUDY_OUT)/reproduce $(STUDY_OUT)/speed $(STUDY_OUT)/peers $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(STUDY_OUT)/torque $(STUDY_OUT)/saving)
+	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(STUDY_OUT)/tracking $(STUDY_OUT)/reproduce $(STUDY_OUT)/speed $(STUDY_OUT)/peers $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT))
 
-STUDIES_SHOWN = tracking reproduce speed loop-speed peers torque saving energy-front predicted-error
+STUDIES_SHOWN = tracking reproduce speed peers predicted-error
 
 results: $(READY) ## every report of the documents anew, and into the documents: some hours on a quiet machine
 	$(MAKE) bench-full edge robustness market prove tune

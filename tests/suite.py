@@ -42,8 +42,6 @@ LONG_TESTS = {
     "test_real_time_iterations.py",
     "test_replay_bags.py",
     "test_reproduce_experiments.py",
-    "test_saving_study.py",
-    "test_torque_study.py",
     "test_tutorials.py",
 }
 """Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""

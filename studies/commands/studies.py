@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
-from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
+from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_option
 
 if TYPE_CHECKING:
     from diffdrive_mpc.bench.study import Study
@@ -22,17 +22,12 @@ EXAMPLES = {
     "tracking": "Example: python -m studies tracking --out results --quick --only cross,bound",
     "reproduce": "Example: python -m studies reproduce --out results --only virtual_track",
     "peers": "Example: python -m studies peers --out results --peers pursuit,lqr+slip",
-    "energy-front": "Example: python -m studies energy-front --out results --quick",
-    "torque": "Example: python -m studies torque --out results --quick",
-    "saving": "Example: python -m studies saving --out results --quick",
     "robustness": "Example: python -m studies robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "worlds": "Example: python -m studies worlds --out results --quick --controllers mpc,rpp+stop",
     "speed": "Example: python -m studies speed --out results --quick --peers ours,acados",
     "predicted-error": "Example: python -m studies predicted-error --out predicted --quick",
     "monitor": "Example: python -m studies monitor --out watched --seeds 2 --hours 0.2",
-    "real-logs": "Example: python -m studies real-logs husky --data logs --out husky",
     "stack": "Example: python -m studies stack --out results --robots 20",
-    "loop-speed": "Example: python -m studies loop-speed --out results --models ssm --trajectories circle,s",
 }
 
 
@@ -44,9 +39,6 @@ def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
 def _names(what: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
     """The option that takes names, with commas between."""
     return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{what}.", show_default=default)
-
-
-Floors = Annotated[str | None, _names("Floors, with commas between", "those of the study", "--surfaces")]
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
@@ -222,79 +214,6 @@ def speed(
     _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
 
 
-def loop_speed(
-    *,
-    out: Annotated[Path, out_option("report.html, loop-speed.json and loop-speed.md")],
-    models: Annotated[str, _names("Models of the controller")] = "ssm",
-    trajectories: Annotated[str, _names("Paths")] = "circle,square,s,cane",
-    plant: Annotated[str, typer.Option(metavar="NAME", help="Plant.")] = "mujoco",
-    scenario: Annotated[str, typer.Option(metavar="NAME", help="What happens on the way.")] = "none",
-    repeats: Annotated[int, typer.Option(min=1, max=1000, help="How often each is driven; the least time counts.")] = 5,
-) -> None:
-    """Say how many times as fast as real time the closed loop is simulated on one core, whole and by part."""
-    from studies.loop_speed.study import LoopSpeedStudy  # noqa: PLC0415 - --help does without it
-
-    paths = split_names(trajectories, "--trajectories")
-    _carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)
-
-
-def energy_front(
-    *,
-    out: Annotated[Path, out_option("report.html, energy-front.json, energy-front.md and figures/")],
-    quick: Annotated[bool, typer.Option("--quick", help="One path and three weights, to see that it works.")] = False,
-    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    jobs: Jobs = None,
-) -> None:
-    """Energy against tracking error as the weight of energy in the controller grows; minutes on two cores."""
-    from studies.energy_front.study import (  # noqa: PLC0415 - --help does without it
-        HERE,
-        EnergyFrontStudy,
-        load_study,
-        small,
-    )
-
-    asked = load_study(study)
-    _carry_out(EnergyFrontStudy(small(asked) if quick else asked, study.parent if study else HERE), out, jobs)
-
-
-def torque(
-    *,
-    out: Annotated[Path, out_option("report.html, torque.json, torque.md, turn-costs-FLOOR.yaml and figures/")],
-    quick: Annotated[bool, typer.Option("--quick", help="One floor and few turns, to see that it works.")] = False,
-    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    surfaces: Floors = None,
-    jobs: Jobs = None,
-) -> None:
-    """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores."""
-    from studies.torque.settings import load_study, small  # noqa: PLC0415 - --help does without it
-    from studies.torque.study import TorqueStudy  # noqa: PLC0415
-
-    asked = load_study(study)
-    asked = small(asked) if quick else asked
-    if surfaces is not None:
-        asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
-    _carry_out(TorqueStudy(asked), out, jobs)
-
-
-def saving(
-    *,
-    out: Annotated[Path, out_option("report.html, saving.json, saving.md and figures/")],
-    quick: Annotated[bool, typer.Option("--quick", help="One floor and two pairs, to see that it works.")] = False,
-    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    surfaces: Floors = None,
-    jobs: Jobs = None,
-) -> None:
-    """Drive energy-optimal and distance-optimal paths of the same ends, and say what is saved: minutes on two cores."""
-    from studies.saving.settings import load_study, small  # noqa: PLC0415 - --help does without it
-    from studies.saving.study import SavingStudy  # noqa: PLC0415
-
-    asked = load_study(study)
-    asked = small(asked) if quick else asked
-    if surfaces is not None:
-        asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
-    _carry_out(SavingStudy(asked), out, jobs)
-
-
 def monitor(
     *,
     out: Annotated[Path, out_option("monitor.md, monitor.json and figures/", "out/monitor")] = Path("out/monitor"),
@@ -341,24 +260,6 @@ def stack(
     _carry_out(StackStudy(robots if "robots" in parts else 0, tuning=tuning_robots, peers=peers), out, jobs)
 
 
-def real_logs(
-    log: Annotated[str, typer.Argument(help="husky, warthog-asphalt or warthog-gravel.")],
-    *,
-    data: Annotated[Path, typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the logs.", show_default=False)],
-    out: Annotated[
-        Path,
-        typer.Option(
-            parser=out_folder, metavar="PATH", help="Folder for proof.md, model.yaml, config.yaml and surface.yaml."
-        ),
-    ],
-    seeds: Annotated[int, typer.Option(min=0, help="Closed-loop runs of each kind; 0 for none.")] = 3,
-) -> None:
-    """Identify a real robot with the effects of its base, score it on held-out rows, and drive its stand-in."""
-    from studies.real_logs.study import prove_log  # noqa: PLC0415 - --help and other commands do without it
-
-    prove_log(log, data, out, seeds)
-
-
 def predicted_error(
     *,
     out: Annotated[Path, out_option("report.html, predicted-error.json, predicted-error.md and calibration.yaml")],
@@ -385,12 +286,7 @@ STUDIES: dict[str, Callable[..., None]] = {
     "worlds": worlds,
     "peers": peers,
     "reproduce": reproduce,
-    "torque": torque,
-    "saving": saving,
-    "energy-front": energy_front,
     "speed": speed,
-    "loop-speed": loop_speed,
-    "real-logs": real_logs,
     "stack": stack,
     "monitor": monitor,
     "predicted-error": predicted_error,

@@ -82,42 +82,18 @@ PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
 TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tuning.md")
-LOOP_SPEED = ShownReport("loop-speed", (), ())
-TORQUE = ShownReport(
-    "torque",
-    ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
-    (),
-)
-SAVING = ShownReport(
-    "saving",
-    (
-        "saving.png",
-        "paths-default.png",
-        "prediction.png",
-        "scenario-1.png",
-        "scenario-2.png",
-        "scenario-3.png",
-        "scenario-4.png",
-    ),
-    (),
-)
-ENERGY_FRONT = ShownReport("energy-front", ("front.png",), ())
 PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
 SHOWN = (
     BENCH,
     TRACKING,
     REPRODUCE,
     SPEED,
-    LOOP_SPEED,
     PEERS,
     EDGE,
     ROBUSTNESS,
     MARKET,
     PROVE,
     TUNE,
-    TORQUE,
-    ENERGY_FRONT,
-    SAVING,
     PREDICTED_ERROR,
 )
 

@@ -238,7 +238,7 @@ def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
 
 
-@pytest.mark.parametrize("command", ["tracking", "speed", "monitor", "real-logs", "models truths"])
+@pytest.mark.parametrize("command", ["tracking", "speed", "monitor", "models truths"])
 def test_every_study_has_help_with_an_example(command: str) -> None:
     result = invoke(studies_app, *command.split(), "--help")
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())

@@ -19,7 +19,7 @@ from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.deliver.trust import fit_interval, judge
-from studies.real_logs.protocol import load_protocol
+from studies.reproduce.real_logs import load_protocol
 
 TRACK = "wheels: {track: 0.5}\n"
 

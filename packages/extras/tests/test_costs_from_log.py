@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log, settled
+from diffdrive_mpc_extras.torque.measurements import write_diagnostic_log
 from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs
-from studies.torque.measurements import write_diagnostic_log
 
 SLIPPERY = load_turn_costs("fsu_bot-slippery")
 

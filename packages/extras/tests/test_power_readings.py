@@ -21,8 +21,8 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor, load_sensor_set
 from diffdrive_mpc_extras.energy import identify_constants, logged_energy
+from diffdrive_mpc_extras.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
 from diffdrive_mpc_extras.turn_costs import load_drive_constants
-from studies.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
 
 EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))
 CONSTANTS = ("torque_constant", "resistance", "idle_power")

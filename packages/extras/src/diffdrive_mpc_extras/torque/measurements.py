@@ -6,13 +6,15 @@ import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -24,7 +26,6 @@ from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerRea
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.turn_costs import DriveConstants
 from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE
-from studies.torque.settings import Diagnostic, Measured, Unseen, load_study
 
 KEPT_SHARE = 0.90
 """Below this share of the commanded curvature a turn is not kept; whole pulses a second make up to 0.05."""
@@ -33,6 +34,53 @@ _BISECTIONS = 9
 _WIDEST = 60.0
 # A ball in the middle of the body, so that the payload changes the weight alone.
 _BALL = 0.03
+
+
+Radii = Annotated[tuple[float, ...], Field(min_length=3)]
+Speeds = Annotated[tuple[Positive, ...], Field(min_length=1)]
+
+
+class Diagnostic(StrictModel):
+    """Diagnostic drive: turns held one after the other."""
+
+    radii: Radii
+    speeds: Speeds
+    hold: Positive
+
+
+class Measured(StrictModel):
+    """Steady turns."""
+
+    radii: Radii
+    speeds: Speeds
+    settling: NotNegative
+    hold: Positive
+
+
+class Unseen(StrictModel):
+    """Drives whose energy is predicted."""
+
+    seeds: tuple[int, ...]
+    turns: int = Field(ge=1)
+    hold: Positive
+    ramp: NotNegative
+    radii: tuple[Positive, Positive]
+    speeds: tuple[Positive, Positive]
+
+
+class TurnStudy(StrictModel):
+    """Turns that the simulated robot drives to measure its torques."""
+
+    robot: str = Field(description="simulated robot and vehicle, shipped or the path of a file")
+    diagnostic: Diagnostic
+    measured: Measured
+    unseen: Unseen
+    seed: int = Field(ge=0)
+
+
+def load_turn_study() -> TurnStudy:
+    """Read `turn_study.yaml`."""
+    return load_checked(TurnStudy, Path(__file__).with_name("turn_study.yaml"))
 
 
 class Steady(NamedTuple):
@@ -269,7 +317,7 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
     models.checked_yaml.ConfigError
         If robot or floor do not exist, or the file cannot be written.
     """
-    asked = load_study().diagnostic
+    asked = load_turn_study().diagnostic
     plant = make_plant(f"mujoco:{robot}", surface=surface, sensors="power", seed=seed)
     hold, rest = (round(time / plant.sample_time) for time in (asked.hold, _REST))
     commands = diagnostic_commands(asked.radii, asked.speeds, hold, rest)
