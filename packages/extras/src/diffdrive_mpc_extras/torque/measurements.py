@@ -72,6 +72,7 @@ class TurnStudy(StrictModel):
     """Turns that the simulated robot drives to measure its torques."""
 
     robot: str = Field(description="simulated robot and vehicle, shipped or the path of a file")
+    prior: str = Field(description="terrain that the networks know at first")
     diagnostic: Diagnostic
     measured: Measured
     unseen: Unseen
