@@ -219,7 +219,7 @@ class Life:
     def see(self, said: Any) -> None:
         """Something lies around it, or nothing any more."""
         try:
-            self.controller.set_obstacles(make_surroundings(said, self.pose, self.t))
+            self.controller.feature("free_space").set_obstacles(make_surroundings(said, self.pose, self.t))
         except _REFUSED as error:
             one_line(error)
 
