@@ -424,7 +424,8 @@ class ControllerConfig(Group):
     @model_serializer(mode="wrap")
     def _dump(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = handler(self)
-        return data | data.pop("features", {})
+        features: dict[str, Any] = data.pop("features", {})
+        return {**data, **features}
 
     @classmethod
     def further_groups(cls) -> Mapping[str, type[FeatureGroup]]:
