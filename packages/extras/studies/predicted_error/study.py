@@ -29,7 +29,7 @@ from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, Trajectory
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, ErrorPopulation
-from diffdrive_mpc_extras.predicted_error.predicted_error import predict_error
+from diffdrive_mpc_extras.predicted_error.predicted_error import predict_tubes
 
 CALIBRATION = "calibration.yaml"
 Driven = Mapping[str, Sequence[DrivenPath]]
@@ -207,6 +207,6 @@ def _seconds(calibration: ErrorCalibration) -> float:
     times = []
     for _ in range(_REPEATS):
         began = time.perf_counter()
-        predict_error(path, controller.config, controller.model.lag, next(iter(calibration.populations)), calibration)
+        predict_tubes(path, controller.config, controller.model.lag, next(iter(calibration.populations)), calibration)
         times.append(time.perf_counter() - began)
     return float(np.median(times))
