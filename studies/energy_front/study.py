@@ -122,7 +122,8 @@ def drive(case: Case) -> FrontRun:
     run = run_case(case)
     metrics, weight = run.metrics, dict(case.overrides)["energy.weight"]
     assert isinstance(weight, float)
-    values = (metrics.energy_j, metrics.position_rmse_m, metrics.lateral_rmse_m)
+    energy = run_energy(run, robot_power(case.plant).drive).energy_j
+    values = (energy, metrics.position_rmse_m, metrics.lateral_rmse_m)
     return FrontRun(case.surface, label(case.trajectory), weight, case.seed, *values, metrics.completed)
 
 
@@ -183,7 +184,8 @@ class EnergyFrontStudy(Study[list[Case], list[FrontRun]]):
 
     def report(self, results: list[FrontRun], seconds: float) -> Report:
         """A table and a figure."""
-        from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
+        from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
+from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
 
         by_place = fronts(results)
         best = max((_best(points, 2.0) for points in by_place.values()), key=lambda row: row.saved.value)

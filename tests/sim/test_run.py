@@ -109,7 +109,7 @@ def arrays(run: Run) -> dict[str, FloatArray]:
 
 def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_process(run: Run) -> None:
     for held in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
-        assert len(arrays(held)) == 23
+        assert len(arrays(held)) == 22
         for name, array in arrays(held).items():
             with pytest.raises(ValueError, match="read-only"):
                 array[...] = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from loop_parts import FeedForward
 from studies.worlds.results import measured
 from studies.worlds.settings import cases, known_at, load_settings, stop_was_possible
 from studies.worlds.study import WorldsStudy
+from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, run_case
 from diffdrive_mpc.bench.study import carry_out
@@ -122,6 +125,14 @@ def test_a_world_brings_its_way() -> None:
     assert load_reference(Case(plant="world:doorway")).sample([0.0]).pose[0].tolist() == [0.0, 0.0, 0.0]
     with pytest.raises(ConfigError, match="has its own path"):
         load_reference(Case(plant="world:doorway", trajectory="s"))
+
+
+def test_simulate_prints_the_passage_and_its_table() -> None:
+    arguments = ["simulate", "--plant", "world:slalom", "--controller", "rpp+stop"]
+    line = r"^world: (not )?arrived, \d+ contacts, least clearance \d\.\d+ m$"
+    assert re.search(line, CliRunner().invoke(app, arguments).stdout, re.MULTILINE)
+    detailed = CliRunner().invoke(app, [*arguments, "--details"]).stdout
+    assert "world:slalom" in detailed and "walked" in detailed
 
 
 @pytest.mark.long

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, check
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, laid_over
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.sim.plants.make import simulated_robot
@@ -121,7 +122,13 @@ def power_sensor(name: str = "power") -> PowerSensor:
 def robot_power(name: str) -> RobotPower:
     """Return motors and battery of the robot of a plant's name, such as "mujoco:fsu_bot"."""
     robot = simulated_robot(name)
-    return check(RobotPower, {} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
+    return _checked_power({} if robot is None else robot.parts.get("power", {}), f"{name}: parts.power")
+
+
+def _checked_power(values: Any, where: str) -> RobotPower:  # noqa: ANN401 - content of a file
+    """Check values of a robot file; a drive that is written out may leave out what equals that of the papers."""
+    usual = {"drive": papers_drive().model_dump()}
+    return check(RobotPower, laid_over(usual, values) if isinstance(values, Mapping) else values, where)
 
 
 class PowerColumns(RunColumns):
@@ -146,7 +153,7 @@ class PowerKind:
 
     def make_part(self, sensor: object, robot: object, seed: int) -> PowerReadings:
         """Make the sensors; raises ConfigError if a value cannot be used."""
-        of = check(RobotPower, robot, "robot: parts.power")
+        of = _checked_power(robot, "robot: parts.power")
         return PowerReadings(check(PowerSensor, sensor, "sensors: parts.power"), of.battery, of.drive, seed)
 
 
