@@ -107,7 +107,7 @@ YAML = {
     "surface": "simulate --surface FILE",
     "sensors": "simulate --sensors FILE",
     "scenario": "simulate --scenario FILE",
-    "world": "simulate --world FILE",
+    "world": "simulate --plant world:FILE",
     "run": "simulate --from-run FILE",
     "mapping": "identify LOG --mapping FILE --out OUT",
     "campaign": "campaign FILE --out OUT",

@@ -10,9 +10,10 @@ from pandas import DataFrame
 from studies.worlds.results import rate
 
 from diffdrive_mpc.bench.experiment import by
-from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, draw_world, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Series
 from diffdrive_mpc.bench.study import Charts, Draw
+from diffdrive_mpc_extras.worlds.drawing import draw_world
 from diffdrive_mpc_extras.worlds.world_file import load_world
 
 _SHOWN = 6
@@ -56,7 +57,7 @@ def rate_charts(rows: DataFrame) -> list[Chart]:
 
 def draw_worlds(rows: DataFrame, path: Path) -> None:
     """Draw worlds from above with the ways that controllers took in them."""
-    worlds = dict(iter(rows.groupby([[case.world for case in rows["case"]], "seed"], sort=False)))
+    worlds = dict(iter(rows.groupby(["world", "seed"], sort=False)))
     columns = min(2, len(worlds))
     lines = -(-len(worlds) // columns)
     drivers = list(by(rows, "driver"))

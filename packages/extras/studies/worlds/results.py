@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
 
 _KEPT = 10
 """Every so many ticks the place is kept, for pictures."""
@@ -29,22 +30,22 @@ def measured(case: Case, run: Run) -> dict[str, object]:
     of the robot [m], for pictures. `planned_s` is the duration of the way as it was planned, `arrival_s` that of a run
     that arrived. `step_p99_s` is of the controller's step, `last_message` what it said last.
     """
-    passage = run.passage
-    assert passage is not None and run.world is not None
+    passed, (_, name, plant) = passage(run), split(case.plant)
     steps = run.step_time[np.isfinite(run.step_time)]
     labels = case.labels
-    place = [labels[name] for name in ("plant", "surface", "sensors") if labels[name] not in ("mujoco", "default")]
+    place = [of for of in (plant, labels["surface"], labels["sensors"]) if of not in ("mujoco", "default")]
     return {
         "driver": case.controller if case.controller in PEERS else f"mpc, {case.model}",
-        "planned_way": "posts on it" if case.world.endswith(":through") else "free",
+        "world": name,
+        "planned_way": "posts on it" if name.endswith(":through") else "free",
         "place": ", ".join(place) or "as tuned",
-        "collided": passage.contacts > 0,
-        "stood_still": not passage.arrived and not passage.contacts,
-        "was_walked_into": passage.walked_into > 0,
-        "stop_possible": bool(run.world.movers) and stop_was_possible(case, run) is True,
+        "collided": passed.contacts > 0,
+        "stood_still": not passed.arrived and not passed.contacts,
+        "was_walked_into": passed.walked_into > 0,
+        "stop_possible": bool(world_record(run).world.movers) and stop_was_possible(case, run) is True,
         "path": run.true_pose[::_KEPT, :2].copy(),
         "planned_s": run.reference.duration,
-        "arrival_s": passage.time_s if passage.arrived else np.nan,
+        "arrival_s": passed.time_s if passed.arrived else np.nan,
         "last_message": next((message for message in reversed(run.messages) if message), ""),
         "step_p99_s": float(np.percentile(steps, 99)) if steps.size else np.nan,
     }

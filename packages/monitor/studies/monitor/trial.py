@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
-from diffdrive_mpc.sim.plants.make import DRAWN
+from diffdrive_mpc.sim.plants.plug_ins import DRAWN
 from diffdrive_mpc_monitor.rules import Rules
 from studies.monitor.drawn import DrawnFault
 from studies.monitor.faults import AT_START, FAULTS, Fault
