@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import pytest
 
 from diffdrive_mpc.app.identification import trial_drives
-from diffdrive_mpc.mpc.trajectories import model_excitation
+from diffdrive_mpc_extras.excitation import model_excitation
 from diffdrive_mpc_extras.hybrids import finding as hybrid
 from diffdrive_mpc_extras.twin import fitting
 

@@ -20,14 +20,14 @@ import numpy as np
 import pyarrow
 import pytest
 import yaml
+from diffdrive_mpc.app.commission.ledger import FILE as LEDGER
+from diffdrive_mpc.app.commission.ledger import Ledger
 from mcap.writer import Writer
 from pyarrow import parquet
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.commission.ledger import FILE as LEDGER
-from diffdrive_mpc.app.commission.ledger import Ledger
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.table_file import read_table

@@ -12,11 +12,11 @@ from commands import invoke
 from diffdrive_mpc import ControllerConfig, identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.run_log import repeating
-from diffdrive_mpc.app.simulate.laps import drive_laps
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.sim import log_mcap
-from diffdrive_mpc.sim.laps import lap_parts
+from diffdrive_mpc_extras.rehearsal.lap_parts import lap_parts
+from diffdrive_mpc_extras.rehearsal.laps import drive_laps
 
 PLAIN = Case(plant="model:sm", trajectory="cane")
 LEARNING = PLAIN.with_override("rehearsal.enabled", value=True)

@@ -18,9 +18,9 @@ import numpy as np
 
 from diffdrive_mpc import Measurement, Stamped, load_config, load_trajectory
 from diffdrive_mpc.models.interface import Reference
-from diffdrive_mpc_extras.export import Precision, export_controller
-from diffdrive_mpc_extras.export.command import link_stm32f4
 from diffdrive_mpc_extras.export.emulation import EmulatedController
+from diffdrive_mpc_extras.export.library import Precision, export_controller
+from diffdrive_mpc_extras.export.report import link_stm32f4
 
 DEFAULTS = (100_000, 0, 15)
 TIGHT = {"limits.wheel_speed": 0.1, "limits.corridor": 0.01, "limits.omega_slew": 0.5}

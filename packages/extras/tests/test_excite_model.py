@@ -10,8 +10,8 @@ from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
-from diffdrive_mpc.mpc.trajectories import model_excitation as searched
-from diffdrive_mpc_extras.excitation.command import check_drive, driven, excite_model
+from diffdrive_mpc_extras.excitation import model_excitation as searched
+from diffdrive_mpc_extras.excitation.excite import check_drive, driven, excite_model
 from diffdrive_mpc_extras.excitation.model_excitation import Room
 
 

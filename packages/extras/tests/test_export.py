@@ -20,8 +20,8 @@ from diffdrive_mpc.mpc.core.sources import CORE
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc_extras.export import Precision, export_controller
 from diffdrive_mpc_extras.export.generated_c import sizes_text, trajectory_texts
+from diffdrive_mpc_extras.export.library import Precision, export_controller
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
 # Limits that the square's corners lean on.

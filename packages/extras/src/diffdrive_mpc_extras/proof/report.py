@@ -249,7 +249,7 @@ def _worst(files: Mapping[str, CampaignRun]) -> Table:
             "what was said most": words,
         },
         [((name, _brief(file.definition)), file) for name, file in files.items()],
-        "Each is a file: `diffdrive-mpc simulate --from-run FILE` drives it again; where it names files of yours, with "
+        "Each is a file: `diffdrive-mpc repeat FILE` drives it again; where it names files of yours, with "
         "`--trust-terms FOLDER`.",
     )
 
@@ -286,7 +286,7 @@ def _or_nan(figure: object, values: FloatArray) -> float:
 
 
 _MOST_POINTS = 4000
-_WORDS_AGAIN = "drive the worst again with `simulate --from-run worst/01.yaml --out worst/01`, and read its report"
+_WORDS_AGAIN = "drive the worst again with `repeat worst/01.yaml --out worst/01`, and read its report"
 
 
 def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], seeds: int, band: float) -> Shown:

@@ -1,4 +1,4 @@
-"""One run as a file: what defines it and the figures that it came to; `simulate --from-run` drives it again."""
+"""One run as a file: what defines it and the figures that it came to; `diffdrive-mpc repeat` drives it again."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from diffdrive_mpc_extras.campaign.drive import TIME, Row
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.campaign.identity import environment, key_of
 
-_HEAD = (
-    "# A run: drive it again with `diffdrive-mpc simulate --from-run FILE`. Units are those of the files and options.\n"
-)
+_HEAD = "# A run: drive it again with `diffdrive-mpc repeat FILE`. Units are those of the files and options.\n"
 
 
 class RunFile(StrictModel):
