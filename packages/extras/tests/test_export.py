@@ -341,3 +341,22 @@ def test_any_other_reference_is_fitted():
     # The constant coefficients: the poses where the pieces begin.
     assert np.allclose(table[12:15].T, reference.sample(breaks[:-1]).pose)
     assert ".cubic = 1" in source
+
+
+HOSTILE_NAMES = (
+    "x *\\\n/ int hidden = 1; /*",
+    "x */ int hidden = 1; /*",
+    "x ??/\n */ int hidden;",
+    "a\nlimits: 99\r\x1b[2J\u202e\x85\u2028b",
+)
+
+
+def test_name_of_a_trajectory_is_never_code_in_the_export():
+    for name in HOSTILE_NAMES:
+        reference = load_trajectory("circle")
+        object.__setattr__(reference, "name", name)
+        header = trajectory_texts(reference, 0.02)["trajectory.h"]
+        (comment,) = [line for line in header.splitlines() if line.startswith("/*")]
+        assert comment.endswith(" */")
+        assert not set("*/\\?") & set(comment[2:-2])
+        assert header.count("/*") == header.count("*/") == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from scipy.stats import binom
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, cvar, mean, median
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.proof.boundaries import Boundary, drawn_map, find_boundaries, map_runs
-from diffdrive_mpc_extras.proof.proof_file import BoundarySearch, Map, MapAxis
+from diffdrive_mpc_extras.proof.proof_file import DEFAULT as PROOF
+from diffdrive_mpc_extras.proof.proof_file import BoundarySearch, Map, MapAxis, load_proof
 from diffdrive_mpc_extras.proof.report import Outcomes, facts, is_unsafe, tables, worst
 
 PROBE = Definition(Case())
@@ -193,3 +196,26 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
 def test_a_search_that_can_find_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="no further apart than within"):
         search(holds=0.1, beyond=0.15, within=0.1)
+
+
+def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
+    proof = read_yaml(PROOF)
+    axis = {"factor": "surface.slope", "low": 0.0, "high": 1.0, "steps": 100}
+    one = next(iter(proof["maps"].values()))
+    axis["factor"] = one["x"]["factor"]
+    letters = "abcdefghijklmnopqrstuvwxyz"
+    proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
+    file = tmp_path / "proof.yaml"
+    file.write_text(str(proof).replace("None", "null").replace("True", "true").replace("False", "false"))
+    with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are asked for, at most 1,000,000"):
+        load_proof(file)
+
+
+def test_search_for_a_boundary_ends_at_the_resolution_of_floats() -> None:
+    search = Boundary("f", BoundarySearch(holds=1.0, beyond=1.00001, within=1e-300))
+    tried = 0
+    while (value := search.next_value) is not None:
+        search.take(value, int(value < 1.000004), 1)
+        tried += 1
+        assert tried < 40
+    assert search.held == pytest.approx(1.000004, abs=1e-8)

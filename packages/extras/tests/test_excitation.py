@@ -1,6 +1,7 @@
-"""Drives that excite: one twist, and a model."""
+"""`excite`: drives that determine slip and models, their files, and robots that differ from the believed one."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from diffdrive_mpc import ConfigError, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.identification.fit.noise import DriveInformation
 from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc_extras.excitation import model_excitation as searched
+from diffdrive_mpc_extras.excitation.excite import check_drive, driven, excite_model
 from diffdrive_mpc_extras.excitation.model_excitation import Room, model_excitation, path_of, write_model_drive
 from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_excitation
 
@@ -37,6 +40,14 @@ def test_it_stays_in_its_square_and_tells_the_terms_apart(tmp_path, side, speed,
     assert max(abs(one.omega) for one in segments) <= yaw_rate + 1e-9
 
 
+def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
+    """The root package ships the sequence that this search finds."""
+    searched_for = slip_excitation(6.0, 90.0, 0.6, 1.0)
+    assert [(one.v, one.omega, one.duration) for one in load_segments("excitation")] == pytest.approx(
+        [(one.v, one.omega, one.duration) for one in searched_for], abs=1e-4
+    )
+
+
 def test_a_circle_tells_nothing_apart():
     assert told_apart(load_segments("circle")) == pytest.approx(1.0)
     # At one speed, to both sides: omega and v omega are one.
@@ -49,6 +60,7 @@ def test_a_circle_tells_nothing_apart():
         ((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"),
         ((6.0, 60.0, math.nan, 1.0), "speed nan: give a positive number"),
         ((6.0, -1.0, 0.6, 1.0), "time -1.0: give a positive number"),
+        ((6.0, 1e9, 0.6, 1.0), "at most 1800 s"),
     ],
 )
 def test_what_cannot_be_driven_is_refused(arguments, said):
@@ -132,3 +144,55 @@ def test_the_file_is_the_drive(tmp_path):
 def test_what_cannot_be_is_said(make, said):
     with pytest.raises(ConfigError, match=said):
         make()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """A short search."""
+    short = searched.model_excitation_settings().model_copy(update={"population": 6, "generations": 2})
+    monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
+
+
+def robot(path, gain, dead_time):
+    channels = {name: {"gain": gain, "natural_frequency": 14.0, "damping": 1.1} for name in ("v", "omega")}
+    content = {
+        "name": "other",
+        "structure": "sm",
+        "provenance": {"origin": "assumed", "source": "this test"},
+        "dead_time": {"v": dead_time, "omega": dead_time},
+        "channels": channels,
+    }
+    path.write_text(yaml.safe_dump(content))
+    return f"model:{path}"
+
+
+def drive_of(found, folder, plant):
+    return driven(found.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
+
+
+@pytest.mark.usefixtures("quick")
+def test_drive_stays_in_its_room_on_robots_of_other_gains(tmp_path):
+    found = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
+    found.write(tmp_path / "drive.yaml")
+    for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
+        run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
+        check_drive(run, found.room)
+        assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
+
+
+@pytest.mark.usefixtures("quick")
+def test_robot_that_leaves_its_room_raises_config_error(tmp_path):
+    found = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
+    found.write(tmp_path / "drive.yaml")
+    run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
+    with pytest.raises(ConfigError, match=r"the robot left its room after \d+\.\d s"):
+        check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), found.room)
+
+
+@pytest.mark.usefixtures("quick")
+def test_command_writes_drive_and_log(tmp_path):
+    drive, log = tmp_path / "drive.yaml", tmp_path / "drive.csv"
+    words = ["excite", "sm", "--for", "model", "--inside", "4x3", "--seconds", "15", "--plant", "model:sm"]
+    result = invoke(app, *words, "--log", log, "--out", drive)
+    assert "fence: {enabled: true, length: 4, width: 3, frame: start}" in result.output
+    read_log(log).require_sound()

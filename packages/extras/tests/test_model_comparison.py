@@ -7,12 +7,12 @@ from identification_parts import noisy_drive, published_ssm, two_channels
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.commands.models import remaining
 from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification import model_comparison
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures import ssm
+from diffdrive_mpc_extras.model_comparison import model_comparison
+from diffdrive_mpc_extras.model_comparison.command import remaining
 from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 
 
