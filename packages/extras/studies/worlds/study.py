@@ -71,9 +71,7 @@ class WorldsStudy(Study[Plan, DataFrame]):
         return drive_all([ExperimentRun(case, {"part": part}) for part, case in plan], jobs, bar.advance, measured)
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Tables and figures."""
-        from studies.worlds.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
-
+        """Return the tables."""
         parts = ", ".join(f"{len(rows)} of “{name}”" for name, rows in by(results, "part").items())
         drivers = by(results, "driver")
         words = [
@@ -92,5 +90,4 @@ class WorldsStudy(Study[Plan, DataFrame]):
             ],
             notes=words,
             tables=study_tables(results),
-            figures=drawings(results),
         )

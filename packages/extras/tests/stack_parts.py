@@ -48,7 +48,7 @@ class StackPopulation(StrictModel):
 @cache
 def load_population() -> StackPopulation:
     """Read the ranges; raises ConfigError on a mistake in them."""
-    return load_checked(StackPopulation, Path(__file__).with_name("population.yaml"))
+    return load_checked(StackPopulation, Path(__file__).with_suffix(".yaml"))
 
 
 @dataclass(frozen=True)
