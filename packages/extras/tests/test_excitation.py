@@ -21,14 +21,14 @@ from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc_extras.excitation import model_excitation as searched
 from diffdrive_mpc_extras.excitation.excite import check_drive, driven, excite_model
 from diffdrive_mpc_extras.excitation.model_excitation import Room, model_excitation, path_of, write_model_drive
-from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_excitation
+from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_slip_drive
 
 
 @pytest.mark.parametrize(
     ("side", "speed", "yaw_rate"), [(3.0, 0.6, 1.0), (6.0, 0.6, 1.0), (6.0, 1.0, 0.5), (20.0, 2.0, 1.0)]
 )
 def test_it_stays_in_its_square_and_tells_the_terms_apart(tmp_path, side, speed, yaw_rate):
-    write_excitation(tmp_path / "drive.yaml", slip_excitation(side, 60.0, speed, yaw_rate))
+    write_slip_drive(tmp_path / "drive.yaml", slip_excitation(side, 60.0, speed, yaw_rate))
     if speed <= 1.5:
         drive = load_trajectory(tmp_path / "drive.yaml")
         pose = drive.sample(np.linspace(0.0, drive.duration, 2000)).pose

@@ -29,7 +29,7 @@ from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, E
 CALIBRATION = "calibration.yaml"
 Driven = Mapping[str, Sequence[DrivenPath]]
 _HEAD = """\
-# Written by `make study NAME=predicted-error`; its drives and seeds: packages/extras/studies/predicted_error/study.yaml.
+# Written by `make study NAME=predicted-error`; its drives and seeds stand in study.yaml of that study.
 # A scale of |error| is the sum of features (features.py) with these coefficients [m for each unit],
 # fitted as the quantile `level`; a tube is a multiple of it. Multiples are conformal quantiles on robots, paths and
 # seeds that played no part in the fit: at_each_place weighs drives alike, everywhere counts whole drives.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -73,54 +72,18 @@ def excite(
     if given:
         raise ConfigError(f"{given[0]} does not go with --for {purpose}; leave it out")
     if purpose == _SLIP:
-        _slip(out, side or _SIDE, seconds or _SLIP_SECONDS, speed, yaw_rate)
+        from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, write_slip_drive  # noqa: PLC0415
+
+        segments = slip_excitation(side or _SIDE, seconds or _SLIP_SECONDS, speed, yaw_rate)
+        echo(write_slip_drive(out, segments))
         return
     if inside is None:
         raise ConfigError(f"--for {_MODEL} needs --inside, the room in metres, such as --inside 4x3")
-    _model(config or "ssm", out, read_room(inside), seconds or _SECONDS, speed, yaw_rate, log, plant, seed)
-
-
-def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float) -> None:
-    from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_excitation  # noqa: PLC0415
-
-    segments = slip_excitation(side, seconds, speed, yaw_rate)
-    write_excitation(out, segments)
-    correlation = told_apart(segments)
-    echo(
-        f"{out}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without the time to "
-        "change between them. Terms in v, omega and v omega: the two least apart correlate by "
-        f"{correlation:.2f} (1: not apart)."
-    )
-
-
-def read_room(text: str) -> tuple[float, float]:
-    """Read length and width [m] of `4x3`; raises ValueError for anything else."""
-    match = re.fullmatch(r"\s*([0-9.]+)\s*[x,]\s*([0-9.]+)\s*", text)
-    try:
-        if match:
-            return float(match[1]), float(match[2])
-    except ValueError:
-        pass
-    raise ValueError(f"--inside '{text}': give length and width in metres, such as 4x3")
-
-
-def _model(
-    config: str,
-    out: Path,
-    room: tuple[float, float],
-    seconds: float,
-    speed: float,
-    yaw_rate: float,
-    log: Path | None,
-    plant: str,
-    seed: int,
-) -> None:
-    from diffdrive_mpc_extras.excitation.excite import excite_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.excitation.excite import excite_into  # noqa: PLC0415
     from diffdrive_mpc_extras.excitation.model_excitation import Room  # noqa: PLC0415
 
-    excite_into(
-        config, Room(*room), out, seconds=seconds, speed=speed, yaw_rate=yaw_rate, seed=seed, log=log, plant=plant
-    )
+    motion = {"seconds": seconds or _SECONDS, "speed": speed, "yaw_rate": yaw_rate}
+    excite_into(config or "ssm", Room.read(inside), out, seed=seed, log=log, plant=plant, **motion)
 
 
 EXCITE = PluggedCommand(

@@ -100,8 +100,11 @@ def told_apart(segments: Sequence[Segment]) -> float:
     return float(np.abs(products / np.outer(size, size) - np.eye(3)).max())
 
 
-def write_excitation(path: str | Path, segments: Sequence[Segment]) -> None:
-    """Write a trajectory file that `load_trajectory` reads; raises ConfigError if it cannot be written."""
+def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
+    """Write a trajectory file that `load_trajectory` reads, and return a sentence about it.
+
+    Raises ConfigError if the file cannot be written.
+    """
     drive = {
         "name": "slip excitation",
         "start": [0.0, 0.0, math.pi / 4],
@@ -110,6 +113,11 @@ def write_excitation(path: str | Path, segments: Sequence[Segment]) -> None:
     }
     with whole_file(path) as draft:
         draft.write_text(yaml.safe_dump(drive, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    return (
+        f"{path}: {len(segments)} twists, {sum(segment.duration for segment in segments):.0f} s without the time to "
+        "change between them. Terms in v, omega and v omega: the two least apart correlate by "
+        f"{told_apart(segments):.2f} (1: not apart)."
+    )
 
 
 def _end(pose: FloatArray, twist: FloatArray, hold: float, reach: float) -> FloatArray | None:

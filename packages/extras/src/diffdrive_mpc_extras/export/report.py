@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from diffdrive_mpc.bench.case import label
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
@@ -24,67 +25,11 @@ from diffdrive_mpc.mpc import ControllerConfig, load_trajectory
 from diffdrive_mpc_extras.export.emulation import emulate
 from diffdrive_mpc_extras.export.library import FILES, FOLDERS, Precision, export_controller
 
-# The README of an exported folder.
-
-
-_TEXT = """\
-# Trajectory-tracking controller in C99
-
-Written by `diffdrive-mpc export`: model {model} ({states} states), {horizon} steps of {sample_time_s} s ahead,
-{precision} precision, trajectory `{trajectory}` in closed form. `export.json` holds the whole configuration.
-
-    ddmpc/     the controller, from the sources that Python compiles for itself; ddmpc.[ch] is what an application
-               calls, ddmpc_sizes.h, constants.c and trajectory.[ch] were generated for this controller
-    examples/  main.c drives a simulated robot along the trajectory
-    stm32f4/   startup, linker script and a main for processor in the loop over a serial line
-
-## Build
-
-    cmake -S . -B build && cmake --build build && build/ddmpc_example
-    cmake -S . -B build-stm32f4 -DCMAKE_TOOLCHAIN_FILE=stm32f4/toolchain.cmake && cmake --build build-stm32f4
-
-Without CMake: compile `ddmpc/*.c` as C99 with `ddmpc` as include folder, and never with `-ffast-math`: numbers that
-are none must be seen. Nothing is allocated, nothing is printed, no system call is made.
-
-## Use
-
-```c
-#include "ddmpc.h"
-#include "trajectory.h"
-
-ddmpc_reference reference = ddmpc_reference_of(&DDMPC_TRAJECTORY); /* or a function of your own */
-ddmpc_controller *controller = ddmpc_open();
-if (!ddmpc_follow(controller, &reference, now))
-    refuse();               /* faster than the limits */
-
-/* every {sample_time_s} s */
-ddmpc_input input = {{0}};    /* what is new since the last tick; stamps on the clock of `now` */
-input.pose.present = 1;     /* stamp, value[0..2] = x, y, theta; covariance if known */
-const ddmpc_result *result = ddmpc_tick(controller, now, &input);
-drive(result->command[0], result->command[1]);
-```
-
-`result->mode` and `result->reasons` say what it does and why, `result->note` which measurements were rejected,
-`result->solver` how the solve went. There is one controller to a program.
-
-## Differences to the Python controller
-
-It is the Python controller with `reentry.enabled: false`: further than `failure.max_position_error` from where the
-reference is it brakes, nearer it chases the reference, which does not wait.
-
-- The active set solves at most {iteration_limit} systems at a tick, and takes at most {operations_bound} operations:
-  multiplications of its loops. All other loops of a tick are bounded by sizes. What it has reached by then is
-  taken, inside ranges and slew, and `result->solver.status` is DDMPC_QP_STOPPED. There is no backend: where rounding
-  leaves no proof, the failure ladder acts. Where no limit is active the plan is exact, with 0 iterations.
-- Weights and limits are constants; there is no `update`. Parameters of functions of yours are variables.
-- `result->reasons` and `result->note` are numbers where the Python controller has sentences.
-
-"""
-
 
 def readme(facts: Mapping[str, object], tables: Sequence[Table]) -> str:
-    """Text for an export described by `facts`, with what was measured of it."""
-    return _TEXT.format(**facts) + "\n".join(table.markdown() for table in tables)
+    """Return the README of an export that `facts` describe, with the tables of what was measured."""
+    text = Path(__file__).with_name("sources").joinpath("readme.md").read_text(encoding="utf-8")
+    return text.format(**facts) + "\n".join(table.markdown() for table in tables)
 
 
 # How large an exported controller is, where a compiler is there to say.
@@ -180,17 +125,8 @@ def _link(target: str, folder: Path, program: Path) -> bool:
     else:
         options, main = [*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], sorted(place.glob("*.c"))
     sources = [*main, *sorted((folder / "ddmpc").glob("*.c"))]
-    command = [
-        compiler,
-        "-std=c99",
-        "-O3",
-        *options,
-        f"-I{folder / 'ddmpc'}",
-        *map(str, sources),
-        "-lm",
-        "-o",
-        str(program),
-    ]
+    flags = ["-std=c99", "-O3", *options, f"-I{folder / 'ddmpc'}"]
+    command = [compiler, *flags, *map(str, sources), "-lm", "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode and "overflowed" in done.stderr:
         return False
@@ -230,7 +166,7 @@ def export_library(
     ):
         exported = export_controller(values, reference, folder, Precision(precision))
         sizes = measure_sizes(folder)
-        facts = {
+        facts: dict[str, Any] = {
             "model": label(name),
             "states": exported.states,
             "horizon": values.horizon,
@@ -267,26 +203,18 @@ def _emulate(folder: Path, config: ControllerConfig, reference: Reference, bar: 
         return emulate(image, config, reference, bar.at).as_json()
 
 
-def emulation_table(emulation: object) -> Table:
-    """Instructions of a step on the emulated microcontroller."""
-    facts = dict(emulation) if isinstance(emulation, Mapping) else {}
-    counts = [f"{facts[f'instructions_{name}']:,}" for name in ("p50", "p95", "p99", "max")]
-    return Table(
-        "Instructions of a step",
-        ("machine", "steps", "p50", "p95", "p99", "max", "iterations", "position RMSE [m]", "to Python"),
-        (
-            (
-                str(facts["machine"]),
-                str(facts["steps"]),
-                *counts,
-                str(facts["iterations_max"]),
-                number(facts["position_rmse_m"]),
-                f"{facts['command_difference_max']:.1e}",
-            ),
-        ),
-        note="Over one drive of the MuJoCo robot; `iterations`: the most of one step; `to Python`: the largest "
-        "difference of a command [m/s, rad/s].",
+def emulation_table(facts: Mapping[str, Any]) -> Table:
+    """Return the numbers of instructions of a step on the emulated microcontroller."""
+    counts = {name: f"{facts[f'instructions_{name}']:,}" for name in ("p50", "p95", "p99", "max")}
+    cells = {"machine": str(facts["machine"]), "steps": str(facts["steps"]), **counts}
+    cells["iterations"] = str(facts["iterations_max"])
+    cells["position RMSE [m]"] = number(facts["position_rmse_m"])
+    cells["to Python"] = f"{facts['command_difference_max']:.1e}"
+    note = (
+        "Over one drive of the MuJoCo robot; `iterations`: the most of one step; `to Python`: the largest difference "
+        "of a command [m/s, rad/s]."
     )
+    return Table("Instructions of a step", tuple(cells), (tuple(cells.values()),), note=note)
 
 
 def size_table(sizes: Sequence[Size]) -> Table:

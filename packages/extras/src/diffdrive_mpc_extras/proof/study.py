@@ -148,7 +148,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(results.driven, results.boundaries, results.worst, seeds, band),
             figures=figures,
-            shown=shown(self._config, results.driven, results.boundaries, seeds, band),
+            shown=shown(self._config, results.driven, results.boundaries, band),
         )
 
 

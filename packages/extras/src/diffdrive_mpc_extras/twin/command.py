@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.command_line.options import Jobs, PluggedCommand, out_o
 def twin(
     *,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or ROS 2 bags.")],
-    out: Annotated[Path, out_option("plant.yaml, report.md, twin.json and figures/")],
+    out: Annotated[Path, out_option("plant.yaml, report.html, twin.json, twin.md and figures/")],
     mapping: Mapping = None,
     robot: Annotated[
         str | None,
@@ -41,20 +41,11 @@ def twin(
     force: Annotated[bool, typer.Option("--force", help="Go on where the logs speak against it.")] = False,
 ) -> None:
     """Fit the physics plant to a log: what it tells, what not, and a plant file for `simulate --plant mujoco:FILE`."""
-    from diffdrive_mpc_extras.twin.study import twin_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
+    from diffdrive_mpc_extras.twin.study import TwinStudy  # noqa: PLC0415
 
-    twin_into(
-        logs,
-        out,
-        jobs=jobs,
-        mapping=mapping,
-        robot=robot,
-        model=model,
-        effects=effects,
-        seconds=seconds,
-        name=name,
-        force=force,
-    )
+    options = {"mapping": mapping, "robot": robot, "model": model, "effects": effects}
+    carry_out(TwinStudy(logs, **options, seconds=seconds, name=name, force=force), out, jobs)
 
 
 TWIN = PluggedCommand("Your robot", twin, "Example: diffdrive-mpc twin drive.csv --robot my_robot.yaml --out my_twin")
