@@ -210,12 +210,6 @@ def test_every_study_has_help_with_an_example(command: str) -> None:
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
 
 
-@pytest.mark.parametrize("former", ["study robustness --quick", "tracking --out x"])
-def test_a_study_s_former_name_says_where_it_is(former: str) -> None:
-    result = invoke(app, *former.split(), code=2)
-    assert "`python -m studies" in result.stderr and len(result.stderr.splitlines()) == 1
-
-
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)
 def test_a_group_without_a_command_shows_what_there_is(group: list[str]) -> None:
     result = invoke(app, *group, code=2)

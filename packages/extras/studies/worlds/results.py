@@ -88,12 +88,6 @@ def study_tables(rows: DataFrame) -> list[Table]:
     return [*made, specs["cost"].table(rows)]
 
 
-def last_messages(rows: DataFrame, most: int = 3) -> list[str]:
-    """What a controller said most often at the end of runs in which it did not arrive."""
-    lost = rows[~rows["passage_arrived"].astype(bool) & (rows["last_message"] != "")]
-    return [str(message) for message in lost["last_message"].value_counts().head(most).index]
-
-
 def interval(of: Rate) -> str:
     """A rate in percent with its interval."""
     return f"{100 * of.share:.1f} [{100 * of.low:.1f}, {100 * of.high:.1f}]"

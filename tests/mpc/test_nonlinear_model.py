@@ -3,8 +3,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-from hybrid_parts import random_hybrid
-from network_parts import random_model
 from nonlinear_parts import DT, LAG, saturating, windowed
 from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, nonlinear_outputs, record
 from scipy.integrate import solve_ivp
@@ -31,8 +29,6 @@ CIRCLE = load_trajectory("circle")
 MODELS = {
     "states": saturating(),
     "window": windowed(),
-    "network": random_model(seed=1, scale=0.3, units=8, dense=8, window=6),
-    "hybrid": random_hybrid(size=0.005),
 }
 
 
