@@ -10,8 +10,7 @@ from typing import Any
 import yaml
 from typer.core import TyperGroup
 
-from diffdrive_mpc.models.errors import MissingPackageError
-from diffdrive_mpc.models.plug_ins import known_packages, missing_part
+from diffdrive_mpc.models.plug_ins import check_package
 
 
 @cache
@@ -49,7 +48,5 @@ class WithFormerNames(TyperGroup):
             return command
         if words in former_names("commands"):
             raise ValueError(f"{words}: {former_names('commands')[words]}")
-        entry_name = words.replace(" ", ".")
-        if entry_name in known_packages()["commands"]:
-            raise MissingPackageError(missing_part("commands", entry_name))
+        check_package("commands", words.replace(" ", "."))
         return None

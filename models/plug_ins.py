@@ -88,3 +88,9 @@ def missing_part(group: str, name: str) -> str:
         return f"{kind} '{name}': no installed package has it; installed: {', '.join(_entries(group)) or 'none'}"
     extra = package.removeprefix("diffdrive-mpc-")
     return f"{kind} '{name}' is in the package {package}: pip install 'diffdrive-mpc[{extra}]'"
+
+
+def check_package(group: str, name: object) -> None:
+    """Raise MissingPackageError if a known package has the part `name` of a group; call it if the part is not found."""
+    if str(name) in known_packages().get(group, {}):
+        raise MissingPackageError(missing_part(group, str(name)))

@@ -61,9 +61,13 @@ def test_parameters_of_another_package_need_the_plug_in(tmp_path):
     assert (done.returncode, done.stderr) == (1, line)
 
 
-def test_a_model_that_is_gone_is_one_line(tmp_path):
-    said = run(tmp_path, "simulate", "--model", "lstm")
-    assert said.returncode == 2 and "unknown model 'lstm'" in said.stderr and said.stderr.count("\n") == 1
+@pytest.mark.parametrize(
+    "words", [("simulate", "--model", "lstm"), ("config", "show", "lstm"), ("models", "show", "lstm")]
+)
+def test_model_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words):
+    done = run(tmp_path, *words)
+    line = "error: model 'lstm' is in the package diffdrive-mpc-extras: pip install 'diffdrive-mpc[extras]'\n"
+    assert (done.returncode, done.stderr) == (1, line)
 
 
 def test_a_drive_is_driven_and_identified(tmp_path):
