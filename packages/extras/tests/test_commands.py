@@ -97,3 +97,17 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp
     assert message.format(taken=taken) in result.stderr
     assert result.stdout == ""
     assert not out.exists()
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("one_process", "quick_search")
+def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    for body in [body for language, body in blocks if language == "yaml"]:
+        (tmp_path / body.split()[2]).write_text(body, encoding="utf-8")
+    lines = [line for language, body in blocks if language == "sh" for line in body.splitlines()]
+    for line in lines:
+        words = shlex.split(line)
+        if words[0] == "diffdrive-mpc":
+            invoke(app, *words[1:])
