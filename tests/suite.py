@@ -27,8 +27,6 @@ os.environ.pop("COLUMNS", None)
 SYSTEM_PACKAGES = yaml.safe_load(Path(__file__).with_name("system_packages.yaml").read_text(encoding="utf-8"))
 """By need of a test marked `system`: programs and shared libraries, each with its Debian packages."""
 LONG_TESTS = {
-    "test_campaign_kills.py",
-    "test_commission.py",
     "test_core_library.py",
     "test_documents.py",
     "test_export.py",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,46 +16,13 @@ from diffdrive_mpc.app.commands.options import (
     TrustedFolders,
     with_dimensions,
 )
-from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS
+from diffdrive_mpc.bench.case import HORIZONS
 from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
 from diffdrive_mpc.bench.command_line.options import Jobs, out_folder, out_option
 
 if TYPE_CHECKING:
     from diffdrive_mpc.app.animation.animate import FilmFile
-
-
-# `diffdrive-mpc campaign`: many runs drawn from distributions.
-
-
-CAMPAIGN_EXAMPLE = "Example: diffdrive-mpc campaign floors.yaml --out floors --runs 64"
-Scheduler = Annotated[
-    str, typer.Option(metavar="tcp://HOST:PORT", help="Drive on the workers of a Dask scheduler.", show_default=False)
-]
-Runs = Annotated[int | None, typer.Option(min=1, help="How many runs.", show_default="what the file says")]
-
-
-def campaign(
-    file: Annotated[Path, typer.Argument(help="Campaign (YAML).", show_default=False)],
-    *,
-    out: Annotated[Path, out_option("results.parquet and the rows of the runs")],
-    runs: Runs = None,
-    part: Annotated[
-        str | None, typer.Option(metavar="K/N", help="Every N-th run from the K-th on.", show_default="all of them")
-    ] = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = "",
-) -> None:
-    """Drive many runs that a file draws; what was driven before is not driven again.
-
-    The exit code is 1 when a run ended in an error; its row says which.
-    """
-    from diffdrive_mpc_extras.campaign.command import Part, run_campaign  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
-
-    driven = run_campaign(file, CampaignPlace(out, jobs, scheduler), runs, None if part is None else Part.read(part))
-    if failed(driven):
-        raise typer.Exit(FAILED)
 
 
 # `diffdrive-mpc replay`: what a controller would have commanded in a recorded drive, beside what was commanded.
@@ -227,8 +192,6 @@ def film_file(
     return FilmFile(path, film)
 
 
-DEFAULTS = {dimension.name: None if dimension.name == "model" else dimension.default for dimension in DIMENSIONS}
-"""Values of the options of `simulate` where they are not given."""
 _BENCH_OUT = "out/bench"
 SIMULATE_EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"
 BENCH_EXAMPLE = "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240"
@@ -247,7 +210,6 @@ def simulate(
         str | None,
         typer.Option(metavar="live|FILE.rrd", help="Show it in Rerun, or write a file for it.", show_default=False),
     ] = None,
-    laps: Annotated[int, typer.Option(min=1, max=1000, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
     animate: Annotated[
         Path | None,
@@ -268,39 +230,12 @@ def simulate(
     view: Annotated[
         bool, typer.Option("--view", help="Watch it in MuJoCo's viewer, in real time.", rich_help_panel="Pictures")
     ] = False,
-    from_run: Annotated[
-        Path | None,
-        typer.Option(help="Drive a run that `prove` kept again; takes --out, --log and --details.", show_default=False),
-    ] = None,
-    trust_terms: TrustedFolders = None,
     details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it, --animate films it.
-
-    With --from-run the exit code is 1 when the figures are not those of the file.
-    """
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it, --animate films it."""
     if (render or alone) and animate is None:
         raise ValueError("--render is of a film: give --animate FILE, too; to watch it drive, --view")
-    if (animate is not None or view) and (laps != 1 or from_run is not None):
-        raise ValueError("--animate and --view show one drive: leave --laps and --from-run out")
-    if trust_terms and from_run is None:
-        raise ValueError("--trust-terms: files of a run file's folder; give --from-run, too, or leave it out")
-    if from_run is not None:
-        from diffdrive_mpc.app.simulate.from_run import simulate_again  # noqa: PLC0415 - --help does without it
-
-        changed = {name: value for name, value in values.items() if value != DEFAULTS[name]}
-        if changed or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
-            raise ValueError(
-                "--from-run: the file says what is driven; give --out, --log and --details beside it, nothing else"
-            )
-        if not simulate_again(from_run, out, log, trust_terms or (), details=details):
-            raise typer.Exit(FAILED)
-        return
-    if laps != 1 and details:
-        raise ValueError("--details: with --laps there is one table, which is printed anyway; leave it out")
-    if laps != 1 and rerun is not None:
-        raise ValueError("--rerun: it shows one drive; write the last lap with --log, and show it by `log rerun`")
     film = None
     if animate is not None:
         film = film_file(
@@ -315,16 +250,20 @@ def simulate(
             end=end,
             surface=values["surface"],
         )
-    run: Callable[..., None]
-    if laps == 1:
-        from diffdrive_mpc.app.simulate.single import simulate_one  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.simulate.single import simulate_one  # noqa: PLC0415 - --help does without it
 
-        run = partial(simulate_one, rerun=rerun, film=film, view=view, details=details)
-    else:
-        from diffdrive_mpc.app.simulate.laps import simulate_laps  # noqa: PLC0415
-
-        run = partial(simulate_laps, laps=laps)
-    run(values, config=config, settings=settings or [], out=out, log=log, scaled=scale_to_robot)
+    simulate_one(
+        values,
+        config=config,
+        settings=settings or [],
+        out=out,
+        log=log,
+        rerun=rerun,
+        scaled=scale_to_robot,
+        film=film,
+        view=view,
+        details=details,
+    )
 
 
 @with_dimensions(several=True)

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from diffdrive_mpc.app.commands.options import ConfigFile, Model, Settings, ros_arguments, with_dimensions
+from diffdrive_mpc.app.commands.options import Settings, ros_arguments, with_dimensions
 from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import file_option, out_option
+from diffdrive_mpc.bench.command_line.options import file_option
 
 NODE_EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
 ROBOT_EXAMPLE = "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive"
@@ -137,79 +137,6 @@ def robot(
         record=record,
         storage=storage,
         ros_arguments=arguments,
-    )
-
-
-# `diffdrive-mpc monitor`: the process that watches a controller.
-
-
-MONITOR_EXAMPLE = "Example: diffdrive-mpc monitor --ros-args -r cmd_vel:=/base/cmd_vel"
-
-RulesFile = Annotated[str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")]
-
-
-def monitor(
-    context: typer.Context,
-    *,
-    rules: RulesFile = "default",
-    export: Annotated[
-        Path | None,
-        typer.Option(help="Write the judge in C with these rules into a folder instead.", show_default=False),
-    ] = None,
-) -> None:
-    """Stand between a controller and its base: pass on what keeps all rules, stop the robot at what breaks one.
-
-    The controller has to publish `cmd_vel_unchecked` (node: `--ros-args -r cmd_vel:=cmd_vel_unchecked`). What follows
-    `--ros-args` goes to ROS: remappings, parameters.
-    """
-    arguments = ros_arguments(context)
-    if export is not None:
-        from diffdrive_mpc_monitor.export import export_judge  # noqa: PLC0415 - --help does without it
-        from diffdrive_mpc_monitor.rules import load_rules  # noqa: PLC0415
-
-        echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
-        return
-    from diffdrive_mpc_monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
-    from diffdrive_mpc_monitor.ros.node import MonitorSettings  # noqa: PLC0415
-
-    run(arguments, MonitorSettings(rules=rules))
-
-
-# `diffdrive-mpc export`: the controller as a C99 library for a microcontroller.
-
-
-EXPORT_EXAMPLE = "Example: diffdrive-mpc export --model ssm --set horizon=15 --precision float --out firmware"
-
-
-def export(
-    *,
-    out: Annotated[Path, out_option("the library")],
-    model: Model = None,
-    config: ConfigFile = None,
-    settings: Settings = None,
-    trajectory: Annotated[
-        str,
-        typer.Option(
-            help="What the table holds: a shipped name such as circle, or the path of a file.",
-            autocompletion=choices("trajectory"),
-        ),
-    ] = "circle",
-    precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
-    emulated: Annotated[
-        bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
-    ] = False,
-) -> None:
-    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
-    from diffdrive_mpc_extras.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
-
-    export_library(
-        out,
-        model=model,
-        config=config,
-        settings=settings or [],
-        trajectory=trajectory,
-        precision=precision,
-        emulated=emulated,
     )
 
 

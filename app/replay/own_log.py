@@ -77,7 +77,7 @@ def read_own_mcap(path: Path, configs: LoggedConfigs) -> Recording:
     config = _config(path, log.metadata, configs)
     recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements, config)
     approximated = recording.approximated
-    if "--laps" in log.metadata.get("case", {}).get("repeat", "").split():
+    if "rehearse" in log.metadata.get("case", {}).get("repeat", "").split():
         approximated = (*approximated, _LAPS)
     return replace(recording, config=config, approximated=approximated, findings=_cut(path, cut=log.cut))
 

@@ -15,7 +15,14 @@ from diffdrive_mpc.models.plug_ins import plug_ins
 KINDS: dict[str, FileKind] = {
     kind.name: kind
     for kind in (
-        FileKind("controller", "mpc", "configuration of a controller", "--config", ("config/parameters/*.yaml",)),
+        FileKind(
+            "controller",
+            "mpc",
+            "configuration of a controller",
+            "--config",
+            ("config/parameters/*.yaml",),
+            elsewhere=tuple(one.config for one in function_structures().values() if one.config),
+        ),
         FileKind("monitor", "mpc", "rules of the monitor", "monitor --rules", ("monitor/rules/*.yaml",)),
         FileKind("trajectory", "mpc", "path to follow", "--trajectory", ("trajectories/built_in/*.yaml",)),
         FileKind(

@@ -1,4 +1,4 @@
-"""A command that a plug-in adds to the command line."""
+"""Commands of packages, options that several commands share, and the command that is running."""
 
 from __future__ import annotations
 
@@ -18,24 +18,26 @@ from diffdrive_mpc.models.input_file import reading
 
 @dataclass(frozen=True)
 class PluggedCommand:
-    """One command.
+    """A command that a package registers as an entry point of the group `diffdrive_mpc.commands`.
+
+    Its module is imported for `diffdrive-mpc --help`, so that it imports at its top only what its options need.
 
     Attributes
     ----------
     panel
-        Under which `diffdrive-mpc --help` shows it.
-    name
-        What is typed.
+        Heading below which `diffdrive-mpc --help` lists it.
     run
-        The function whose parameters are its options; it imports what it needs when it runs.
+        Function whose parameters are its options and whose docstring is its help.
     example
-        The last line of its help.
+        Last line of its help.
+    passed_on
+        True if it receives the words that are none of its options, such as those after `--ros-args`.
     """
 
     panel: str
-    name: str
     run: Callable[..., None]
     example: str
+    passed_on: bool = False
 
 
 # Options that commands and studies share, each declared once.

@@ -1,4 +1,4 @@
-"""A log, a bag or a run file from a stranger: no file that it names is opened, and no code of it runs."""
+"""A log or a bag from a stranger: no file that it names is opened, and no code of it runs."""
 
 import json
 import sys
@@ -143,45 +143,6 @@ def test_the_robot_that_a_log_names_is_not_looked_for(run, stranger, tmp_path):
     code, printed, files = call("animate", log, "--out", tmp_path / "film.png")
     assert code == 0 and "its size is not known" in printed, printed
     assert not [path for path in files if stranger in path.parents]
-
-
-FACTORS = {
-    "trajectory": {"trajectory": "@/short.yaml"},
-    "configuration": {"config": "@/config.yaml"},
-    "model": {"model": "@/model.yaml"},
-    "plant's model": {"plant": "model:@/model.yaml+0.02"},
-    "robot": {"plant": "mujoco:@/short.yaml"},
-    "surface": {"surface": "@/short.yaml"},
-    "sensors": {"sensors": "@/short.yaml"},
-    "scenario": {"scenario": "@/short.yaml"},
-    "world": {"plant": "world:@/short.yaml"},
-    "value of the configuration": {"config.model": "@/model.yaml"},
-    "turn costs": {"config.energy.turn_costs": "@/costs.yaml", "config.energy.weight": 0.1},
-}
-
-
-@pytest.mark.parametrize("name", FACTORS)
-def test_nothing_that_a_run_file_names_is_opened_or_run(name, stranger, tmp_path):
-    factors = {"plant": "model:ssm"} | json.loads(json.dumps(FACTORS[name]).replace("@", str(stranger)))
-    path = tmp_path / "run.yaml"
-    path.write_text(yaml.safe_dump({"run": "0", "factors": factors, "figures": {}, "environment": {}}))
-    code, printed, files = call("simulate", "--from-run", path)
-    assert code == 2 and f"--trust-terms {stranger}" in printed, printed
-    assert not [path for path in files if stranger in path.parents]
-    assert not (stranger / "marker").exists()
-
-
-def test_a_run_file_may_name_files_of_a_trusted_folder(stranger, tmp_path):
-    factors = {
-        "plant": "model:ssm",
-        "trajectory": str(stranger / "short.yaml"),
-        "config": str(stranger / "config.yaml"),
-    }
-    path = tmp_path / "run.yaml"
-    path.write_text(yaml.safe_dump({"run": "0", "factors": factors, "figures": {}, "environment": {}}))
-    code, printed, _ = call("simulate", "--from-run", path, "--trust-terms", stranger)
-    assert code == 0, printed
-    assert (stranger / "marker").exists()
 
 
 @pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])

@@ -185,12 +185,6 @@ def test_a_report_of_tables_alone_needs_no_views(tmp_path: Path) -> None:
         assert "None" in page.locator("#warnings").inner_text()
 
 
-def test_laps_are_toggles(tmp_path: Path) -> None:
-    content = content_of(called(tmp_path, "simulate", *QUICK, "--laps", "2"))
-    assert [toggle["name"] for toggle in content["toggles"]] == ["controller", "lap"]
-    assert len(content["views"][0]["runs"]) == 4
-
-
 def test_content_cannot_end_its_script() -> None:
     assert "<" not in json_text({"a": "</script><!--"})
 

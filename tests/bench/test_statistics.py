@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from diffdrive_mpc.bench.statistics import Rate, conformal_quantile
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, conformal_quantile, cvar, mean, median
 
 TRIALS = 1500
 UNLIKELY = 1e-4
@@ -57,3 +57,48 @@ def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, of):
 
 def test_59_of_59_show_95_percent_and_58_do_not():
     assert Rate.of_runs(59, 59).at_least(0.95) > 0.95 > Rate.of_runs(58, 58).at_least(0.95)
+
+
+@pytest.mark.parametrize(("count", "of"), [(3, 40), (39, 40), (20, 40), (1, 300)])
+def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, of: int) -> None:
+    rate = Rate.of_runs(count, of)
+    assert binom.sf(count - 1, of, rate.low) == pytest.approx(0.025)
+    assert binom.cdf(count, of, rate.high) == pytest.approx(0.025)
+    assert binom.cdf(count, of, rate.bound) == pytest.approx(0.05)
+
+
+def test_none_of_many_is_stated_as_what_it_is() -> None:
+    rate = Rate.of_runs(0, 10_000)
+    assert rate.low == rate.share == 0.0
+    # If the share were the bound, none of 10,000 would be seen once in twenty.
+    assert (1.0 - rate.bound) ** 10_000 == pytest.approx(0.05)
+    assert 2.9e-4 < rate.bound < 3.0e-4
+    assert Rate.of_runs(40, 40).high == 1.0
+
+
+def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
+    values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
+    assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
+    # A twentieth of 30 runs is one and a half of them.
+    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
+    assert cvar(np.arange(1.0, 11.0)) == 10.0
+    assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
+    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
+    assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
+
+
+def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
+    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
+    found = BootstrapEstimate.of_runs(values, mean)
+    half = 1.96 * np.std(values) / math.sqrt(400)
+    assert found.value == pytest.approx(np.mean(values))
+    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
+    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
+    assert BootstrapEstimate.of_runs(values, mean) == found
+
+
+def test_few_runs_have_no_interval() -> None:
+    assert math.isnan(BootstrapEstimate.of_runs([], mean).value)
+    one = BootstrapEstimate.of_runs([3.0], cvar)
+    assert (one.value, math.isnan(one.low)) == (3.0, True)
+    assert BootstrapEstimate.of_runs([3.0, 3.0], cvar) == BootstrapEstimate(3.0, 3.0, 3.0)

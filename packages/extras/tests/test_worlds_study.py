@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_parts import FeedForward
 from studies.worlds.results import measured
 from studies.worlds.settings import cases, known_at, load_settings, stop_was_possible
 from studies.worlds.study import WorldsStudy
@@ -16,14 +15,11 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import load_reference, run_case
+from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.study import carry_out
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.peers.seeing import SeenDistanceField
 from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
-from diffdrive_mpc_extras.worlds.sight import Eyes, Seen, SeenDisc, SeenGrid
-from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
+from diffdrive_mpc_extras.worlds.sight import Seen, SeenDisc, SeenGrid
 
 PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"
 
@@ -74,11 +70,6 @@ def test_a_stop_was_possible_for_whom_is_seen_early_and_not_for_whom_appears_at_
     assert stop_was_possible(late, run_case(late)) is False
 
 
-def test_who_is_never_seen_is_nothing_to_stop_for(tmp_path: Path) -> None:
-    case = with_person(tmp_path, "{x: 2.5, y: 0, seen_from: 100}")
-    assert stop_was_possible(case, run_case(case)) is None
-
-
 def test_a_person_is_known_with_the_second_look(tmp_path: Path) -> None:
     case = with_person(tmp_path, "{x: 2.5, y: 0, seen_from: 1.05}")
     run = run_case(case)
@@ -112,29 +103,6 @@ def test_distances_from_what_was_seen() -> None:
     assert found[3] == pytest.approx(0.1, abs=0.04)
 
 
-def test_a_controller_that_cannot_see_drives_as_without_eyes() -> None:
-    plant = make_plant("world:slalom", seed=3)
-    assert isinstance(plant, WorldPlant)
-    run = simulate(FeedForward(), plant, load_reference(Case(plant="world:slalom")))
-    assert "post 0" in run.ended
-    assert isinstance(Eyes(plant.world, 3).look(0.0, [0, 0, 0]), Seen | None)
-
-
-def test_a_world_brings_its_way() -> None:
-    assert Case(plant="world:doorway").trajectory == "world:doorway"
-    assert load_reference(Case(plant="world:doorway")).sample([0.0]).pose[0].tolist() == [0.0, 0.0, 0.0]
-    with pytest.raises(ConfigError, match="has its own path"):
-        load_reference(Case(plant="world:doorway", trajectory="s"))
-
-
-def test_simulate_prints_the_passage_and_its_table() -> None:
-    arguments = ["simulate", "--plant", "world:slalom", "--controller", "rpp+stop"]
-    line = r"^world: (not )?arrived, \d+ contacts, least clearance \d\.\d+ m$"
-    assert re.search(line, CliRunner().invoke(app, arguments).stdout, re.MULTILINE)
-    detailed = CliRunner().invoke(app, [*arguments, "--details"]).stdout
-    assert "world:slalom" in detailed and "walked" in detailed
-
-
 @pytest.mark.long
 def test_the_study_writes_what_it_drove(tmp_path: Path) -> None:
     runs = {"crossing": 1, "doorway": 1}
@@ -146,9 +114,3 @@ def test_the_study_writes_what_it_drove(tmp_path: Path) -> None:
     text = (tmp_path / "out" / "worlds.md").read_text(encoding="utf-8")
     assert "A person crosses" in text and "Named worlds" in text
     assert (tmp_path / "out" / "figures" / "named.png").stat().st_size > 5000
-
-
-def test_a_study_of_nobody_gets_its_sentence() -> None:
-    study = WorldsStudy(load_settings(), ("named",), controllers=("mpcc",), model="ssm")
-    with pytest.raises(ConfigError, match="unknown controller 'mpcc'"):
-        study.plan()

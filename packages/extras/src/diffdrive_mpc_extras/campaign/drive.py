@@ -26,7 +26,7 @@ from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, 
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
-from diffdrive_mpc.mpc.config.config_file import PARAMETERS
+from diffdrive_mpc.mpc.config.config_file import config_path
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.sim import Plant, Run, simulate
@@ -106,7 +106,7 @@ class RecordedController:
         if case.controller in PEERS or not self.times:
             return None
         named = case.config or (case.model if is_shipped(case.model) else "ssm")
-        limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(settings_of(case)))
+        limits = stated_limits(config_path(named), dict(settings_of(case)))
         return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
 
 

@@ -46,7 +46,6 @@ def torque(
 
 TORQUE = PluggedCommand(
     "Your robot",
-    "torque",
     torque,
     "Example: diffdrive-mpc torque --log drive.csv --vehicle fsu_bot --out from-log",
 )

@@ -94,7 +94,6 @@ def plan(
 
 PLAN = PluggedCommand(
     "Files",
-    "plan",
     plan,
     "Example: diffdrive-mpc plan --costs fsu_bot-default --from 0,0,0 --to 8,5,0 --minimise energy --out plan",
 )

@@ -1,4 +1,4 @@
-"""What a twin's folder holds: the plant file, its report, the numbers as data."""
+"""Plant file, tables, numbers and figure of a twin."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_styl
 from diffdrive_mpc.bench.html_report.page import from_zero
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.structures.identified import rounded
-from diffdrive_mpc_extras.twin.fitting import FittedParameter
 from diffdrive_mpc_extras.twin.from_log import FittedTwin
+from diffdrive_mpc_extras.twin.held_out import HeldOutScore
 from diffdrive_mpc_extras.twin.settings import twin_settings
 
-PLANT, REPORT, NUMBERS = "plant.yaml", "report.md", "twin.json"
+PLANT = "plant.yaml"
 _HEAD = """\
 # A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
 # models/parameters/robot.yaml. `friction` and `sensors` are the floor and the sensors that `default` means with this
@@ -100,46 +100,18 @@ def parameter_table(twin: FittedTwin) -> Table:
     return Table("Parameters", columns, rows, text_columns=3, note=note)
 
 
-def report_text(twin: FittedTwin, figures: Mapping[str, str]) -> str:
-    """The report in Markdown."""
-    untold = [parameter.name for parameter in twin.fit.told if not parameter.told]
-    left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
-    parts = [
-        f"# {twin.name}",
-        f"Fitted to {twin.fit.seconds:.0f} s of {', '.join(twin.data.logs)}, the parts in which the commands change "
-        f"most, by {twin.fit.drives} drives of the plant. {left}",
-        fit_table(twin).markdown(),
-        *(f"![{title}]({path})" for title, path in figures.items()),
-        parameter_table(twin).markdown(),
-        *(["Notes:\n\n" + "\n".join(f"* {note}" for note in twin.notes)] if twin.notes else []),
-        f"```sh\ndiffdrive-mpc simulate --plant mujoco:{PLANT} --trajectory square\n```",
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
 def numbers(twin: FittedTwin) -> dict[str, Any]:
-    """The report as data."""
+    """Return scores and parameters as plain data."""
     keys = ("horizon", "position_rmse", "heading_rmse")
 
-    def held(one: Any) -> dict[str, Any]:  # noqa: ANN401 - Held
+    def held(score: HeldOutScore) -> dict[str, Any]:
         return {
-            "fit_percent": dict(one.fit_percent),
-            "drift": [dict(zip(keys, (d.horizon, d.position_rmse, d.heading_rmse), strict=True)) for d in one.drift],
+            "fit_percent": dict(score.fit_percent),
+            "drift": [{key: getattr(drift, key) for key in keys} for drift in score.drift],
         }
 
-    def told(parameter: FittedParameter) -> dict[str, Any]:
-        return {name: value for name, value in asdict(parameter).items() if name != "words"}
-
-    return {
-        "name": twin.name,
-        "logs": list(twin.data.logs),
-        "seconds": twin.fit.seconds,
-        "drives": twin.fit.drives,
-        "twin": held(twin.twin_held),
-        "model": {"name": twin.model_name} | held(twin.model_held),
-        "parameters": [told(parameter) for parameter in twin.fit.told],
-        "notes": list(twin.notes),
-    }
+    parameters = [asdict(parameter) for parameter in twin.fit.told]
+    return {"twin": held(twin.twin_held), "model": held(twin.model_held), "parameters": parameters}
 
 
 # The picture of a twin: measured, twin and identified model on rows that neither was made from.
