@@ -183,8 +183,6 @@ def speed(
     _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
 
 
-
-
 STUDIES: dict[str, Callable[..., None]] = {
     "tracking": tracking,
     "robustness": robustness,

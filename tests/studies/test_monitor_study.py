@@ -7,6 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from studies.monitor import watched
+from studies.monitor.drawn import COMMANDS, KINDS, SENSES, parts_of
+from studies.monitor.faults import FAULTS, Fault, Sent
+from studies.monitor.study import MonitorStudyResult, complaint
+from studies.monitor.trial import HARM, drawn_trial, faulty_trial, nominal_case, nominal_trial
+from studies.monitor.watched import MonitoredController
 from typer.testing import CliRunner
 
 from diffdrive_mpc.mpc import Controller, Trajectory, load_config
@@ -16,12 +22,6 @@ from diffdrive_mpc_extras.free_space import MovingDisc, Surroundings
 from diffdrive_mpc_monitor.judge import rule_names
 from diffdrive_mpc_monitor.rules import load_rules
 from studies.cli import app
-from studies.monitor import watched
-from studies.monitor.drawn import COMMANDS, KINDS, SENSES, parts_of
-from studies.monitor.faults import FAULTS, Fault, Sent
-from studies.monitor.study import MonitorStudyResult, complaint
-from studies.monitor.trial import HARM, drawn_trial, faulty_trial, nominal_case, nominal_trial
-from studies.monitor.watched import MonitoredController
 
 RULES = load_rules()
 SEED = 90_000

@@ -19,7 +19,6 @@ from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc_extras.energy import identify_constants, logged_energy
-from diffdrive_mpc_extras.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
 from diffdrive_mpc_extras.energy.power_readings import (
     READINGS,
     Battery,
@@ -29,6 +28,7 @@ from diffdrive_mpc_extras.energy.power_readings import (
     robot_power,
     run_energy,
 )
+from diffdrive_mpc_extras.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
 from diffdrive_mpc_extras.turn_costs import load_drive_constants
 
 EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))

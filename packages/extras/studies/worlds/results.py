@@ -25,7 +25,7 @@ def measured(case: Case, run: Run) -> dict[str, object]:
     `stop_possible`: whether a stop before persons who walk was physically possible. `planned_s`: duration of the
     planned path [s]; `arrival_s`: time of a run that arrived [s]; `step_p99_s`: of the controller's step [s].
     """
-    passed, (_, name, plant) = passage(run), split(case.plant)
+    passed, name = passage(run), split(case.plant)[1]
     steps = run.step_time[np.isfinite(run.step_time)]
     return {
         "driver": case.controller if case.controller in PEERS else f"mpc, {case.model}",

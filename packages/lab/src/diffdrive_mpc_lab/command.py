@@ -26,4 +26,4 @@ def lab(
     echo(f"{out}: {len(text.encode()) / 1e6:.2f} MB")
 
 
-LAB = PluggedCommand("Drive", "lab", lab, "Example: diffdrive-mpc lab --out out/lab.html")
+LAB = PluggedCommand("Drive", lab, "Example: diffdrive-mpc lab --out out/lab.html")

@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from studies.monitor.faults import SAMPLE, Fault, Sent
 
 from diffdrive_mpc.models.interface import Measurement, Stamped
-from studies.monitor.faults import SAMPLE, Fault, Sent
 
 KINDS, _SINGLE = 40, 26
 """So many kinds, of which the first are one fault each, and the others two."""

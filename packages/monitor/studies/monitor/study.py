@@ -9,14 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import count
 
-from diffdrive_mpc.bench.controllers import load_reference
-from diffdrive_mpc.bench.plain_values import plain
-from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.runner import run_tasks
-from diffdrive_mpc.bench.study import Report, Study
-from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
-from diffdrive_mpc_monitor.rules import Rules, load_rules
 from studies.monitor.drawn import KINDS, NAMED_KINDS, parts_of
 from studies.monitor.faults import FAULTS, FaultBounds
 from studies.monitor.trial import (
@@ -35,6 +27,15 @@ from studies.monitor.trial import (
     nominal_case,
     nominal_trial,
 )
+
+from diffdrive_mpc.bench.controllers import load_reference
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
+from diffdrive_mpc_monitor.rules import Rules, load_rules
 from studies.robustness.study import turns_on_the_spot
 
 Trial = MonitorTrial | DrawnTrial

@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from studies.monitor.drawn import DrawnFault
+from studies.monitor.faults import AT_START, FAULTS, Fault
+from studies.monitor.watched import MonitoredController
 
 from diffdrive_mpc.bench.case import NO_MODEL, Case
 from diffdrive_mpc.bench.controllers import build
@@ -17,9 +20,6 @@ from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
 from diffdrive_mpc.sim.plants.plug_ins import DRAWN
 from diffdrive_mpc_monitor.rules import Rules
-from studies.monitor.drawn import DrawnFault
-from studies.monitor.faults import AT_START, FAULTS, Fault
-from studies.monitor.watched import MonitoredController
 
 # Drives in which nothing is wrong: drawn from controllers, paths, floors, what happens there, and sensors.
 

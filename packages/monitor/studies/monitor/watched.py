@@ -6,12 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from studies.monitor.faults import Fault, Sent
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules
-from studies.monitor.faults import Fault, Sent
 
 BASE_TIMEOUT = 0.5
 """The base stops by itself so long after the last command [s], as `sim/ros/base.yaml` has it."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,7 @@ import pytest
 from studies.worlds.results import measured
 from studies.worlds.settings import cases, known_at, load_settings, stop_was_possible
 from studies.worlds.study import WorldsStudy
-from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.study import carry_out
