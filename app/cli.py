@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from diffdrive_mpc.app.former_names import WithFormerNames
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.bench.command_line.options import PluggedCommand
+    from diffdrive_mpc.app.command_line.options import PluggedCommand
 
     app: typer.Typer
 
@@ -50,7 +50,7 @@ _COMMANDS = {
     "prove": CommandEntry("Your robot", "robot"),
     "predict-error": CommandEntry("Your robot", "robot", "predict_error"),
     "commission": CommandEntry("Your robot", "robot"),
-    "node": CommandEntry("Robot", "ros", passed_on=True),
+    "node": CommandEntry("Robot", "node", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
     "monitor": CommandEntry("Robot", "ros", passed_on=True),
     "export": CommandEntry("Robot", "ros"),

@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.commands.options import Mapping
 from diffdrive_mpc.app.former_names import WithFormerNames
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
 
 _TWO_MINUTES = 120.0
 _INTERRUPTED = 130

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_folder, out_option
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
-from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
 
 if TYPE_CHECKING:
     from diffdrive_mpc.bench.study import Study
@@ -312,7 +312,7 @@ def monitor(
     The exit code is 1 when a fault was missed or found late, or a nominal drive alarmed in which the robot stays near
     its path and on time; the report is written all the same.
     """
-    from diffdrive_mpc.bench.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
     from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
 
     problem = complaint(_carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning, market=market), out, jobs))

@@ -4,7 +4,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models import plug_ins as registry
 from diffdrive_mpc.models.file_kind import FileKind
 from diffdrive_mpc.models.function_structure import function_structures
