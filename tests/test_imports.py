@@ -23,7 +23,7 @@ assert controller.step(0.0, Measurement()).mode.name == "STOPPED"
 """
 COMMAND = "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.app.cli import main\ntry: main()\nexcept SystemExit: pass"
 COMPLETION = """
-from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.app.command_line.completion import choices
 import diffdrive_mpc.app.cli
 assert choices("setting")("horizon") and choices("model")("s")
 """

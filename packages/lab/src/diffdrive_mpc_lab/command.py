@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 
 
 def lab(
@@ -15,7 +15,7 @@ def lab(
     out: Annotated[Path, typer.Option("--out", help="File of the page.")] = Path("out/lab.html"),
 ) -> None:
     """Write the browser laboratory: one page with the compiled controller; it needs no network and no installation."""
-    from diffdrive_mpc.bench.command_line.echo import echo  # noqa: PLC0415 - --help needs none of these
+    from diffdrive_mpc.app.command_line.echo import echo  # noqa: PLC0415 - --help needs none of these
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from diffdrive_mpc_lab.build import page_text  # noqa: PLC0415
 
