@@ -136,9 +136,10 @@ fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" fo
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)
 
-lint: $(READY) ## style and format
+lint: $(READY) ## style, format and language
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python .ci/language.py
 
 types: $(READY) ## strict type check
 	$(BIN)/mypy

@@ -1,4 +1,4 @@
-"""Test suite setup: one hypothesis profile, the system suite, the order of files, ROS types that have no wheel.
+"""Test suite setup: one hypothesis profile, the system suite, real logs, the order of files, ROS types without a wheel.
 
 The hypothesis profile draws the same examples on every run, without a deadline; `--hypothesis-profile=many` draws more.
 """
@@ -43,11 +43,16 @@ LONG_TESTS = {
     "test_tutorials.py",
 }
 """Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
+LOGS = os.environ.get("DIFFDRIVE_MPC_DATA")
 LEFT_OUT = {
     "system": f"need Debian packages ({', '.join(SYSTEM_PACKAGES)}): make test-system",
     "long": "take long: .ci/long tests",
+    "real_logs": (
+        "need real logs: set DIFFDRIVE_MPC_DATA to a folder with norlab_husky_tile/ and norlab_warthog_terrains/ "
+        "(NORLAB, BSD-3-Clause; see CONTRIBUTING.md)"
+    ),
 }
-"""By mark: what is said of tests that a run leaves out."""
+"""Reason that the last lines of a run state for tests that it leaves out, by mark."""
 deselected_tests = pytest.StashKey[dict[str, int]]()
 
 
@@ -75,6 +80,8 @@ def missing_packages(needs):
 
 def pytest_configure(config):
     config.stash[deselected_tests] = dict.fromkeys(LEFT_OUT, 0)
+    if LOGS is not None and not Path(LOGS).is_dir():
+        raise pytest.UsageError(f"DIFFDRIVE_MPC_DATA: no folder {LOGS!r}; unset it, or name the folder of the logs")
     # Workers of xdist would each fail with a traceback of their own.
     if config.option.markexpr == "system" and not hasattr(config, "workerinput"):
         line = missing_packages(SYSTEM_PACKAGES)
@@ -83,7 +90,11 @@ def pytest_configure(config):
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
+    if LOGS is None:
+        missing = [item for item in items if item.get_closest_marker("real_logs") is not None]
+        config.hook.pytest_deselected(items=missing)
+        items[:] = [item for item in items if item not in missing]
     for item in items:
         if "ros_types" in item.fixturenames:
             item.add_marker(pytest.mark.system("compiler"))
@@ -99,9 +110,11 @@ def pytest_runtest_setup(item):
 
 def pytest_deselected(items):
     for item in items:
-        mark = next((mark for mark in LEFT_OUT if item.get_closest_marker(mark) is not None), None)
-        if mark:
-            item.config.stash[deselected_tests][mark] += 1
+        marks = [mark for mark in LEFT_OUT if item.get_closest_marker(mark) is not None]
+        if marks:
+            # Without the logs, a long test of them counts as a test of logs.
+            reason = "real_logs" if LOGS is None and "real_logs" in marks else marks[0]
+            item.config.stash[deselected_tests][reason] += 1
 
 
 @pytest.hookimpl(optionalhook=True)
