@@ -41,7 +41,6 @@ _COMMANDS = {
     "simulate": CommandEntry("Drive", "drives"),
     "bench": CommandEntry("Drive", "drives"),
     "campaign": CommandEntry("Drive", "drives"),
-    "replay": CommandEntry("Drive", "drives"),
     "animate": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
     "excite": CommandEntry("Your robot", "robot"),
@@ -49,13 +48,11 @@ _COMMANDS = {
     "tune": CommandEntry("Your robot", "robot"),
     "prove": CommandEntry("Your robot", "robot"),
     "predict-error": CommandEntry("Your robot", "robot", "predict_error"),
-    "commission": CommandEntry("Your robot", "robot"),
     "node": CommandEntry("Robot", "ros", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
     "monitor": CommandEntry("Robot", "ros", passed_on=True),
     "export": CommandEntry("Robot", "ros"),
     "doctor": CommandEntry("Robot", "ros"),
-    "schema": CommandEntry("Files", "schema"),
 }
 _GROUPS = {"models": "models", "config": "config", "log": "log"}
 """Groups of commands, each with its module."""

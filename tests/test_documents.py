@@ -40,14 +40,10 @@ RUN_IN_TESTS = {
     "python -m studies energy-front --quick --out front": "studies/test_energy_front.py",
     "python -m studies saving --quick --out saved": "studies/test_saving_study.py",
     "python -m studies torque --quick --out turn": "studies/test_torque_study.py",
-    "diffdrive-mpc commission heavy --inside 5x4 --out my_robot --quick": "app/test_commission.py",
-    "diffdrive-mpc simulate --config my_robot/robot/config.yaml --plant mujoco:heavy --trajectory square": (
-        "app/test_commission.py"
-    ),
     "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "app/test_speed_passport.py",
     "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "models/test_model_comparison.py",
 }
-PLACES = {"front", "saved", "turn", "my_robot", "passport"}
+PLACES = {"front", "saved", "turn", "passport"}
 """Folders of results in `RUN_IN_TESTS`."""
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.

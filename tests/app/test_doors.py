@@ -26,8 +26,6 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.commission.ledger import FILE as LEDGER
-from diffdrive_mpc.app.commission.ledger import Ledger
 from diffdrive_mpc.bench.campaign.engine import Store
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
@@ -115,7 +113,6 @@ YAML = {
     "proof": "prove ssm --campaign FILE --out OUT",
     "rules": "monitor --rules FILE --export OUT",
     "turn costs": "plan --from 0,0,0 --to 1,0,0 --costs FILE --out OUT",
-    "robot": "commission FILE --out OUT",
 }
 
 
@@ -287,10 +284,6 @@ def _store(stranger, door):
         place.write_bytes(content)
         place.with_suffix(".pkl").write_bytes(content)
         assert store.load(key) is None
-        (door / LEDGER).write_bytes(content)
-        if content != json.dumps(hostile).encode():
-            with pytest.raises(ValueError, match="not written by this command"):
-                Ledger(door)
 
 
 def _notebooks(stranger, door):
@@ -316,7 +309,7 @@ DOORS = {
     "weights of a network": _weights,
     "a model file": _model,
     "a run file": _run,
-    "stores of campaigns and commissions": _store,
+    "stores of campaigns": _store,
     "notebooks of the site": _notebooks,
 }
 
@@ -341,8 +334,6 @@ EXECUTES = re.compile(
     r"|exec_module\(|CDLL\(|dlopen\(|\bexternal\(|\bjoblib\.load\(|\bshelve\.|run_path\(|allow_pickle=True"
 )
 WHERE = {
-    "app/doctor/machine.py": "the C library of this process",
-    "app/ros_types/build.py": "what was compiled of the project's own definitions",
     "models/checked_yaml.py": "safe loader, within bounds",
     "models/compiled/packaged.py": "compiled C of the package, or of the user's own cache",
     "models/logs/drive_log/recorder.py": "a socket between this process and the one that it began",
