@@ -6,7 +6,6 @@ The hypothesis profile draws the same examples on every run, without a deadline;
 import ctypes
 import os
 import shutil
-import sys
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace

@@ -21,7 +21,7 @@ from diffdrive_mpc.app.commands.options import (
 from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS
 from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import Jobs, out_folder, out_option
+from diffdrive_mpc.bench.command_line.options import Jobs, out_option
 
 if TYPE_CHECKING:
     from diffdrive_mpc.app.animation.animate import FilmFile

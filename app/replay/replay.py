@@ -1,4 +1,4 @@
-"""Repeat a recorded drive: a fresh controller gets every measurement and is told that the recorded commands went out."""
+"""Repeat a recorded drive: a fresh controller gets the measurements and takes the recorded commands as sent."""
 
 from __future__ import annotations
 

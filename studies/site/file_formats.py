@@ -20,8 +20,8 @@ Schema = dict[str, Any]
 
 _HEAD = """# What may stand in a file for a model, a path, a log, a floor?
 
-This page lists the keys of each kind of file, from the schemas of its readers. `diffdrive-mpc config schema KIND --json`
-prints the JSON Schema of models and trajectories, with which an editor completes and checks such a file
+This page lists the keys of each kind of file, from the schemas of its readers. Models and trajectories have a JSON
+Schema, `diffdrive-mpc config schema KIND --json`, with which an editor completes and checks such a file
 ([how](../install.md#editors)). A key with a point lies in a group. The controller's configuration has
 [a page of its own](../parameters.md). A scenario may draw a value: `[LOW, HIGH]` or `{one_of: [...]}`. A robot or a
 sensor set may leave out every key: the shipped `default` then counts.

@@ -232,10 +232,18 @@ def test_every_study_has_help_with_an_example(command: str) -> None:
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
 
 
-@pytest.mark.parametrize("former", ["study robustness --quick", "tracking --out x"])
-def test_a_study_s_former_name_says_where_it_is(former: str) -> None:
+@pytest.mark.parametrize(
+    ("former", "words"),
+    [
+        ("replay a.csv --out x", "use `diffdrive-mpc log replay`"),
+        ("schema", "use `diffdrive-mpc config schema KIND --json`"),
+        ("commission", "follow docs/tutorials/commission.md"),
+        ("log rerun a.mcap", "Rerun"),
+    ],
+)
+def test_former_command_names_its_replacement_in_one_line(former: str, words: str) -> None:
     result = invoke(app, *former.split(), code=2)
-    assert "`python -m studies" in result.stderr and len(result.stderr.splitlines()) == 1
+    assert words in result.stderr and len(result.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)

@@ -222,7 +222,6 @@ def test_a_pipe_without_columns_is_wide(monkeypatch: pytest.MonkeyPatch, capsys:
         ("models", "show", "mbm"),
         ("models", "show", "lstm"),
         ("config", "schema"),
-        ("schema",),
     ],
 )
 def test_commands_keep_to_columns(width: int, words: tuple[str, ...]) -> None:

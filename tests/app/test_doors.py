@@ -164,8 +164,9 @@ def _bag(stranger, door):
         writer.add_attachment(0, 0, f"{stranger}/evil.pkl", "application/x-pickle", pickle.dumps(Reduced(stranger)))
         writer.add_metadata("configuration", {"yaml": f"model: {stranger}/model.yaml"})
         writer.finish()
-    for command in ("identify", "replay", "animate"):
+    for command in ("identify", "animate"):
         call(command, door / "bag.mcap", "--out", door / "out.png")
+    call("log", "replay", door / "bag.mcap")
 
 
 def _bag_folder(stranger, door):
@@ -199,7 +200,7 @@ def _drive_log(stranger, door):
             writer.add_metadata("configuration", {"yaml": text})
             writer.add_metadata("case", {"plant": f"mujoco:{stranger}/model.yaml"})
             writer.finish()
-        call("replay", door / "log.mcap", "--out", door / "out")
+        call("log", "replay", door / "log.mcap")
         call("animate", door / "log.mcap", "--out", door / "film.png")
 
 

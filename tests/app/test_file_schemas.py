@@ -94,9 +94,9 @@ def test_editor_lines_of_shipped_files_name_the_schema_of_their_kind() -> None:
     rooms = ("models", "mpc", "sim", "bench", "app", "extras")
     files = {path for room in rooms for path in (ROOT / room).rglob("*.yaml") if kept_editor_line(path)}
     named = {path: path.parent / kept_editor_line(path).removeprefix(EDITOR_LINE).strip() for path in files}
-    wanted = {path.resolve(): str(SCHEMAS[kind]) for kind, path in FILES if path.resolve() in files}
+    wanted = {path.resolve(): str(SCHEMAS[kind].resolve()) for kind, path in FILES if path.resolve() in files}
     assert {path: os.path.normpath(schema) for path, schema in named.items()} == wanted
-    assert set(SCHEMAS.values()) == {Path(schema) for schema in wanted.values()}
+    assert {str(schema.resolve()) for schema in SCHEMAS.values()} == set(wanted.values())
 
 
 EXAMPLES = [(kind, max(KINDS[kind].files, key=lambda path: path.stat().st_size)) for kind in SCHEMAS]
