@@ -55,7 +55,7 @@ class Difference(NamedTuple):
     largest: float
     time: float
     """Time of the largest difference [s]."""
-    count: int
+    ticks: int
     """Number of ticks that differ."""
     first: float
     """Time of the first difference [s]; NaN if there is none."""
@@ -87,9 +87,9 @@ def replay(
     controller = Controller(config)
     steps: list[StepResult] = []
     waiting = iter(references)
-    for number_, tick in enumerate(recording.ticks):
+    for index, tick in enumerate(recording.ticks):
         if tick.start is not None:
-            if tick.start.is_reset and number_:
+            if tick.start.is_reset and index:
                 controller.reset()
             start = controller.switch_reference if tick.start.goes_on else controller.start
             start(next(waiting), tick.start.t0)
@@ -168,9 +168,9 @@ def _print(recording: Recording, replayed: Replayed) -> None:
     differing = 0
     for column, name in enumerate(("v [m/s]", "omega [rad/s]")):
         pair = difference(recording.time, recording.command[:, column], replayed.command[:, column])
-        differing += pair.count
+        differing += pair.ticks
         sizes = (f"{pair.rms:.3g}", f"{pair.largest:.3g}", number(pair.time, 2))
-        rows.append((name, *sizes, str(pair.count), number(pair.first, 2)))
+        rows.append((name, *sizes, str(pair.ticks), number(pair.first, 2)))
     modes = sum(tick.mode != mode for tick, mode in zip(recording.ticks, replayed.modes, strict=True) if tick.mode)
     words = "are equal at every tick" if not differing and not modes else f"differ; modes differ at {modes} ticks"
     time = f"{len(recording.ticks)} ticks from {recording.time[0]:.2f} to {recording.time[-1]:.2f} s"
