@@ -67,7 +67,7 @@ $(READY): $(CORE) requirements.txt
 	$(PIP_INSTALL) $(LOCKED) $(VENV)/uv.txt
 	$(BIN)/uv pip install --quiet --no-config --python $(BIN)/python $(LOCKED) requirements.txt || $(PIP_INSTALL) $(LOCKED) requirements.txt
 	$(PIP_INSTALL) --no-deps --no-build-isolation $(addprefix --editable ,$(PACKAGES))
-	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
+	$(BIN)/python -m diffdrive_mpc.app.schemas
 	@touch $(READY)
 
 $(LAB_READY): $(READY) .ci/lab.txt
@@ -114,8 +114,7 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 	$(BIN)/python -m studies tracking --quick --out $(REPORTS_OUT)/tracking
 	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
-	$(BIN)/diffdrive-mpc commission heavy --inside 5x4 --quick --out $(REPORTS_OUT)/commission
-	for name in simulate bench identify tracking tune prove commission; do \
+	for name in simulate bench identify tracking tune prove; do \
 		$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
 	done
 	$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
@@ -165,8 +164,8 @@ results: $(READY) ## every report of the documents anew, and into the documents:
 	$(BIN)/python -m studies.documents.documents $(OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(MARKET_OUT) $(PROVE_OUT) $(TUNE_OUT) \
 		$(addprefix $(STUDY_OUT)/,$(STUDIES_SHOWN))
 
-schemas: $(READY) ## write the JSON Schemas of all kinds of files again
-	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
+schemas: $(READY) ## write the JSON Schemas of controller, model and trajectory files again
+	$(BIN)/python -m diffdrive_mpc.app.schemas
 
 gallery: $(READY) ## the films of docs/see.md: some minutes
 	$(BIN)/python -m studies.gallery.build docs

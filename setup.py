@@ -40,9 +40,9 @@ class BuildWithCore(build_py):
                 write_twin(package / "sim" / "core")
             except NotCompiledError as error:
                 sys.exit(f"error: the package's C is not compiled: {error}; install gcc, or take a wheel")
-            # Plug-ins register kinds of files in the metadata of the package.
+            # Plug-ins register structures of models in the metadata of the package.
             self.run_command("egg_info")
-            generate = [sys.executable, "-m", "diffdrive_mpc.app.schemas.generate", str(package.resolve())]
+            generate = [sys.executable, "-m", "diffdrive_mpc.app.schemas", str(package.resolve())]
             subprocess.run(generate, check=True, env=os.environ | {"PYTHONPATH": str(SOURCES)})
 
 

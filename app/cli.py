@@ -47,14 +47,12 @@ class CommandEntry(NamedTuple):
 _COMMANDS = {
     "simulate": CommandEntry("Drive", "drives"),
     "bench": CommandEntry("Drive", "drives"),
-    "replay": CommandEntry("Drive", "drives"),
     "animate": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
     "tune": CommandEntry("Your robot", "robot"),
     "node": CommandEntry("Robot", "node", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
     "doctor": CommandEntry("Robot", "ros"),
-    "schema": CommandEntry("Files", "schema"),
 }
 _GROUPS = {"models": "models", "config": "config", "log": "log"}
 """Groups of commands, each with its module."""

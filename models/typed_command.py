@@ -14,9 +14,7 @@ OUTPUTS: dict[str, frozenset[str]] = {
     "--out": frozenset(),
     "--log": frozenset({"simulate", "excite"}),
     "--animate": frozenset(),
-    "--rerun": frozenset(),
     "--record": frozenset(),
-    "--to": frozenset({"log"}),
 }
 """Options that name what is written, and by which commands; of all where there is none."""
 _TYPED: ContextVar[tuple[str, ...] | None] = ContextVar("typed", default=None)

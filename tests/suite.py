@@ -6,7 +6,6 @@ The hypothesis profile draws the same examples on every run, without a deadline;
 import ctypes
 import os
 import shutil
-import sys
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -158,15 +157,10 @@ def quick_search():
 
 @pytest.fixture(scope="session")
 def ros_types():
-    """Lets this process and its children import nav2_msgs, tf2_msgs and bond: import them inside of tests.
+    """Make nav2_msgs, tf2_msgs and bond importable in this process and its children; return their folder.
 
-    Returns the folder. Without it, tests run as on a machine that has no such packages. Types are compiled as C++, so
-    that a test that uses them is one of the system suite.
+    Import them inside of tests. Types are compiled as C++, so a test that uses them is one of the system suite.
     """
-    from diffdrive_mpc.app.ros_types.build import built_types, search_path
+    from ros_types.build import add_types
 
-    folder = built_types()
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-    os.environ["PYTHONPATH"] = search_path(folder, os.environ.get("PYTHONPATH", ""))
-    return folder
+    return add_types()

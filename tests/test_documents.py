@@ -36,14 +36,10 @@ PART_OF_CI = {
 }
 # Commands that a test of their own runs with the same options, to look at what they leave.
 RUN_IN_TESTS = {
-    "diffdrive-mpc commission heavy --inside 5x4 --out my_robot --quick": "app/test_commission.py",
-    "diffdrive-mpc simulate --config my_robot/robot/config.yaml --plant mujoco:heavy --trajectory square": (
-        "app/test_commission.py"
-    ),
-    "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "app/test_speed_passport.py",
-    "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "models/test_model_comparison.py",
+    "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "packages/extras/tests/test_speed_passport.py",
+    "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "packages/extras/tests/test_model_comparison.py",
 }
-PLACES = {"my_robot", "passport"}
+PLACES = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.

@@ -38,7 +38,7 @@ LOADED = {
     "--help": (COMMAND.format(["--help"]), REPORTS | NUMBERS | {"rich"}),
     "shell completion": (COMPLETION, NUMBERS),
     # A wheel is built with what `build-system` of pyproject.toml names, and nothing else.
-    "the schemas": ("import diffdrive_mpc.app.schemas.generate", {"pandas", "rich", "mujoco"}),
+    "the schemas": ("import diffdrive_mpc.app.schemas", {"pandas", "rich", "mujoco"}),
     "a plant of a model": (PLANT, {"mujoco"}),
     "simulate": (COMMAND.format(["simulate", "--trajectory", "circle"]), REPORTS | SCIPY),
 }

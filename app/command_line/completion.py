@@ -97,12 +97,10 @@ def _written(value: object) -> str:
 
 
 def _schema(kind: str) -> dict[str, Any]:
-    schema: dict[str, Any] = json.loads(_kinds_of_files()[kind].text())
+    from diffdrive_mpc.app.command_line.file_kinds import SCHEMAS  # noqa: PLC0415 - most commands complete nothing
+
+    schema: dict[str, Any] = json.loads(SCHEMAS[kind].read_text(encoding="utf-8"))
     return schema
-
-
-def _kinds() -> Offered:
-    yield from ((kind.name, kind.what) for kind in _kinds_of_files().values())
 
 
 def _kinds_of_files() -> Mapping[str, FileKind]:
@@ -118,7 +116,6 @@ _OFFERS: dict[str, Callable[[], Offered]] = {
     "mapping": _shipped("mapping"),
     "model": _shipped("model"),
     "plant": _plants,
-    "schema": _kinds,
     "scenario": _shipped("scenario"),
     "sensors": _shipped("sensors"),
     "setting": _settings,

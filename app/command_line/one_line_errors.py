@@ -28,7 +28,6 @@ TERMINATED = 143
 _ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
 OPTIONAL_PACKAGES = {
     "mujoco": "pip install mujoco, or use --plant model:ssm",
-    "rerun": "install diffdrive-mpc[rerun]",
     "rclpy": _ROS,
     "builtin_interfaces": _ROS,
     "geometry_msgs": _ROS,

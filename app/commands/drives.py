@@ -9,113 +9,19 @@ import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
-from diffdrive_mpc.app.command_line.options import Jobs, out_folder, out_option
+from diffdrive_mpc.app.command_line.options import Jobs, out_option
 from diffdrive_mpc.app.commands.options import (
     ConfigFile,
     Mapping,
     Scaled,
     Settings,
     Sweep,
-    TrustedFolders,
     with_dimensions,
 )
 from diffdrive_mpc.bench.case import HORIZONS
 
 if TYPE_CHECKING:
     from diffdrive_mpc.app.animation.animate import FilmFile
-
-
-# `diffdrive-mpc replay`: what a controller would have commanded in a recorded drive, beside what was commanded.
-
-
-REPLAY_EXAMPLE = "Example: diffdrive-mpc replay drive.csv --config my_robot/config.yaml --out replayed"
-_DEFAULT_OUT = "replayed"
-
-
-def replay(
-    *,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV file, or ROS 2 bag.")],
-    config: ConfigFile = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="Velocity model in place of the configuration's.", show_default="that of --config, or of the log"
-        ),
-    ] = None,
-    settings: Settings = None,
-    trajectory: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="What it should have tracked.",
-            show_default="the reference in the log, else the path that was driven",
-        ),
-    ] = None,
-    start_at_robot: Annotated[
-        bool, typer.Option("--start-at-robot", help="Lay the trajectory to the first pose, as the node does.")
-    ] = False,
-    against: Annotated[
-        str | None,
-        typer.Option(metavar="NAME|FILE", help="A second configuration beside the first.", show_default=False),
-    ] = None,
-    beside: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="replay.csv of an earlier replay, such as one by another release.", show_default=False
-        ),
-    ] = None,
-    mapping: Mapping = None,
-    pose: Annotated[
-        str, typer.Option(metavar="log|odometry", help="Poses of the log, or dead reckoning in their place.")
-    ] = "log",
-    begin: Annotated[
-        float | None,
-        typer.Option("--from", metavar="SECONDS", help="Count from here on, on the log's clock.", show_default=False),
-    ] = None,
-    end: Annotated[
-        float | None,
-        typer.Option("--to", metavar="SECONDS", help="End here, on the log's clock.", show_default=False),
-    ] = None,
-    sample_time: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Of the controller.", show_default="that of the configuration"),
-    ] = None,
-    trust_terms: TrustedFolders = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            parser=out_folder,
-            metavar="PATH",
-            help="Folder for replay.csv, replay.json, replay.md, the page and figures.",
-            show_default=_DEFAULT_OUT,
-        ),
-    ] = None,
-) -> None:
-    """Give a controller what was recorded, open loop, and compare its commands with those that were sent.
-
-    The measurements are those of the log, and the controller believes that the recorded commands went out.
-    """
-    from diffdrive_mpc.app.replay.study import ReplayRequest, replay_into  # noqa: PLC0415 - --help does without it
-
-    if pose not in ("log", "odometry"):
-        raise ValueError(f"--pose '{pose}': give log or odometry")
-    request = ReplayRequest(
-        log=log,
-        config=config,
-        model=model,
-        settings=settings or (),
-        trajectory=trajectory,
-        start_at_robot=start_at_robot,
-        against=against,
-        beside=beside,
-        mapping=mapping,
-        pose="odometry" if pose == "odometry" else "log",
-        begin=begin,
-        end=end,
-        sample_time=sample_time,
-        trusted=trust_terms or (),
-    )
-    replay_into(request, out or Path(_DEFAULT_OUT))
 
 
 # Options of films, which `simulate` and `animate` share.
@@ -206,10 +112,6 @@ def simulate(
     log: Annotated[
         Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
     ] = None,
-    rerun: Annotated[
-        str | None,
-        typer.Option(metavar="live|FILE.rrd", help="Show it in Rerun, or write a file for it.", show_default=False),
-    ] = None,
     scale_to_robot: Scaled = False,
     animate: Annotated[
         Path | None,
@@ -258,7 +160,6 @@ def simulate(
         settings=settings or [],
         out=out,
         log=log,
-        rerun=rerun,
         scaled=scale_to_robot,
         film=film,
         view=view,

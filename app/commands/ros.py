@@ -102,30 +102,24 @@ def robot(
     )
 
 
-# `diffdrive-mpc doctor`: what is there on this computer, and what it means.
+# `diffdrive-mpc doctor`: checks of the installation.
 
 
 DOCTOR_EXAMPLE = "Example: diffdrive-mpc doctor"
 
 
-def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
-) -> None:
-    """Look at this computer for three seconds: what is there, what it means, and what to do.
+def doctor() -> None:
+    """Check Python, dependencies, controller, MuJoCo and ROS 2; print one line per check, with a remedy.
 
-    Paste its answer when you ask for help. The exit code is 1 only where the controller itself cannot run.
+    The exit code is 1 if the controller cannot run.
     """
-    from diffdrive_mpc.app.doctor import examination  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.progress import output_console  # noqa: PLC0415
+    from diffdrive_mpc.app.doctor import examine  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.machine import project_version  # noqa: PLC0415
 
-    findings = examination.examine()
-    if as_json:
-        echo(examination.as_json(findings))
-    else:
-        console = output_console()
-        console.print(examination.heading(), markup=False, highlight=False)
-        for table in examination.tables(findings):
-            echo()
-            console.print(table.rich())
-    if not examination.can_run(findings):
+    echo(f"diffdrive-mpc {project_version()}")
+    can_run = True
+    for check in examine():
+        echo(check.line)
+        can_run &= check.is_ok or not check.is_required
+    if not can_run:
         raise typer.Exit(FAILED)

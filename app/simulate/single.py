@@ -49,7 +49,6 @@ def simulate_one(
     settings: Sequence[str],
     out: Path | None,
     log: Path | None,
-    rerun: str | None = None,
     scaled: bool = False,
     film: FilmFile | None = None,
     view: bool = False,
@@ -61,7 +60,7 @@ def simulate_one(
     ----------
     values
         By dimension, `model` being None where it was not given.
-    config, settings, out, log, rerun, scaled
+    config, settings, out, log, scaled
         As typed.
     film
         The film to make of it.
@@ -77,11 +76,6 @@ def simulate_one(
     controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        if rerun is not None:
-            from diffdrive_mpc.app.rerun_view import ShownController, rerun_view  # noqa: PLC0415
-
-            shown = stack.enter_context(rerun_view(rerun, reference.name))
-            controller = ShownController(controller, plant, shown)
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
         reel = None
         if film is not None:

@@ -145,13 +145,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("bench --out {out} --model sm,smm", "unknown model 'smm'"),
         ("bench --out {out} --seed 3", "No such option: --seed (Possible options: --seeds"),
         ("bench --out {out} --seeds 1000000000", "--seeds 1000000000: give at most 10000 seeds"),
-        ("schema trajektory", "unknown kind of file 'trajektory': give one of controller, "),
-        ("schema --path", "which schema?"),
-        ("schema model --path --out x.json", "--path names a file that is there already"),
         ("config check {folder}/negative.yaml", "negative.yaml: weights.across"),
         ("config schema weigths", "unknown key 'weigths'; did you mean 'weights'?"),
         ("config schema weights.acros", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
-        ("config schema weights --json", "--json is the schema of the whole configuration; leave 'weights' out"),
+        ("config schema weights --json", "there is no schema of 'weights'; give controller, model, trajectory"),
         ("models check {folder}/unstable.yaml", "unstable"),
     ],
 )
@@ -208,6 +205,20 @@ def test_every_command_has_help_with_an_example(command: list[str]) -> None:
 def test_every_study_has_help_with_an_example(command: str) -> None:
     result = invoke(studies_app, *command.split(), "--help")
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("former", "words"),
+    [
+        ("replay a.csv --out x", "`diffdrive-mpc log replay`"),
+        ("schema", "`diffdrive-mpc config schema KIND --json`"),
+        ("commission", "docs/tutorials/commission.md"),
+        ("log rerun a.mcap", "Rerun"),
+    ],
+)
+def test_former_command_names_its_replacement_in_one_line(former: str, words: str) -> None:
+    result = invoke(app, *former.split(), code=2)
+    assert words in result.stderr and len(result.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)

@@ -159,8 +159,9 @@ def _bag(stranger, door):
         writer.add_attachment(0, 0, f"{stranger}/evil.pkl", "application/x-pickle", pickle.dumps(Reduced(stranger)))
         writer.add_metadata("configuration", {"yaml": f"model: {stranger}/model.yaml"})
         writer.finish()
-    for command in ("identify", "replay", "animate"):
+    for command in ("identify", "animate"):
         call(command, door / "bag.mcap", "--out", door / "out.png")
+    call("log", "replay", door / "bag.mcap")
 
 
 def _bag_folder(stranger, door):
@@ -194,7 +195,7 @@ def _drive_log(stranger, door):
             writer.add_metadata("configuration", {"yaml": text})
             writer.add_metadata("case", {"plant": f"mujoco:{stranger}/model.yaml"})
             writer.finish()
-        call("replay", door / "log.mcap", "--out", door / "out")
+        call("log", "replay", door / "log.mcap")
         call("animate", door / "log.mcap", "--out", door / "film.png")
 
 
@@ -298,8 +299,6 @@ EXECUTES = re.compile(
     r"|exec_module\(|CDLL\(|dlopen\(|\bexternal\(|\bjoblib\.load\(|\bshelve\.|run_path\(|allow_pickle=True"
 )
 WHERE = {
-    "app/doctor/machine.py": "the C library of this process",
-    "app/ros_types/build.py": "what was compiled of the project's own definitions",
     "models/checked_yaml.py": "safe loader, within bounds",
     "models/compiled/packaged.py": "compiled C of the package, or of the user's own cache",
     "models/logs/drive_log/recorder.py": "a socket between this process and the one that it began",

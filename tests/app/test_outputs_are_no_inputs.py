@@ -105,7 +105,7 @@ def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Pat
         "b.yaml",
         "b.yaml",
     ]
-    assert "a.csv" in named_inputs(["commission", "--log", "a.csv"])
+    assert "a.csv" in named_inputs(["twin", "--log", "a.csv"])
     assert {"x.yaml", "y.csv"} <= set(named_inputs(["bench", "--models=x.yaml,y.csv"]))
     assert "z.yaml" in named_inputs(["simulate", "--plant", "mujoco:z.yaml"])
     file = tmp_path / "a.txt"

@@ -83,6 +83,6 @@ def test_a_bench_needs_none(tmp_path):
     assert run(tmp_path, "bench", *words).returncode == 0
 
 
-def test_schemas_know_what_is_left(tmp_path):
-    kinds = run(tmp_path, "schema").stdout
-    assert "trajectory" in kinds and "terrain" not in kinds
+def test_json_schema_of_models_leaves_out_missing_structures(tmp_path):
+    schema = run(tmp_path, "config", "schema", "model", "--json").stdout
+    assert '"ssm"' in schema and '"lstm"' not in schema

@@ -18,7 +18,6 @@ _LONG = {
     "animate",
     "bench",
     "campaign",
-    "commission",
     "doctor",
     "export",
     "node",

@@ -5,8 +5,9 @@ import pytest
 from rclpy.parameter import Parameter
 from ros_parts import DT, stack
 
-from diffdrive_mpc.app.replay.open_loop import replay
-from diffdrive_mpc.app.replay.reading import read_recording
+from diffdrive_mpc.app.replay.node_log import LoggedConfigs
+from diffdrive_mpc.app.replay.own_log import read_recording
+from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
@@ -149,8 +150,8 @@ def test_a_drive_with_all_that_may_happen_replays_to_the_same_bits(tmp_path):
         s.loop.start()
         s.base.run(60)
     (path,) = folder.iterdir()
-    recording = read_recording(path, None, DT, tmp_path)
-    assert not recording.approximated
+    recording = read_recording(path, LoggedConfigs(path, tmp_path))
+    assert not recording.notes
     assert {"TRACKING", "BRAKING", "STOPPED"} <= {tick.mode for tick in recording.ticks}
     assert len([tick for tick in recording.ticks if tick.start is not None]) == 2
     assert any(tick.hold is not None for tick in recording.ticks) and any(tick.config for tick in recording.ticks)

@@ -1,6 +1,6 @@
-"""The source files of a package of ROS types, by the generators of ROS 2 Jazzy; a process of its own runs it.
+"""Generate the sources of a package of ROS types with the generators of ROS 2 Jazzy; `ros_types.build` runs this file.
 
-They read templates from the folders that AMENT_PREFIX_PATH names, and print what they do.
+The generators read their templates from the folders in AMENT_PREFIX_PATH.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ from rosidl_typesupport_c.cli import GenerateCTypesupport
 from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
 from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-from diffdrive_mpc.app.ros_types.build import TYPE_SUPPORTS
-
 _CONVERT = {".msg": convert_msg_to_idl, ".action": convert_action_to_idl}
 
 
-def generate(package: str, definitions: Path, shares: Path, folder: Path) -> None:
+def generate(package: str, definitions: Path, shares: Path, folder: Path, supports: list[str]) -> None:
     """Write Python, C and C++ of `package`, defined by the files in `definitions`, to `folder`.
 
     Parameters
@@ -35,6 +33,8 @@ def generate(package: str, definitions: Path, shares: Path, folder: Path) -> Non
         Where the definitions of all other packages are, one folder for each.
     folder
         A new folder, absolute: it gets one folder for each generator, `py` for that of Python.
+    supports
+        Names of the type supports.
     """
     files = [path.relative_to(definitions) for path in sorted(definitions.rglob("*")) if path.suffix in _CONVERT]
     plain = folder / "idl" / package
@@ -44,7 +44,7 @@ def generate(package: str, definitions: Path, shares: Path, folder: Path) -> Non
     others = [str(shares)]
     described = HashTypeDescription("description").generate_type_hashes(package, interfaces, others, plain)
     GenerateC("c").generate(package, interfaces, others, folder / "c" / package, described)
-    both = {"typesupport_implementations": list(TYPE_SUPPORTS)}
+    both = {"typesupport_implementations": supports}
     entry = {"typesupport_implementations": ["rosidl_typesupport_c"]}
     # In folders of their own: two generators give the same name to different files.
     for name, generator in {
@@ -57,5 +57,4 @@ def generate(package: str, definitions: Path, shares: Path, folder: Path) -> Non
 
 
 if __name__ == "__main__":
-    _package, *_folders = sys.argv[1:]
-    generate(_package, *map(Path, _folders))
+    generate(sys.argv[1], *map(Path, sys.argv[2:5]), sys.argv[5:])

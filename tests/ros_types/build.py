@@ -1,8 +1,7 @@
-"""Packages of ROS types in a folder of the cache: made once, and again where something that they come from changed."""
+"""Build the ROS types that have no wheel (nav2_msgs, tf2_msgs, bond) in a folder of the cache, once per definition."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import shutil
@@ -19,15 +18,14 @@ import numpy as np
 
 from diffdrive_mpc.models.compiled.cache import user_folder
 from diffdrive_mpc.models.compiled.compiler import digest_of
-from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 INTERFACES = Path(__file__).with_name("interfaces")
 PACKAGES = tuple(sorted(path.name for path in INTERFACES.iterdir() if path.is_dir()))
-"""Packages that are made here."""
+"""Packages that this module builds."""
 
 _COMPILERS = {".c": ("gcc", "-std=c11"), ".cpp": ("g++", "-std=c++17")}
 TYPE_SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
-"""What Fast DDS asks for: how a message is sent, and how it is described."""
+"""Type supports that Fast DDS loads."""
 
 _LIBRARIES = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", *TYPE_SUPPORTS)
 _ALSO = ("rosidl_runtime_c", "rosidl_typesupport_c", *TYPE_SUPPORTS, "fastcdr", "rcutils")
@@ -41,40 +39,28 @@ for _library in _pathlib.Path(__file__).parent.glob("lib*__rosidl_typesupport_*.
 _PATIENCE = 300.0  # [s] for one step
 
 
-class TypesError(DiffdriveMpcError, RuntimeError):
-    """The types cannot be made; says why, and the remedy."""
-
-
 def built_types() -> Path:
-    """The folder that holds the packages, to be put on the module search path; made first where there is none.
-
-    Nothing else has to be set: the libraries of the wheels are found where `rclpy` finds them.
+    """Return the folder of the packages, for the module search path; build them first if necessary.
 
     Raises
     ------
-    TypesError
+    RuntimeError
         If a wheel or a compiler is missing, or one of them fails.
-    OSError
-        If the cache cannot be written.
     """
     prefix = Path(sys.prefix)
     if not (prefix / "share" / "rosidl_generator_py" / "resource").is_dir():
-        raise TypesError("there are no generators of ROS types here: pip install 'diffdrive-mpc[dev]'")
-    cache = user_folder()
-    cache.mkdir(mode=0o700, parents=True, exist_ok=True)
-    stem = f"ros-types-{_origin()[:32]}"
-    for folder in sorted(cache.glob(f"{stem}-*")):
-        if _content(folder) == folder.name.rpartition("-")[2]:
-            return folder
-        shutil.rmtree(folder)
-    with tempfile.TemporaryDirectory(dir=cache, prefix="build-") as work:
-        made = Path(work) / "types"
+        raise RuntimeError("there are no generators of ROS types: pip install 'diffdrive-mpc[dev]'")
+    folder = user_folder() / f"ros-types-{_origin()[:32]}"
+    if folder.is_dir():
+        return folder
+    folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix="build-") as work:
+        built = Path(work) / "types"
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(lambda package: _make(package, prefix, Path(work) / "sources", made), PACKAGES))
-        folder = cache / f"{stem}-{_content(made)}"
+            list(pool.map(lambda package: _make(package, prefix, Path(work) / "sources", built), PACKAGES))
         try:
-            # In one step: another process may be at the same.
-            made.replace(folder)
+            # One step, because another process may build the same folder.
+            built.replace(folder)
         except OSError:
             if not folder.is_dir():
                 raise
@@ -82,17 +68,25 @@ def built_types() -> Path:
 
 
 def search_path(folder: Path, known: str = "") -> str:
-    """PYTHONPATH `known` with `folder` in front of it."""
+    """Return PYTHONPATH `known` with `folder` in front of it."""
     return os.pathsep.join([str(folder), *(part for part in known.split(os.pathsep) if part and part != str(folder))])
+
+
+def add_types() -> Path:
+    """Make the types importable in this process and its children; return their folder, or raise as `built_types`."""
+    folder = built_types()
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    os.environ["PYTHONPATH"] = search_path(folder, os.environ.get("PYTHONPATH", ""))
+    return folder
 
 
 def _make(package: str, prefix: Path, sources: Path, made: Path) -> None:
     generated = sources / package
     generated.mkdir(parents=True)
-    _run(
-        [sys.executable, "-m", f"{__package__}.generate", package, INTERFACES / package, prefix / "share", generated],
-        {"AMENT_PREFIX_PATH": str(prefix)},
-    )
+    script = Path(__file__).with_name("generate.py")
+    folders = (INTERFACES / package, prefix / "share", generated)
+    _run([sys.executable, script, package, *folders, *TYPE_SUPPORTS], {"AMENT_PREFIX_PATH": str(prefix)})
     paths = [sysconfig.get_path("include"), np.get_include(), *sorted(generated.iterdir()), prefix / "include"]
     paths += sorted(path for path in (prefix / "include").iterdir() if path.is_dir())
     objects = []
@@ -131,7 +125,7 @@ def _link(library: Path, inputs: Sequence[str | Path]) -> None:
 
 
 def _libraries(folder: Path) -> Iterator[Path]:
-    """Libraries of all packages of types, and those that they all need."""
+    """Yield the libraries of all installed packages of types, and the libraries that they need."""
     for kind in _LIBRARIES:
         yield from sorted(folder.glob(f"lib*__{kind}.so"))
     yield from (folder / f"lib{name}.so" for name in _ALSO)
@@ -151,34 +145,20 @@ def _run(command: Sequence[str | Path], environment: dict[str, str] | None = Non
             check=False,
         )
     except FileNotFoundError as error:
-        raise TypesError(f"{words[0]} was not found: ROS types need GCC (apt-get install g++)") from error
+        raise RuntimeError(f"{words[0]} was not found: ROS types need GCC (apt-get install g++)") from error
     except subprocess.TimeoutExpired as error:
-        raise TypesError(f"{words[0]} did not finish within {_PATIENCE:g} s") from error
+        raise RuntimeError(f"{words[0]} did not finish within {_PATIENCE:g} s") from error
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "rror" in line] or done.stderr.splitlines() or ["no word"]
-        raise TypesError(f"{' '.join(words[:4])} ... failed: {lines[-1].strip()}")
+        raise RuntimeError(f"{' '.join(words[:4])} ... failed: {lines[-1].strip()}")
 
 
 def _origin() -> str:
-    """Digest of all that the packages come from: definitions, generators, the types they build on, and the Python."""
-    texts = [str(path.relative_to(INTERFACES)) + path.read_text(encoding="utf-8") for path in _files(INTERFACES)]
-    wheels = sorted(
-        f"{distribution.name} {distribution.version}"
-        for distribution in distributions()
-        if (distribution.name or "").startswith("ros-")
+    """Return a digest of definitions, generators, installed ROS packages and the Python version."""
+    files = sorted(path for path in Path(__file__).parent.rglob("*") if path.suffix in {".py", ".msg", ".action"})
+    texts = [f"{path.name}\n{path.read_text(encoding='utf-8')}" for path in files]
+    names = ((distribution.name or "", distribution.version) for distribution in distributions())
+    wheels = sorted(f"{name} {number}" for name, number in names if name.startswith("ros-"))
+    return digest_of(
+        [*texts, *wheels, sysconfig.get_config_var("EXT_SUFFIX") or "", platform.machine(), np.__version__]
     )
-    code = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
-    here = [sysconfig.get_config_var("EXT_SUFFIX") or "", platform.machine(), np.__version__]
-    return digest_of([*texts, *wheels, *code, *here])
-
-
-def _content(folder: Path) -> str:
-    """Digest of what a folder of packages holds, without what Python keeps beside it."""
-    digest = hashlib.sha256()
-    for path in _files(folder):
-        digest.update(str(path.relative_to(folder)).encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:32]
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
