@@ -210,4 +210,4 @@ def tuned(folder: Path, config: Path, plant: Path, plan: str | None, jobs: int |
     """Tune on the twin; what is no better leaves the configuration as it was."""
     from diffdrive_mpc.app.tune import study  # noqa: PLC0415 - needs the extra `tune`
 
-    return Gate(True, study.tune(config, folder, plan=plan, plant=plant, workers=jobs).sentence)
+    return Gate(True, study.tune(config, folder, plan=plan, plant=plant, jobs=jobs).sentence)

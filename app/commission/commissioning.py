@@ -23,7 +23,7 @@ from diffdrive_mpc.app.commission.ledger import (
     report_text,
 )
 from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE
-from diffdrive_mpc.app.tune.optuna_study import needs_optuna
+from diffdrive_mpc.app.tune.search import import_optuna
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.report_folder import alone_in, staged
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
@@ -184,7 +184,7 @@ def commission(
     if request.stated is not None:
         load_stated_robot(request.stated)
     if request.tuned:
-        needs_optuna()
+        import_optuna()
         if request.plan is not None:
             load_plan(Path(request.plan))
     # Two at once would take what the other recorded, and each write down its own steps alone.

@@ -253,7 +253,7 @@ _MADE: dict[str, Callable[[], Schema]] = {
     "experiment": _as_it_is(ExperimentFile),
     "campaign": _with_factors(Campaign),
     "proof": _with_factors(Proof),
-    "tune": _with_factors(TunePlan),
+    "tune": _as_it_is(TunePlan),
     "conditions": _as_it_is(Conditions),
 }
 

@@ -112,9 +112,9 @@ def test_what_was_tuned_is_proven_and_delivered(commissioned, monkeypatch):
     """A tuning that writes a configuration of its own, which names the model from its place."""
     asked, out, _said = commissioned
 
-    def tune(config, folder, *, plan, plant, workers):
+    def tune(config, folder, *, plan, plant, jobs):
         assert plan is None
-        assert workers == 1
+        assert jobs == 1
         assert plant == out / "twin" / "plant.yaml"
         words = config.read_text().replace("model: model.yaml", "model: ../identify/model.yaml")
         (folder / "config.yaml").write_text(words + "weights: {across: 777.0}\n")
