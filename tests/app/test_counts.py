@@ -71,9 +71,8 @@ def test_proofs_and_plans_count_what_they_multiply_to(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are asked for, at most 1,000,000"):
         load_proof(file)
     plan = read_yaml(PLAN) | {"points": 100_000}
-    plan["fidelities"] = [{"runs": 10_000}]
-    plan["verdict"] = {"draw_seed": 1, "first_seed": 1_000_000, "runs": 10}
-    with pytest.raises(ConfigError, match=r"1,000,\d\d\d,\d\d\d runs are asked for"):
+    plan["tuning_seeds"] = {"first": 0, "count": 10_000}
+    with pytest.raises(ConfigError, match=r"4,000,\d\d\d,\d\d\d runs are asked for"):
         check(type(load_plan()), plan, "plan.yaml")
 
 
