@@ -42,7 +42,6 @@ _COMMANDS = {
     "bench": CommandEntry("Drive", "drives"),
     "campaign": CommandEntry("Drive", "drives"),
     "replay": CommandEntry("Drive", "drives"),
-    "animate": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
     "excite": CommandEntry("Your robot", "robot"),
     "twin": CommandEntry("Your robot", "robot"),

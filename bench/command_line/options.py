@@ -68,7 +68,6 @@ Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", sh
 OUTPUTS: dict[str, frozenset[str]] = {
     "--out": frozenset(),
     "--log": frozenset({"simulate", "excite"}),
-    "--animate": frozenset(),
     "--rerun": frozenset(),
     "--record": frozenset(),
     "--to": frozenset({"log"}),

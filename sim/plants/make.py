@@ -21,7 +21,7 @@ from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import Surface, load_surface
-from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 if TYPE_CHECKING:
@@ -211,13 +211,21 @@ def _near_plant(name: str) -> str:
     return f"; did you mean '{by_words[near[0]]}'?" if near else ""
 
 
+def plant_body(name: str) -> tuple[Robot, TwinParameters]:
+    """Return the robot of a plant's name and its physical parameters; those of the papers for "model:NAME".
+
+    Raises ConfigError where a robot file is named that cannot be used.
+    """
+    build = _build(name)
+    return (build.robot, build.twin) if build else (load_robot(), load_twin_parameters())
+
+
 def plant_outline(name: str) -> tuple[float, float]:
     """Length and width from above [m] of the robot of a plant's name, that of the papers for "model:NAME".
 
     Raises ConfigError where a robot file is named that cannot be used.
     """
-    build = _build(name)
-    return outline(build.robot, build.twin) if build else outline(load_robot(), load_twin_parameters())
+    return outline(*plant_body(name))
 
 
 def _checked_model(model: object) -> VelocityModel | NonlinearModel:

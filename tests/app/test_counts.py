@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.app.animation.film import Film
 from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.case import combinations, split_names
@@ -93,16 +92,6 @@ def test_names_given_twice_are_found_among_many() -> None:
     assert split_names(",".join(names), "--models") == tuple(names)
     with pytest.raises(ValueError, match="'n7' is given twice"):
         split_names(",".join([*names, "n7", "n3"]), "--models")
-
-
-def test_a_film_of_too_many_pictures_is_refused() -> None:
-    """A day at a hundredth of its speed."""
-
-    class Day:
-        time = (0.0, 86_400.0)
-
-    with pytest.raises(ConfigError, match="pictures, at most 100,000"):
-        Film(speed=0.01).times(Day())  # type: ignore[arg-type]
 
 
 def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:

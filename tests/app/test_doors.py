@@ -167,7 +167,7 @@ def _bag(stranger, door):
         writer.add_attachment(0, 0, f"{stranger}/evil.pkl", "application/x-pickle", pickle.dumps(Reduced(stranger)))
         writer.add_metadata("configuration", {"yaml": f"model: {stranger}/model.yaml"})
         writer.finish()
-    for command in ("identify", "replay", "animate"):
+    for command in ("identify", "replay"):
         call(command, door / "bag.mcap", "--out", door / "out.png")
 
 
@@ -203,7 +203,6 @@ def _drive_log(stranger, door):
             writer.add_metadata("case", {"plant": f"mujoco:{stranger}/model.yaml"})
             writer.finish()
         call("replay", door / "log.mcap", "--out", door / "out")
-        call("animate", door / "log.mcap", "--out", door / "film.png")
 
 
 def _ticks(stranger, _):
@@ -349,7 +348,6 @@ WHERE = {
     "mpc/core/library.py": "likewise, with terms that the user's configuration names",
     "mpc/problem/terms.py": "the file of a term, where it is trusted",
     "sim/core/library.py": "compiled C of the package",
-    "sim/view/shots.py": "a file of this process for the one that paints; no objects",
 }
 
 
