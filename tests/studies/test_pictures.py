@@ -21,8 +21,9 @@ def test_every_listed_picture_is_committed():
 
 @pytest.mark.system("rendering")
 def test_poster_shows_path_and_plan(tmp_path):
-    code = f"from pathlib import Path; from studies.site.pictures import draw_poster; draw_poster(Path('{tmp_path}/p.png'))"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=os.environ | {"MUJOCO_GL": "egl"}, check=True)
+    code = "import pathlib, sys; from studies.site.pictures import draw_poster; draw_poster(pathlib.Path(sys.argv[1]))"
+    command = [sys.executable, "-c", code, str(tmp_path / "p.png")]
+    subprocess.run(command, cwd=ROOT, env=os.environ | {"MUJOCO_GL": "egl"}, check=True)
     with Image.open(tmp_path / "p.png") as drawn:
         red, green, blue = np.moveaxis(np.asarray(drawn.convert("RGB"), dtype=int), -1, 0)
     assert red.shape == (720, 1280)
