@@ -48,7 +48,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full results edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -101,7 +101,7 @@ market: $(READY) ## a thousand robots that nobody tuned to: out/market, some six
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
 
-tune: $(READY) ## search for a better configuration, and hold it against the shipped one on other seeds: out/tune
+tune: $(READY) ## search for a better configuration, and compare with the shipped one on other seeds: out/tune
 	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
 
 screenshots: $(READY) ## reports of small real runs, and their pictures for docs/see.md, in a real browser
@@ -112,9 +112,8 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 		--structure ssm --out $(REPORTS_OUT)/identify
 	$(BIN)/diffdrive-mpc bench --quick --out $(REPORTS_OUT)/bench
 	$(BIN)/python -m studies tracking --quick --out $(REPORTS_OUT)/tracking
-	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
-	for name in simulate bench identify tracking tune prove; do \
+	for name in simulate bench identify tracking prove; do \
 		$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
 	done
 	$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
@@ -126,7 +125,7 @@ wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/:
 test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tests`
 	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
-test-system: $(LAB_READY) ## tests that need Debian packages: a browser, ffmpeg, cross compilers, an emulator, an X server
+test-system: $(LAB_READY) ## tests that need Debian packages: a browser, cross compilers, an emulator, an X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
@@ -166,9 +165,6 @@ results: $(READY) ## every report of the documents anew, and into the documents:
 
 schemas: $(READY) ## write the JSON Schemas of controller, model and trajectory files again
 	$(BIN)/python -m diffdrive_mpc.app.schemas
-
-gallery: $(READY) ## the films of docs/see.md: some minutes
-	$(BIN)/python -m studies.gallery.build docs
 
 site: $(READY) ## the documents as a site: out/site
 	$(BIN)/python -m studies.site.staging out/site-pages

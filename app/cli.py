@@ -47,7 +47,6 @@ class CommandEntry(NamedTuple):
 _COMMANDS = {
     "simulate": CommandEntry("Drive", "drives"),
     "bench": CommandEntry("Drive", "drives"),
-    "animate": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
     "tune": CommandEntry("Your robot", "robot"),
     "node": CommandEntry("Robot", "node", passed_on=True),

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, Overrides, ch
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
-from diffdrive_mpc.bench.runner import available_cores, run_tasks
+from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import load_pandas, wrong_type
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -54,6 +54,7 @@ def sweep(
     plant: str | Iterable[str] = "mujoco",
     config: str | Path | None = None,
     jobs: int | None = None,
+    on_done: OnDone | None = None,
     **values: Any,  # noqa: ANN401 - as the configuration takes them
 ) -> DataFrame:
     """Run every combination of the values, and give a pandas table with one row a run.
@@ -76,6 +77,8 @@ def sweep(
     jobs
         Processes; by default one for each core. Times of steps are in the table for `jobs=1` alone: runs side by side
         disturb each other.
+    on_done
+        Function to call after each run, in place of a progress bar.
     values
         By the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`, `controller`), or
         else by the dotted key of a configuration, one value or several: `**{"weights.across": [100, 300]}`.
@@ -113,9 +116,11 @@ def sweep(
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
     check_cases(task.case for task in tasks)
     jobs = jobs or available_cores()
+    calls = [partial(task.row, timed=jobs == 1) for task in tasks]
+    if on_done is not None:
+        return pandas.DataFrame(run_tasks(calls, jobs, on_done))
     with ProgressBar("sweep", len(tasks)) as bar:
-        results = run_tasks([partial(task.row, timed=jobs == 1) for task in tasks], jobs, bar.advance)
-    return pandas.DataFrame(results)
+        return pandas.DataFrame(run_tasks(calls, jobs, bar.advance))
 
 
 class _Task:

@@ -13,7 +13,6 @@ from diffdrive_mpc.models.input_file import reading
 OUTPUTS: dict[str, frozenset[str]] = {
     "--out": frozenset(),
     "--log": frozenset({"simulate", "excite"}),
-    "--animate": frozenset(),
     "--record": frozenset(),
 }
 """Options that name what is written, and by which commands; of all where there is none."""

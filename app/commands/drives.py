@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -12,91 +12,12 @@ from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.command_line.options import Jobs, out_option
 from diffdrive_mpc.app.commands.options import (
     ConfigFile,
-    Mapping,
     Scaled,
     Settings,
     Sweep,
     with_dimensions,
 )
 from diffdrive_mpc.bench.case import HORIZONS
-
-if TYPE_CHECKING:
-    from diffdrive_mpc.app.animation.animate import FilmFile
-
-
-# Options of films, which `simulate` and `animate` share.
-
-
-_PANEL = "Pictures"
-
-Render = Annotated[
-    bool, typer.Option("--render", help="MuJoCo's picture of the robot beside it.", rich_help_panel=_PANEL)
-]
-Alone = Annotated[
-    bool, typer.Option("--render-alone", help="MuJoCo's picture and nothing else.", rich_help_panel=_PANEL)
-]
-CameraName = Annotated[
-    str, typer.Option("--camera", metavar="chase|fixed", help="Of MuJoCo's picture.", rich_help_panel=_PANEL)
-]
-Speed = Annotated[float, typer.Option("--film-speed", help="Times as fast as the robot was.", rich_help_panel=_PANEL)]
-Fps = Annotated[
-    int | None,
-    typer.Option(
-        "--fps", min=1, max=120, help="Pictures a second.", show_default="30; WebP, GIF: 15", rich_help_panel=_PANEL
-    ),
-]
-Size = Annotated[
-    str | None,
-    typer.Option(
-        "--size", metavar="WxH", help="Pixels.", show_default="1280x720; WebP, GIF: 800x450", rich_help_panel=_PANEL
-    ),
-]
-From = Annotated[
-    float | None, typer.Option("--from", help="Only from this time on, in seconds.", rich_help_panel=_PANEL)
-]
-To = Annotated[float | None, typer.Option("--to", help="Only up to this time, in seconds.", rich_help_panel=_PANEL)]
-
-
-def film_file(
-    path: Path,
-    *,
-    render: bool,
-    alone: bool,
-    camera: str,
-    speed: float,
-    fps: int | None,
-    size: str | None,
-    start: float | None,
-    end: float | None,
-    surface: str = "default",
-) -> FilmFile:
-    """What was asked for, checked; raises ConfigError or ValueError that names the option."""
-    from diffdrive_mpc.app.animation.animate import FilmFile  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.app.animation.film import (  # noqa: PLC0415
-        SMALL,
-        Film,
-        read_size,
-    )
-    from diffdrive_mpc.sim.view.shots import Camera  # noqa: PLC0415
-
-    if camera not in list(Camera):
-        raise ValueError(f"--camera '{camera}': give {' or '.join(Camera)}")
-    if not 0.01 <= speed <= 1000:
-        raise ValueError(f"--film-speed {speed}: give a number from 0.01 to 1000")
-    small = path.suffix.lower() in SMALL
-    film = Film(
-        size=read_size(size or ("800x450" if small else "1280x720")),
-        fps=fps or (15 if small else 30),
-        speed=speed,
-        start=start,
-        end=end,
-        render=render and not alone,
-        alone=alone,
-        camera=Camera(camera),
-        surface=surface,
-    )
-    return FilmFile(path, film)
-
 
 _BENCH_OUT = "out/bench"
 SIMULATE_EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"
@@ -113,45 +34,11 @@ def simulate(
         Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
     ] = None,
     scale_to_robot: Scaled = False,
-    animate: Annotated[
-        Path | None,
-        typer.Option(
-            help="A film of it: .mp4, .webp, .gif; .png: its last picture.",
-            show_default=False,
-            rich_help_panel="Pictures",
-        ),
-    ] = None,
-    render: Render = False,
-    alone: Alone = False,
-    camera: CameraName = "chase",
-    film_speed: Speed = 1.0,
-    fps: Fps = None,
-    size: Size = None,
-    start: From = None,
-    end: To = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Watch it in MuJoCo's viewer, in real time.", rich_help_panel="Pictures")
-    ] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer, in real time.")] = False,
     details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it, --animate films it."""
-    if (render or alone) and animate is None:
-        raise ValueError("--render is of a film: give --animate FILE, too; to watch it drive, --view")
-    film = None
-    if animate is not None:
-        film = film_file(
-            animate,
-            render=render,
-            alone=alone,
-            camera=camera,
-            speed=film_speed,
-            fps=fps,
-            size=size,
-            start=start,
-            end=end,
-            surface=values["surface"],
-        )
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it."""
     from diffdrive_mpc.app.simulate.single import simulate_one  # noqa: PLC0415 - --help does without it
 
     simulate_one(
@@ -161,7 +48,6 @@ def simulate(
         out=out,
         log=log,
         scaled=scale_to_robot,
-        film=film,
         view=view,
         details=details,
     )
@@ -222,54 +108,3 @@ def bench(
     if complaint:
         echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)
-
-
-# The command that makes a film of a log.
-
-
-ANIMATE_EXAMPLE = "Example: diffdrive-mpc animate run.csv --out run.mp4 --render --film-speed 2 --from 3 --to 8"
-
-
-def animate(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A log of simulate or of the node, or a robot's own.")],
-    *,
-    out: Annotated[Path, typer.Option("--out", help="The film: .mp4, .webp, .gif; .png: its last picture.")],
-    mapping: Mapping = None,
-    plant: Annotated[
-        str | None,
-        typer.Option(
-            help="Which robot it was: mujoco, or mujoco:ROBOT.",
-            show_default="mujoco for a log of simulate, else unknown",
-        ),
-    ] = None,
-    surface: Annotated[
-        str | None, typer.Option(help="Floor in MuJoCo's picture.", show_default="what the log says, or default")
-    ] = None,
-    config: ConfigFile = None,
-    render: Render = False,
-    alone: Alone = False,
-    camera: CameraName = "chase",
-    speed: Speed = 1.0,
-    fps: Fps = None,
-    size: Size = None,
-    start: From = None,
-    end: To = None,
-) -> None:
-    """Make a film of a drive from its log alone: robot, plan, reference, band, errors, commands and what was said.
-
-    The limits of commands are drawn where log or --config says them.
-    """
-    from diffdrive_mpc.app.animation.animate import animate_log  # noqa: PLC0415 - --help does without it
-
-    film = film_file(
-        out,
-        render=render,
-        alone=alone,
-        camera=camera,
-        speed=speed,
-        fps=fps,
-        size=size,
-        start=start,
-        end=end,
-    )
-    animate_log(log, film, mapping=mapping, plant=plant, surface=surface, config=config)

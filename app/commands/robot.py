@@ -10,7 +10,7 @@ import typer
 from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_folder, out_option
-from diffdrive_mpc.app.commands.options import Mapping, RobotName, Scheduler
+from diffdrive_mpc.app.commands.options import Mapping, RobotName
 
 IDENTIFY_EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
 _DEFAULT_OUT = "identified"
@@ -89,7 +89,7 @@ def identify(
     )
 
 
-# `diffdrive-mpc tune`: a search over the configuration of a controller, and a verdict on other seeds.
+# `diffdrive-mpc tune`: search over the configuration of a controller, and comparison on other seeds.
 
 
 TUNE_EXAMPLE = "Example: diffdrive-mpc tune ssm --out tuned"
@@ -101,37 +101,22 @@ def tune(
         typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
     ],
     *,
-    out: Annotated[Path, out_option("config.yaml, tune.md, figures/, the study and the rows of its runs")],
+    out: Annotated[Path, out_option("config.yaml, tune.md and figures/")],
     plan: Annotated[Path | None, file_option("Plan", "--plan")] = None,
     plant: Annotated[
         str | None,
-        typer.Option(help="mujoco:ROBOT, model:NAME, or the file of a twin.", show_default="what the plan says"),
+        typer.Option(help="mujoco:ROBOT, model:NAME, or the file of a robot or twin.", show_default="from the plan"),
     ] = None,
     points: Annotated[
-        int | None, typer.Option(min=2, help="How many to try.", show_default="what the plan says")
+        int | None, typer.Option(min=2, help="Configurations to try.", show_default="from the plan")
     ] = None,
     jobs: Jobs = None,
-    scheduler: Scheduler = "",
-    storage: Annotated[
-        str, typer.Option(metavar="URL", help="Data base of the study in place of a file in --out.", show_default=False)
-    ] = "",
-    worker: Annotated[int, typer.Option(min=1, help="Number of this worker, where several share a study.")] = 1,
 ) -> None:
-    """Search for weights, horizon, noises and limits on a plant and its neighbours; judge them on other seeds.
+    """Search for weights, horizon, noises and limits with a small position error, and compare on other seeds.
 
-    What was interrupted goes on. Where nothing better is found, config.yaml holds the defaults, and the report says so.
+    If no point is better on these seeds, config.yaml holds the start configuration, and the report says so.
     """
     from diffdrive_mpc.app.tune.study import tune as tuned  # noqa: PLC0415 - --help does without it
 
-    result = tuned(
-        config,
-        out,
-        plan=plan,
-        plant=plant,
-        points=points,
-        workers=jobs,
-        scheduler=scheduler,
-        storage=storage,
-        worker=worker,
-    )
+    result = tuned(config, out, plan=plan, plant=plant, points=points, jobs=jobs)
     echo(f"{result.sentence}; configuration in {result.config_path}")

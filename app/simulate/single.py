@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +26,6 @@ from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, st
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
-
-if TYPE_CHECKING:
-    from diffdrive_mpc.app.animation.animate import FilmFile
-
 
 _MESSAGES_SHOWN = 5
 _METHODS = {
@@ -50,7 +46,6 @@ def simulate_one(
     out: Path | None,
     log: Path | None,
     scaled: bool = False,
-    film: FilmFile | None = None,
     view: bool = False,
     details: bool = False,
 ) -> None:
@@ -62,10 +57,8 @@ def simulate_one(
         By dimension, `model` being None where it was not given.
     config, settings, out, log, scaled
         As typed.
-    film
-        The film to make of it.
     view
-        Whether it is watched in MuJoCo's viewer.
+        Whether MuJoCo's viewer shows it.
     details
         Whether its tables are printed instead of a summary.
 
@@ -77,27 +70,18 @@ def simulate_one(
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
-        reel = None
-        if film is not None:
-            from diffdrive_mpc.app.animation.animate import film_draft, write_film  # noqa: PLC0415
-            from diffdrive_mpc.app.animation.playback import from_columns  # noqa: PLC0415
-            from diffdrive_mpc.sim.view.body import robot_body  # noqa: PLC0415
-
-            reel = stack.enter_context(film_draft(film.path, "--animate"))
         if view:
-            from diffdrive_mpc.app.animation.animate import watched  # noqa: PLC0415
+            from diffdrive_mpc.sim.viewer import viewed  # noqa: PLC0415
 
-            controller = stack.enter_context(watched(controller, plant, reference, case.plant, case.surface))
-        kept = folder is not None or reel is not None or holds_plans(log)
+            start = reference.sample(np.zeros(1)).pose[0]
+            controller = stack.enter_context(viewed(controller, plant, case.plant, start))
+        kept = folder is not None or holds_plans(log)
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
             run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
         write_log(run, case)
         if folder is not None:
             draw(RunOutcome(case, run), folder, time.perf_counter() - began)
-        if film is not None and reel is not None:
-            body = robot_body(case.plant)
-            write_film(from_columns(run.columns, run.plans, command_limits(case)), film.film, body, reel)
     report(RunOutcome(case, run), out, details=details)
 
 
@@ -109,14 +93,6 @@ def case_from_options(values: Mapping[str, Any], *, config: Path | None, setting
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
-
-
-def command_limits(case: Case) -> tuple[float, float] | None:
-    """Largest v [m/s] and omega [rad/s] that the controller of a case commands; None for a peer."""
-    if case.controller in PEERS:
-        return None
-    limits = controller_config(case.model, case.config, case.overrides).limits
-    return limits.v, limits.omega
 
 
 def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:

@@ -81,7 +81,7 @@ MARKET = ShownReport("market", (), (), study="robustness")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
-TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tuning.md")
+TUNE = ShownReport("tune", ("search.png",), (), "tuning.md")
 PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
 SHOWN = (
     BENCH,

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.app.animation.film import Film
+from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
+from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.case import combinations, split_names
 from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
 from diffdrive_mpc.bench.sweep import sweep_settings
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.logs.reading import read_log
 
 
@@ -36,22 +37,19 @@ def test_a_bench_counts_its_controllers_and_settings_too() -> None:
         plan_cases(asked)
 
 
+def test_plan_counts_points_times_runs() -> None:
+    plan = read_yaml(PLAN) | {"points": 100_000}
+    plan["tuning_seeds"] = {"first": 0, "count": 10_000}
+    with pytest.raises(ConfigError, match=r"4,000,\d\d\d,\d\d\d runs are asked for"):
+        check(type(load_plan()), plan, "plan.yaml")
+
+
 def test_names_given_twice_are_found_among_many() -> None:
     """The first that comes again is named."""
     names = [f"n{i}" for i in range(50_000)]
     assert split_names(",".join(names), "--models") == tuple(names)
     with pytest.raises(ValueError, match="'n7' is given twice"):
         split_names(",".join([*names, "n7", "n3"]), "--models")
-
-
-def test_a_film_of_too_many_pictures_is_refused() -> None:
-    """A day at a hundredth of its speed."""
-
-    class Day:
-        time = (0.0, 86_400.0)
-
-    with pytest.raises(ConfigError, match="pictures, at most 100,000"):
-        Film(speed=0.01).times(Day())  # type: ignore[arg-type]
 
 
 def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:

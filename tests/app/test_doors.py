@@ -159,7 +159,7 @@ def _bag(stranger, door):
         writer.add_attachment(0, 0, f"{stranger}/evil.pkl", "application/x-pickle", pickle.dumps(Reduced(stranger)))
         writer.add_metadata("configuration", {"yaml": f"model: {stranger}/model.yaml"})
         writer.finish()
-    for command in ("identify", "animate"):
+    for command in ("identify",):
         call(command, door / "bag.mcap", "--out", door / "out.png")
     call("log", "replay", door / "bag.mcap")
 
@@ -196,7 +196,6 @@ def _drive_log(stranger, door):
             writer.add_metadata("case", {"plant": f"mujoco:{stranger}/model.yaml"})
             writer.finish()
         call("log", "replay", door / "log.mcap")
-        call("animate", door / "log.mcap", "--out", door / "film.png")
 
 
 def _ticks(stranger, _):
@@ -305,7 +304,6 @@ WHERE = {
     "mpc/core/library.py": "likewise, with terms that the user's configuration names",
     "mpc/problem/terms.py": "the file of a term, where it is trusted",
     "sim/core/library.py": "compiled C of the package",
-    "sim/view/shots.py": "a file of this process for the one that paints; no objects",
 }
 
 

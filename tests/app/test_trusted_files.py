@@ -136,14 +136,6 @@ def test_the_text_of_a_model_in_a_log_leads_to_no_other_file(run, stranger, tmp_
     assert not [path for path in files if stranger in path.parents]
 
 
-def test_the_robot_that_a_log_names_is_not_looked_for(run, stranger, tmp_path):
-    log = tmp_path / "odd.mcap"
-    write_log(run, log, {"case": {"plant": f"mujoco:{stranger}/short.yaml"}})
-    code, printed, files = call("animate", log, "--out", tmp_path / "film.png")
-    assert code == 0 and "its size is not known" in printed, printed
-    assert not [path for path in files if stranger in path.parents]
-
-
 @pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])
 def test_a_term_that_ends_the_program_is_a_mistake_in_one_line(error, stranger):
     (stranger / "term.py").write_text(f"raise {error}\n")
