@@ -15,13 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patches import Polygon as Patch
 
+from diffdrive_mpc.bench.chart_look import LINE_STYLES as LINE_STYLES
+from diffdrive_mpc.bench.chart_look import MARKERS as MARKERS
+from diffdrive_mpc.bench.chart_look import PALETTE as PALETTE
+from diffdrive_mpc.bench.chart_look import REFERENCE_COLOUR as REFERENCE_COLOUR
 from diffdrive_mpc.sim.worlds.world import World
 
-# Okabe and Ito's palette: told apart with every kind of colour vision, and by brightness in print.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-LINE_STYLES = ("-", "--", "-.", ":")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-REFERENCE_COLOUR = "#7F7F7F"
 ERROR_MAP = "cividis"
 
 _SETTINGS: Any = {

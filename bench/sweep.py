@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, Overrides, ch
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
-from diffdrive_mpc.bench.runner import available_cores, run_tasks
+from diffdrive_mpc.bench.runner import available_cores, is_on_cluster, run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
 from diffdrive_mpc.models.errors import load_pandas, wrong_type
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -124,7 +124,7 @@ def sweep(
         its extra dead time.
     jobs
         Processes; by default one for each core. Times of steps are in the table for `jobs=1` alone: runs side by side
-        disturb each other.
+        disturb each other. Inside `joblib.parallel_config(backend="dask")` the workers of the Dask cluster are used.
     values
         By the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`, `controller`, `world`), or
         else by the dotted key of a configuration, one value or several: `**{"weights.across": [100, 300]}`.
@@ -162,8 +162,9 @@ def sweep(
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
     check_cases(task.case for task in tasks)
     jobs = jobs or available_cores()
+    timed = jobs == 1 and not is_on_cluster()
     with ProgressBar("sweep", len(tasks)) as bar:
-        results = run_tasks([partial(task.row, timed=jobs == 1) for task in tasks], jobs, bar.advance)
+        results = run_tasks([partial(task.row, timed=timed) for task in tasks], jobs, bar.advance)
     return pandas.DataFrame(results)
 
 
