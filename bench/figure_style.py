@@ -15,11 +15,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patches import Polygon as Patch
 
-from diffdrive_mpc.bench.chart_look import LINE_STYLES as LINE_STYLES
-from diffdrive_mpc.bench.chart_look import MARKERS as MARKERS
-from diffdrive_mpc.bench.chart_look import PALETTE as PALETTE
-from diffdrive_mpc.bench.chart_look import REFERENCE_COLOUR as REFERENCE_COLOUR
+from diffdrive_mpc.bench.chart_look import LINE_STYLES, MARKERS, PALETTE, REFERENCE_COLOUR
 from diffdrive_mpc.sim.worlds.world import World
+
+__all__ = [
+    "ERROR_MAP",
+    "LINE_STYLES",
+    "MARKERS",
+    "PALETTE",
+    "REFERENCE_COLOUR",
+    "colour",
+    "draw_world",
+    "file_name",
+    "free_name",
+    "line_style",
+    "new_figure",
+]
 
 ERROR_MAP = "cividis"
 
@@ -55,11 +66,6 @@ def colour(index: int) -> str:
 def line_style(index: int) -> str:
     """Line style of the series number `index`, so that lines are told apart without colour."""
     return LINE_STYLES[index % len(LINE_STYLES)]
-
-
-def boxed_legend(axes: Axes) -> None:
-    """Legend in one row that stays readable where it lies on lines."""
-    axes.legend(ncols=4, loc="upper right", frameon=True, framealpha=0.8, edgecolor="none", borderpad=0.2)
 
 
 def file_name(text: str) -> str:

@@ -19,6 +19,7 @@ from diffdrive_mpc.bench.html_report.page import (
     ConfigurationView,
     KeyFigure,
     Mark,
+    RunSeries,
     RunViews,
     Series,
     Shown,
@@ -106,12 +107,12 @@ def _configuration(who: str, config: ControllerConfig) -> ConfigurationView:
 
 def _runs(
     recording: Recording, replays: Mapping[str, Replayed], references: Sequence[Reference], counted: BoolArray
-) -> tuple[list[Mapping[str, object]], list[Toggle]]:
+) -> tuple[list[RunSeries], list[Toggle]]:
     """The drive with the recorded commands and with those of each replay, drive by drive; and buttons for them."""
     commands = {"recorded": recording.command} | {who: replay.command for who, replay in replays.items()}
     replayed = next(iter(replays.values()))
     begins = [number for number, tick in enumerate(recording.ticks) if tick.start is not None]
-    runs: list[Mapping[str, object]] = []
+    runs: list[RunSeries] = []
     drives: list[str] = []
     spans = list(zip(pairwise([*begins, len(recording.ticks)]), references, strict=True))
     for place, ((first, stop), reference) in enumerate(spans, start=1):

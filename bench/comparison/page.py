@@ -126,10 +126,9 @@ def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
                     labels={"controller": name, "path": path, "seed": seed},
                     style=styles.index(name),
                     config=case_config(case),
-                    every_layer=len(main) == 1,
                 )
             )
-    return RunViews(series, f"{HOW_TO_READ}; its rows are the runs in their order. {PEAKS}.")
+    return RunViews(series, f"{HOW_TO_READ}. {PEAKS}.")
 
 
 def error_chart(main: DataFrame) -> Chart:

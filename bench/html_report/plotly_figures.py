@@ -25,6 +25,8 @@ _LAYOUT: dict[str, Any] = {
 _PATTERNS = ("", "/", ".", "x", "-")
 _PANE_HEIGHT = 150
 """Height of a pane of a run [pixels]."""
+_DENSE = 100
+"""Number of points from which markers are small."""
 _MODES = {"points": "markers", "both": "lines+markers"}
 
 
@@ -133,7 +135,7 @@ def _trace(series: Series) -> dict[str, Any]:
         line["shape"] = "hv"
     symbol = PLOTLY_MARKERS[marker_number(series.style)]
     trace |= {"type": "scatter", "mode": _MODES.get(series.kind, "lines"), "line": line}
-    trace["marker"] = {"color": colour, "symbol": symbol, "size": 7, "line": {"color": "#fff", "width": 1}}
+    trace["marker"] = {"color": colour, "symbol": symbol, "size": 7 if len(series.x) < _DENSE else 3, "line": {"color": "#fff", "width": 1}}
     return trace | ({"error_y": _interval(series)} if len(series.low) else {})
 
 

@@ -82,7 +82,7 @@ def run_series(
         plane += [in_plane("estimate", run.estimates[kept], 2)] if np.isfinite(run.estimates[:, 0]).any() else []
         poses = run.measured_pose[np.isfinite(run.measured_pose[:, 0])][:: max(1, len(run.time) // points)]
         xy = (rounded_list(poses[:, 0], 3), rounded_list(poses[:, 1], 3))
-        plane += [Series("poses that arrived", *xy, 3, "points")] if len(poses) else []
+        plane = [*([Series("poses that arrived", *xy, 3, "points")] if len(poses) else []), *plane]
         panes[ERROR] += [line("along", time, 1e3 * along_error(run)[kept], 1, 4)]
         for channel, title in enumerate(TWIST):
             panes[title] += [line("true", time, run.true_twist[kept, (0, 2)[channel]], 3)]

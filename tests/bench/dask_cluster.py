@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -34,6 +35,9 @@ def dask_cluster(workers: int = 2, **environment: str) -> Iterator[tuple[str, li
         for command in (scheduler, *[worker] * workers)
     ]
     try:
+        while socket.socket().connect_ex(("127.0.0.1", port)):
+            assert processes[0].poll() is None
+            time.sleep(0.2)
         yield address, processes
     finally:
         for process in processes:

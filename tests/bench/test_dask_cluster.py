@@ -75,7 +75,10 @@ def test_lost_scheduler_is_one_line() -> None:
 
 def test_absent_scheduler_and_absent_workers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "_CONNECT", 0.5)
-    with pytest.raises(SchedulerLostError, match="tcp://127.0.0.1:9: no answer; start it with"), cluster("tcp://127.0.0.1:9"):
+    with (
+        pytest.raises(SchedulerLostError, match="tcp://127.0.0.1:9: no answer; start it with"),
+        cluster("tcp://127.0.0.1:9"),
+    ):
         pass
     monkeypatch.setattr(runner, "_CONNECT", 10.0)
     monkeypatch.setattr(runner, "_WAIT_FOR_WORKERS", 0.5)
