@@ -135,7 +135,12 @@ def _trace(series: Series) -> dict[str, Any]:
         line["shape"] = "hv"
     symbol = PLOTLY_MARKERS[marker_number(series.style)]
     trace |= {"type": "scatter", "mode": _MODES.get(series.kind, "lines"), "line": line}
-    trace["marker"] = {"color": colour, "symbol": symbol, "size": 7 if len(series.x) < _DENSE else 3, "line": {"color": "#fff", "width": 1}}
+    trace["marker"] = {
+        "color": colour,
+        "symbol": symbol,
+        "size": 7 if len(series.x) < _DENSE else 3,
+        "line": {"color": "#fff", "width": 1},
+    }
     return trace | ({"error_y": _interval(series)} if len(series.low) else {})
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cells import Cell, grouped_table, load_tables
 from diffdrive_mpc.bench.experiment import by, total
+from diffdrive_mpc.bench.grouped_tables import Cell, grouped_table, load_tables
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
 from diffdrive_mpc.bench.table import Table, number
