@@ -10,13 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-from matplotlib.patches import Polygon as Patch
 
 from diffdrive_mpc.bench.chart_look import LINE_STYLES, MARKERS, PALETTE, REFERENCE_COLOUR
-from diffdrive_mpc.sim.worlds.world import World
 
 __all__ = [
     "ERROR_MAP",
@@ -25,7 +21,6 @@ __all__ = [
     "PALETTE",
     "REFERENCE_COLOUR",
     "colour",
-    "draw_world",
     "file_name",
     "free_name",
     "line_style",
@@ -78,23 +73,3 @@ def free_name(text: str, taken: Container[str]) -> str:
     stem = file_name(text)
     names = itertools.chain([f"{stem}.png"], (f"{stem}-{number}.png" for number in itertools.count(2)))
     return next(name for name in names if name not in taken)
-
-
-# Worlds from above, in axes of matplotlib.
-
-
-_STANDS, _MOVES = "#555555", "#E69F00"
-
-
-def draw_world(axes: Axes, world: World) -> None:
-    """Draw what stands in a world at the beginning, and an arrow for each mover from where it is first."""
-    shapes = world.shapes(0.0)
-    for corners in shapes.polygons:
-        axes.add_patch(Patch(corners, facecolor=_STANDS, edgecolor="none"))
-    for x, y, radius in shapes.discs:
-        axes.add_patch(Circle((x, y), radius, facecolor=_STANDS, edgecolor="none"))
-    for mover in world.movers:
-        place, step = mover.position(mover.time), mover.velocity
-        axes.add_patch(Circle(tuple(place), mover.radius, facecolor=_MOVES, alpha=0.6))
-        axes.annotate("", tuple(place + step), tuple(place - step), arrowprops={"arrowstyle": "->", "color": _MOVES})
-    axes.autoscale_view()

@@ -20,11 +20,11 @@ from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.drive import TIME
 from diffdrive_mpc.bench.campaign.engine import CampaignPlace, CampaignRun, drive_all
+from diffdrive_mpc.bench.campaign.rates import Rate
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, Series, Shown, Warned
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import lasting_processes
-from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray

@@ -20,10 +20,10 @@ from pydantic import BaseModel, TypeAdapter
 from diffdrive_mpc.app.proof.proof_file import Proof
 from diffdrive_mpc.app.tune.tune_file import TunePlan
 from diffdrive_mpc.bench.campaign.campaign_file import CONDITION, Campaign
+from diffdrive_mpc.bench.campaign.conditions import Conditions
 from diffdrive_mpc.bench.campaign.definition import FACTORS_OF_A_CASE, GROUPS
 from diffdrive_mpc.bench.campaign.draws import KINDS as DRAWS
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.conditions import Conditions
 from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures

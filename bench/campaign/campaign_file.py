@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.stats import qmc
 
+from diffdrive_mpc.bench.campaign.conditions import Conditions, load_conditions
 from diffdrive_mpc.bench.campaign.definition import Definition, check_factor
 from diffdrive_mpc.bench.campaign.draws import Draw, Value, read_factor
 from diffdrive_mpc.bench.case import MOST_SEEDS
-from diffdrive_mpc.bench.conditions import Conditions, load_conditions
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 

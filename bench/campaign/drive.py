@@ -15,9 +15,9 @@ import numpy as np
 import yaml
 from threadpoolctl import threadpool_limits
 
+from diffdrive_mpc.bench.campaign.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.case import Overrides
-from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain

@@ -58,7 +58,7 @@ KINDS: dict[str, FileKind] = {
             "bench",
             "robots, floors and faults by name",
             "robustness --conditions",
-            ("conditions.yaml",),
+            ("campaign/conditions.yaml",),
         ),
         *plug_ins("files"),
     )

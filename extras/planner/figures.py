@@ -10,9 +10,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
 
-from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, draw_world, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.extras.planner.clearance import outline
 from diffdrive_mpc.extras.planner.study import PlanRequest, Plans
+from diffdrive_mpc.extras.planner.world_drawing import draw_world
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDEST = 50.0

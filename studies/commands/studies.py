@@ -146,7 +146,7 @@ def robustness(
     jobs: Jobs = None,
 ) -> None:
     """Drive every controller on robots, floors and sensors that it was not tuned to: some minutes on two cores."""
-    from diffdrive_mpc.bench.conditions import load_conditions  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.campaign.conditions import load_conditions  # noqa: PLC0415 - --help does without it
     from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
 
     loaded = load_conditions(conditions)

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse
 from scipy.optimize import linprog
 
+from diffdrive_mpc.bench.campaign.rates import Rate, conformal_quantile
 from diffdrive_mpc.bench.runner import StudyFailedError
-from diffdrive_mpc.bench.statistics import Rate, conformal_quantile
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.predicted_error.calibration import Direction, ErrorScale
 from diffdrive_mpc.mpc.predicted_error.features import FEATURES

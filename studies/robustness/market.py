@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from diffdrive_mpc.bench.campaign.conditions import Condition
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.conditions import Condition
 from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
 from diffdrive_mpc.sim.plants.make import DRAWN
 

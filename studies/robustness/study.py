@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 from pandas import DataFrame
 
+from diffdrive_mpc.bench.campaign.conditions import Condition
 from diffdrive_mpc.bench.case import Case, check_count
-from diffdrive_mpc.bench.conditions import Condition
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
 from diffdrive_mpc.bench.experiment import ExperimentRun, by, drive_all, json_rows
 from diffdrive_mpc.bench.peers import PEERS

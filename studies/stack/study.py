@@ -10,9 +10,9 @@ from functools import partial
 
 import numpy as np
 
+from diffdrive_mpc.bench.campaign.rates import Rate
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
-from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.identification.stack import Quantities, estimate_stack

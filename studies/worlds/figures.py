@@ -9,9 +9,10 @@ import numpy as np
 from pandas import DataFrame
 
 from diffdrive_mpc.bench.experiment import by
-from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, draw_world, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Series
 from diffdrive_mpc.bench.study import Charts, Draw
+from diffdrive_mpc.extras.planner.world_drawing import draw_world
 from diffdrive_mpc.sim.worlds.world_file import load_world
 from studies.worlds.results import rate
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from pandas import DataFrame
 
+from diffdrive_mpc.bench.campaign.rates import Rate
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.experiment import by, total
 from diffdrive_mpc.bench.grouped_tables import Cell, grouped_table, load_tables
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
 from studies.worlds.settings import stop_was_possible

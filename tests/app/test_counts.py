@@ -13,9 +13,9 @@ from diffdrive_mpc.app.proof.proof_file import DEFAULT as PROOF
 from diffdrive_mpc.app.proof.proof_file import BoundarySearch, load_proof
 from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
 from diffdrive_mpc.app.tune.tune_file import load_plan
+from diffdrive_mpc.bench.campaign.conditions import load_conditions
 from diffdrive_mpc.bench.case import combinations, split_names
 from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.logs.reading import read_log

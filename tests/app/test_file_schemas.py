@@ -22,8 +22,8 @@ from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.schemas.generate import json_schema
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
+from diffdrive_mpc.bench.campaign.conditions import load_conditions
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml

@@ -13,8 +13,9 @@ from diffdrive_mpc.app.proof.proof_file import BoundarySearch, Map, MapAxis
 from diffdrive_mpc.app.proof.report import Outcomes, facts, is_unsafe, tables, worst
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import CampaignRun
+from diffdrive_mpc.bench.campaign.rates import Rate
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, cvar, mean, median
 
 PROBE = Definition(Case())
 BAND = 0.05  # m

@@ -17,8 +17,8 @@ from diffdrive_mpc.app.proof.passport import PASSPORT, Key, SpeedSearch, largest
 from diffdrive_mpc.app.proof.proof_file import PassportPlan, load_proof
 from diffdrive_mpc.bench.campaign.campaign_file import Campaign
 from diffdrive_mpc.bench.campaign.engine import CampaignPlace, drive_all
+from diffdrive_mpc.bench.campaign.rates import Rate
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories import load_segments
 from diffdrive_mpc.mpc.trajectories.random_spline import random_splines

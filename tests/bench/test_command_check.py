@@ -12,9 +12,9 @@ import yaml
 
 from diffdrive_mpc.bench import command_check
 from diffdrive_mpc.bench.campaign import drive as drive_module
+from diffdrive_mpc.bench.campaign.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.drive import RecordedController, drive
-from diffdrive_mpc.bench.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import ControlStep, Measurement
 from diffdrive_mpc.mpc import load_config

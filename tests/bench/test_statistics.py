@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from diffdrive_mpc.bench.statistics import Rate, conformal_quantile
+from diffdrive_mpc.bench.campaign.rates import Rate, conformal_quantile
 
 TRIALS = 1500
 UNLIKELY = 1e-4

@@ -17,8 +17,8 @@ from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, lo
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
+from diffdrive_mpc.bench.campaign.conditions import load_conditions
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.extras.terrain.terrain_file import load_terrain
 from diffdrive_mpc.models.checked_yaml import read_yaml

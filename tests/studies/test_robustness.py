@@ -12,8 +12,8 @@ from tracking_parts import recovery, statistics
 
 from commands import invoke
 from diffdrive_mpc import ConfigError, make_plant
+from diffdrive_mpc.bench.campaign.conditions import load_conditions
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import who_drives
