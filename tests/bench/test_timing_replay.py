@@ -13,7 +13,7 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 
 from diffdrive_mpc.bench.controllers import run_case
-from diffdrive_mpc.bench.counters import CoreCounters, Effort
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
 from diffdrive_mpc.bench.runner import NotReproducibleError, run_tasks
@@ -77,7 +77,6 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
 
     monkeypatch.setattr("diffdrive_mpc.bench.timing.replay", timed_by_tick)
     monkeypatch.setattr(Effort, "undisturbed", lambda self, best: True)
-    monkeypatch.setattr(CoreCounters, "disturbed", False)
     timed, _ = time_outcomes(outcomes, lambda: None)
     for outcome, before in zip(timed, outcomes, strict=True):
         timed_ticks = np.arange(len(before.run.time)) % BLOCK >= COLD
