@@ -24,7 +24,7 @@ LAWS = {
 robot's delay; with "+slip" it makes up for the estimated side-slip too."""
 
 PEERS = dict.fromkeys(LAWS, "") | {
-    "kanayama-plain": "kanayama.KanayamaController",
+    "kanayama-plain": "kanayama_plain.KanayamaController",
     "rpp": "rpp.RegulatedPurePursuit",
     "rpp+stop": "seeing.PursuitThatStops",
     "mppi+grid": "seeing.MppiWithGrid",

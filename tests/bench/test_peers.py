@@ -24,7 +24,8 @@ from diffdrive_mpc import (
 )
 from diffdrive_mpc.bench.peers import LAWS, make_peer
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController, KanayamaGains, kanayama_twist, load_plain_gains
+from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
+from diffdrive_mpc.bench.peers.kanayama_plain import KanayamaController, load_plain_gains
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.mppi import MppiLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw

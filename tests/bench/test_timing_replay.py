@@ -15,7 +15,7 @@ from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.peers.kanayama_plain import KanayamaController
 from diffdrive_mpc.bench.runner import NotReproducibleError, run_tasks
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes

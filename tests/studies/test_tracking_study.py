@@ -18,7 +18,7 @@ from tracking_parts import TINY, case, made_up, recovery, row, tiny_study, write
 from commands import invoke
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.bench.experiment import frame, json_rows
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.peers.kanayama_plain import KanayamaController
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.sim import simulate
 from studies.cli import app
