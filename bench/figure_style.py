@@ -10,14 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: told apart with every kind of colour vision, and by brightness in print.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-LINE_STYLES = ("-", "--", "-.", ":")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-REFERENCE_COLOUR = "#7F7F7F"
+from diffdrive_mpc.bench.chart_look import LINE_STYLES, MARKERS, PALETTE, REFERENCE_COLOUR
+
+__all__ = [
+    "ERROR_MAP",
+    "LINE_STYLES",
+    "MARKERS",
+    "PALETTE",
+    "REFERENCE_COLOUR",
+    "colour",
+    "file_name",
+    "free_name",
+    "line_style",
+    "new_figure",
+]
+
 ERROR_MAP = "cividis"
 
 _SETTINGS: Any = {
@@ -52,11 +61,6 @@ def colour(index: int) -> str:
 def line_style(index: int) -> str:
     """Line style of the series number `index`, so that lines are told apart without colour."""
     return LINE_STYLES[index % len(LINE_STYLES)]
-
-
-def boxed_legend(axes: Axes) -> None:
-    """Legend in one row that stays readable where it lies on lines."""
-    axes.legend(ncols=4, loc="upper right", frameon=True, framealpha=0.8, edgecolor="none", borderpad=0.2)
 
 
 def file_name(text: str) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS
-from diffdrive_mpc.bench.cells import Cell, TableSpec, cell, grouped_table, load_tables
 from diffdrive_mpc.bench.comparison.order import order_table
 from diffdrive_mpc.bench.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, values
+from diffdrive_mpc.bench.grouped_tables import Cell, TableSpec, cell, grouped_table, load_tables
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.cells import Cell, figure, load_tables
 from diffdrive_mpc.bench.experiment import by, mean, total
+from diffdrive_mpc.bench.grouped_tables import Cell, figure, load_tables
 from diffdrive_mpc.bench.html_report.origin import configuration
 from diffdrive_mpc.bench.html_report.page import (
     Axis,

@@ -14,7 +14,7 @@ from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 from loop_parts import FeedForward, FixedStep
 
 from diffdrive_mpc.bench.controllers import run_case
-from diffdrive_mpc.bench.counters import CoreCounters, Effort
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.runner import NotReproducibleError, run_tasks
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes
@@ -76,7 +76,6 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
 
     monkeypatch.setattr("diffdrive_mpc.bench.timing.replay", timed_by_tick)
     monkeypatch.setattr(Effort, "undisturbed", lambda self, best: True)
-    monkeypatch.setattr(CoreCounters, "disturbed", False)
     timed, _ = time_outcomes(outcomes, lambda: None)
     for outcome, before in zip(timed, outcomes, strict=True):
         timed_ticks = np.arange(len(before.run.time)) % BLOCK >= COLD

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.command_check import Unsafe
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import ControlStep, Measurement
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc_extras.campaign import drive as drive_module
+from diffdrive_mpc_extras.campaign.command_check import Unsafe
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import RecordedController, drive
 

@@ -11,9 +11,9 @@ from stack_parts import drawn_log, load_population
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.stack import estimate_stack, look_ahead_factor
+from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.stack.stack import package_text, packages
 
 CLEAN = 1e-3

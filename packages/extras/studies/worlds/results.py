@@ -10,12 +10,13 @@ from pandas import DataFrame
 from studies.worlds.settings import stop_was_possible
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cells import Cell, load_tables
 from diffdrive_mpc.bench.experiment import by, total
+from diffdrive_mpc.bench.grouped_tables import Cell, load_tables
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
 
 

@@ -16,7 +16,6 @@ import yaml
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.case import Overrides
-from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
@@ -33,6 +32,7 @@ from diffdrive_mpc.sim import Plant, Run, simulate
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import SURFACES
 from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
+from diffdrive_mpc_extras.campaign.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc_extras.campaign.definition import Definition
 
 # The row of a run: metrics, completion, counts of what the controller did, unsafe commands, and times.

@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.html_report.page import (
     tail,
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
-from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, BootstrapEstimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, BootstrapEstimate, cvar, mean, median
 from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_config
@@ -31,11 +31,12 @@ from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import TIME
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
+from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.proof.boundaries import Boundary, DrivenMap, holds
 
 CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
-"""Kinds of unsafe commands, as `bench.command_check.Unsafe` names them."""
+"""Kinds of unsafe commands, as `bench.campaign.command_check.Unsafe` names them."""
 _BY_FACTOR = (
     "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time behind: largest "
     "of a run, mean. Rates: RMS of the commands' change, means."

@@ -1,4 +1,4 @@
-"""Tables over groups of runs, as a file states them: what is grouped, and columns such as "mean lateral_max_m mm".
+"""Tables over groups of runs, with columns such as "mean lateral_max_m mm".
 
 A column is a statistic, the name of a column of `bench.run_row`, and where they are not the usual ones a unit (`mm`,
 `mrad`, `ms`, `percent`) and the number of decimal places.
@@ -6,60 +6,55 @@ A column is a statistic, the name of a column of `bench.run_row`, and where they
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.experiment import by, nested, total, values, with_mean
+from diffdrive_mpc.bench.experiment import by, grouped, total, values
 from diffdrive_mpc.bench.experiment_file import TableFile
 from diffdrive_mpc.bench.table import Table, duration, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.interface import FloatArray
 
 Cell = Callable[[DataFrame], str]
-"""From the rows of a group to a cell."""
+"""Function from the rows of a group to a cell."""
 Figure = Callable[[DataFrame], float]
-"""From the rows of a group to a number."""
+"""Function from the rows of a group to a number."""
 
 UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)}
 """Factor from the unit of the column, and the usual decimal places."""
-
-
-def _of_known(statistic: Callable[[FloatArray], Any]) -> Callable[[FloatArray], float]:
-    """A statistic of the values that are known; NaN without any."""
-
-    def made(numbers: FloatArray) -> float:
-        known = numbers[np.isfinite(numbers)]
-        return float(statistic(known)) if known.size else float("nan")
-
-    return made
-
-
-STATISTICS: dict[str, Callable[[FloatArray], float]] = {
-    "mean": lambda values: float(np.mean(values)),
-    "max": lambda values: float(np.max(values)),
-    "min": lambda values: float(np.min(values)),
-    "median": lambda values: float(np.median(values)),
-    "p90": lambda values: float(np.percentile(values, 90)),
-    "total": lambda values: float(np.sum(values)),
-    "mean_known": _of_known(np.mean),
-    "max_known": _of_known(np.max),
+KNOWN = "_known"
+"""Ending of a statistic that leaves out runs whose value could not be computed; else the statistic is NaN."""
+STATISTICS = {
+    "mean": np.mean,
+    "max": np.max,
+    "min": np.min,
+    "median": np.median,
+    "p90": partial(np.percentile, q=90),
+    "total": np.sum,
 }
-"""NaN where one run could not compute its value; those of the known leave such runs out."""
 
 
 def figure(text: str, where: str = "figure") -> Figure:
-    """The number that "STATISTIC COLUMN" states, in the unit of the column; NaN without runs.
+    """Return the function for "STATISTIC COLUMN", in the unit of the column; NaN without runs.
 
     Raises ConfigError, naming the place `where`, if it is not understood.
     """
-    statistic, _, column = text.partition(" ")
-    if statistic not in STATISTICS or not column or " " in column:
+    name, _, column = text.partition(" ")
+    statistic = STATISTICS.get(name.removesuffix(KNOWN))
+    if statistic is None or not column or " " in column:
         raise ConfigError(f"{where}: '{text}' is no statistic of a column; known: {', '.join(STATISTICS)}")
-    return lambda rows: STATISTICS[statistic](values(rows, column)) if len(rows) else float("nan")
+
+    def value(rows: DataFrame) -> float:
+        numbers = values(rows, column)
+        numbers = numbers[np.isfinite(numbers)] if name.endswith(KNOWN) else numbers
+        return float(statistic(numbers)) if numbers.size else float("nan")
+
+    return value
 
 
 def cell(text: str, where: str = "column") -> Cell:
@@ -98,27 +93,23 @@ class TableSpec(TableFile):
         """
         for column, value in self.where.items():
             rows = rows[rows[column] == value]
-        made = {heading: self._cell(heading, text, cells or {}) for heading, text in self.columns.items()}
+        known = cells or {}
+        made = {
+            heading: known.get(text) or cell(text, f"{self.title}, {heading}") for heading, text in self.columns.items()
+        }
         if self.across:
             made = {
-                heading.replace("{}", name): _among(made_cell, part)
+                heading.replace("{}", name): partial(_among, made_cell, part.index)
                 for name, part in by(rows, self.across).items()
                 for heading, made_cell in made.items()
             }
         return grouped_table(self.title, rows, self.by, made, self.note + note, mean=self.mean)
 
-    def _cell(self, heading: str, text: str, cells: Mapping[str, Cell]) -> Cell:
-        return cells[text] if text in cells else cell(text, f"{self.title}, {heading}")
 
-
-def _among(made: Cell, part: DataFrame) -> Cell:
-    """The cell of those rows of a group that are among `part`."""
-
-    def of_part(rows: DataFrame) -> str:
-        own = rows[rows.index.isin(part.index)]
-        return made(own) if len(own) else "-"
-
-    return of_part
+def _among(made: Cell, index: pd.Index, rows: DataFrame) -> str:
+    """Return the cell of those rows of a group that are in an index."""
+    part = rows[rows.index.isin(index)]
+    return made(part) if len(part) else "-"
 
 
 def load_tables(file: Path) -> dict[str, TableSpec]:
@@ -150,9 +141,9 @@ def grouped_table(
     mean
         Whether below each block of the last of `names` there is a row for all of it.
     """
-    *outer, last = names.values()
     entries: list[tuple[tuple[str, ...], DataFrame]] = []
-    for above, part in nested(rows, *outer):
-        innermost = with_mean(part, last) if mean else by(part, last).items()
-        entries += [((*above, name), own) for name, own in innermost]
+    for outer, block in itertools.groupby(grouped(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
+        entries += (listed := list(block))
+        if mean and len(listed) > 1:
+            entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))
     return Table.of(title, tuple(names), columns, entries, note)

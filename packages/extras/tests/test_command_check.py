@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc.bench import command_check
-from diffdrive_mpc.bench.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc_extras.campaign import command_check
+from diffdrive_mpc_extras.campaign.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 
 NONE = Unsafe(0, 0, 0, 0)
 DT = 0.02
