@@ -16,7 +16,10 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.documents import twelve_drives
 
 _NOT_RUN = "This part was not run."
-_OWN_TARGETS = {"bench": "bench-full", "edge": "edge", "robustness": "robustness", "market": "market", "prove": "prove"}
+_OWN_TARGETS = {
+    "bench": "bench-full",
+    **{name: name for name in ("edge", "robustness", "market", "prove", "tune")},
+}
 """Targets of make by the report that they write; `study` writes the others."""
 
 

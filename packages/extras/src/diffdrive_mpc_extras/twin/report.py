@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffdrive_mpc.app.identification.figures import busiest, figure_settings
+from diffdrive_mpc.app.identification.figures import WINDOW
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.html_report.page import from_zero
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc_extras.twin.from_log import FittedTwin
 from diffdrive_mpc_extras.twin.held_out import HeldOutScore
@@ -124,8 +125,8 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
     """Draw the busiest window of the longest stretch held out, v above and omega below."""
     longest = int(np.argmax([run.samples for run in twin.experiments]))
     run, record = twin.experiments[longest], twin.data.validation[longest]
-    window = round(figure_settings().window / run.dt)
-    first = busiest(run.inputs, window)
+    window = round(WINDOW / run.dt)
+    first = _busiest(run.inputs, window)
     rows = slice(first, first + window)
     time, when = from_zero(record.time[rows])
     with new_figure(path, 7.4, 5.2) as figure:
@@ -144,3 +145,12 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
             panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panels[-1].set_xlabel(when)
         figure.align_ylabels(panels)
+
+
+def _busiest(commands: FloatArray, window: int) -> int:
+    """First row of the window in which the commands, each over its own spread, change most."""
+    if len(commands) <= window:
+        return 0
+    change = np.abs(np.diff(commands, axis=0, prepend=commands[:1]))
+    activity = np.cumsum((change / np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)).sum(axis=1))
+    return int(np.argmax(activity[window - 1 :] - np.concatenate([[0.0], activity[:-window]])))
