@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc.bench import command_check
+from diffdrive_mpc.bench.campaign import command_check
 from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign.command_check import StatedLimits, Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.campaign.definition import Definition
