@@ -37,7 +37,7 @@ def draw_charts(
     legend_rows = -(-len(names) // (_NAMES_IN_A_ROW * columns)) if len(names) > 1 else 0
     rows = -(-len(charts) // columns)
     with new_figure(path, width * columns, _HEIGHT * rows + _LEGEND_ROW * legend_rows) as figure:
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        panels = list(figure.subplots(rows, columns, squeeze=False).flat)
         for axes in panels[len(charts) :]:
             axes.set_visible(False)
         for axes, chart in zip(panels, charts, strict=False):

@@ -50,8 +50,7 @@ def map_figure(grid: GridMap) -> dict[str, Any]:
     """Return the figure of a map, with logarithmic colours."""
     values = np.array(grid.values, dtype=float)
     logarithms = np.log10(np.where(values > 0.0, values, np.nan))
-    ends = [float(end(logarithms)) for end in (np.nanmin, np.nanmax)]
-    ticks = np.linspace(*ends, 5)
+    ticks = np.linspace(float(np.nanmin(logarithms)), float(np.nanmax(logarithms)), 5)
     trace = {
         "type": "heatmap",
         "x": list(grid.x.values),

@@ -225,7 +225,7 @@ def test_a_row_says_all_that_it_is_the_hash_of(campaign: Path, tmp_path: Path) -
 def test_a_mistake_on_the_command_line_is_one_line(
     words: list[str], line: str, campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("diffdrive_mpc_extras.campaign.dask_pool._CONNECT", 0.5)
+    monkeypatch.setattr("diffdrive_mpc.bench.runner._CONNECT", 0.5)
     result = CliRunner().invoke(app, ["campaign", str(campaign), "--out", str(tmp_path / "out"), *words])
     assert result.exit_code in (1, 2)
     assert line in result.output
