@@ -143,16 +143,11 @@ class Estimator(Group):
     # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
     v_offset_uncertainty: ClassVar[float] = fixed_values()["estimator.v_offset_uncertainty"]
     omega_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.omega_gain_uncertainty"]
-    longitudinal_gain_drift: ClassVar[float] = fixed_values()["estimator.longitudinal_gain_drift"]
     yaw_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.yaw_gain_uncertainty"]
     turn_ahead_uncertainty: ClassVar[float] = fixed_values()["estimator.turn_ahead_uncertainty"]
-    turn_ahead_drift: ClassVar[float] = fixed_values()["estimator.turn_ahead_drift"]
     turn_left_uncertainty: ClassVar[float] = fixed_values()["estimator.turn_left_uncertainty"]
-    turn_left_drift: ClassVar[float] = fixed_values()["estimator.turn_left_drift"]
     load_shift_uncertainty: ClassVar[float] = fixed_values()["estimator.load_shift_uncertainty"]
-    load_shift_drift: ClassVar[float] = fixed_values()["estimator.load_shift_drift"]
     slide_uncertainty: ClassVar[float] = fixed_values()["estimator.slide_uncertainty"]
-    slide_drift: ClassVar[float] = fixed_values()["estimator.slide_drift"]
     gyro_bias_uncertainty: ClassVar[float] = fixed_values()["estimator.gyro_bias_uncertainty"]
     gyro_bias_drift: ClassVar[float] = fixed_values()["estimator.gyro_bias_drift"]
     position_drift: ClassVar[float] = fixed_values()["estimator.position_drift"]
@@ -160,7 +155,6 @@ class Estimator(Group):
     min_yaw_rate: ClassVar[float] = fixed_values()["estimator.min_yaw_rate"]
     min_speed: ClassVar[float] = fixed_values()["estimator.min_speed"]
     surprise: ClassVar[float] = fixed_values()["estimator.surprise"]
-    lasting_surprise: ClassVar[float] = fixed_values()["estimator.lasting_surprise"]
     min_gain: ClassVar[float] = fixed_values()["estimator.min_gain"]
     max_gain: ClassVar[float] = fixed_values()["estimator.max_gain"]
     max_wheel_speed_jump: ClassVar[float] = fixed_values()["estimator.max_wheel_speed_jump"]
@@ -176,12 +170,21 @@ class Estimator(Group):
     v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
     omega_gain_drift: Positive = Field(0.0003, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
+    longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
     yaw_gain_drift: Positive = Field(0.015, description="random walk of that gain [1 per sqrt(s)]")
     side_slip: NotNegative = Field(0.0, description="lateral speed, outward, over v omega, at the start [s]")
     side_slip_uncertainty: Positive = Field(0.05, description="lateral speed over v omega, at the start [s]")
     side_slip_drift: Positive = Field(0.02, description="random walk of the side-slip [s per sqrt(s)]")
+    turn_ahead_drift: NotNegative = Field(
+        0.01, description="random walk of the turning point, ahead of the origin [m per sqrt(s)]"
+    )
+    turn_left_drift: NotNegative = Field(0.01, description="the same to the left of the origin [m per sqrt(s)]")
     load_shift: NotNegative = Field(
         0.0, description="how far back the turning point moves for an acceleration, at the start [s^2]"
+    )
+    load_shift_drift: NotNegative = Field(0.001, description="random walk of that shift [s^2 per sqrt(s)]")
+    slide_drift: NotNegative = Field(
+        0.001, description="random walk of the slide for each radian turned [m/rad per sqrt(s)]"
     )
     crab: CurvedSlip = Field(_FLAT, description="lateral speed, to the left, over forward speed [-]")
     veer: CurvedSlip = Field(_FLAT, description="yaw for each metre that the wheels drive [rad/m]")
@@ -192,6 +195,7 @@ class Estimator(Group):
     track_growth: CurvedSlip = Field(
         _FLAT, description="share by which the track widens for each rad/s of yaw rate [s/rad]"
     )
+    lasting_surprise: Positive = Field(0.6, description="a longer surprise is slip, and is learned from [s]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
         0.4, description="how late a pose may arrive and still be applied at its stamp [s]"
     )

@@ -94,7 +94,7 @@ def load_with_core(stem: str, texts: Mapping[str, str], header: str) -> Any:  # 
     NotCompiledError
         If they cannot be compiled: a wheel brings no library for them, so a C compiler is needed.
     """
-    return _load(stem, core_texts() | texts, declarations(texts[header]))
+    return _load(stem, {**core_texts(), **texts}, declarations(texts[header]))
 
 
 def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: ANN401 - as above

@@ -36,6 +36,7 @@ RANGES = {
     "limits.wheel_speed": (0.45, 0.55),
     "limits.corridor": (0.01, 0.03),
     "weights.soft": (2.0, 9.0),
+    "estimator.lasting_surprise": (0.1, 0.3),
     "estimator.history": (0.15, 0.25),
     "estimator.side_slip": (0.02, 0.09),
     "estimator.load_shift": (0.02, 0.09),
