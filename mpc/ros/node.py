@@ -97,7 +97,7 @@ class TrackingNode(PartHost):
             self._declared_settings,
             self._declared_config,
             lambda: None if self._loop is None else self._controller,
-            lambda: self._each_part(NodePart.change_limits),
+            lambda: self._each_part(lambda part: part.change_limits()),
         )
         self.failure = ""
         self.label = "unconfigured"
@@ -143,7 +143,7 @@ class TrackingNode(PartHost):
         gc.unfreeze()
         self.destroy_timer(self._timer)
         self._outgoing.stop(self._now())
-        self._each_part(NodePart.deactivate)
+        self._each_part(lambda part: part.deactivate())
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -158,7 +158,7 @@ class TrackingNode(PartHost):
         if self._changes.pending:
             self._tear_down()
             self._build()
-        self._each_part(NodePart.check_activation)
+        self._each_part(lambda part: part.check_activation())
         success = super().on_activate(state)
         assert self._controller is not None
         config = self._controller.config
@@ -288,7 +288,7 @@ class TrackingNode(PartHost):
         self._outgoing.destroy()
         self.destroy_timer(self._diagnostics_timer)
         self._aside.close()
-        self._each_part(NodePart.tear_down)
+        self._each_part(lambda part: part.tear_down())
         self.destroy_guard_condition(self._read)
         self.destroy_guard_condition(self._due)
 
