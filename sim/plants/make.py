@@ -21,6 +21,7 @@ from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.plug_ins import DRAWN, MODEL, PHYSICS, Scene, make_part, split_plant
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import Surface, load_surface
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 if TYPE_CHECKING:
@@ -212,6 +213,15 @@ def _near_plant(name: str) -> str:
     by_words = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
     near = difflib.get_close_matches(name.lower(), by_words, n=1)
     return f"; did you mean '{by_words[near[0]]}'?" if near else ""
+
+
+def plant_body(name: str) -> tuple[Robot, TwinParameters]:
+    """Return the robot of a plant's name and its physical parameters; those of the papers for "model:NAME".
+
+    Raises ConfigError if it names a robot file that cannot be used.
+    """
+    build = simulated_robot(plant_inside(name))
+    return (build.robot, build.twin) if build else (load_robot(), load_twin_parameters())
 
 
 def _checked_model(model: object) -> VelocityModel | NonlinearModel:

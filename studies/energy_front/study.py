@@ -22,6 +22,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative, Positive
+from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
 
 # What the study of the front does: `study.yaml` says what each value is.
 
@@ -184,8 +185,7 @@ class EnergyFrontStudy(Study[list[Case], list[FrontRun]]):
 
     def report(self, results: list[FrontRun], seconds: float) -> Report:
         """A table and a figure."""
-        from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
-from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
+        from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
 
         by_place = fronts(results)
         best = max((_best(points, 2.0) for points in by_place.values()), key=lambda row: row.saved.value)
