@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from annotated_types import Ge
 
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.sim.plants.plug_ins import BUILT_IN, split_plant
+from diffdrive_mpc.sim.plants.names import BUILT_IN, split_plant
 
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""

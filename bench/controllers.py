@@ -27,8 +27,8 @@ from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot
+from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plant import PlantAround
-from diffdrive_mpc.sim.plants.plug_ins import split_plant
 
 # A plant that hears every command some ticks later than it would: a dead time that no controller was told of.
 

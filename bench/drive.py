@@ -15,7 +15,7 @@ from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.sim import loop
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.plug_ins import PHYSICS
+from diffdrive_mpc.sim.plants.names import PHYSICS
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel

@@ -17,8 +17,9 @@ from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import Scenario, beside, load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.names import DRAWN, MODEL, PHYSICS, split_plant
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.plug_ins import DRAWN, MODEL, PHYSICS, Scene, make_part, split_plant
+from diffdrive_mpc.sim.plants.plug_ins import Scene, make_part
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import Surface, load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, load_twin_parameters
@@ -218,9 +219,9 @@ def _near_plant(name: str) -> str:
 def plant_body(name: str) -> tuple[Robot, TwinParameters]:
     """Return the robot of a plant's name and its physical parameters; those of the papers for "model:NAME".
 
-    Raises ConfigError where a robot file is named that cannot be used.
+    Raises ConfigError if it names a robot file that cannot be used.
     """
-    build = simulated_robot(name)
+    build = simulated_robot(plant_inside(name))
     return (build.robot, build.twin) if build else (load_robot(), load_twin_parameters())
 
 

@@ -10,19 +10,10 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from diffdrive_mpc.models.interface import FloatArray, TrackingController
-from diffdrive_mpc.models.plug_ins import known_packages, plug_in, plug_in_names
+from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.sim.plants.plant import Plant
 
-PHYSICS = "mujoco"
-"""Name of the physics plant, and before a colon the kind of another robot in it."""
-DRAWN = "drawn"
-"""Before a colon and a seed: a robot of the market, see `sim/plants/market.yaml`."""
-MODEL = "model"
-"""Before a colon: a velocity model."""
-BUILT_IN = (PHYSICS, DRAWN, MODEL)
 
-
-@runtime_checkable
 class PlantKind(Protocol):
     """Plants of one kind around other plants."""
 
@@ -90,7 +81,6 @@ class SimulatorPart(Protocol):
         ...
 
 
-@runtime_checkable
 class PartKind(Protocol):
     """Simulator parts of one kind."""
 
@@ -149,28 +139,6 @@ class RunColumns:
 def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - as above
     """Return what the parts of a run add to it, in the order of its parts."""
     return [plug_in("columns", name) for name in run.parts]
-
-
-def split_plant(name: str) -> tuple[PlantKind, str, str] | None:
-    """Split "KIND:NAME" or "KIND:NAME@PLANT" into the kind, NAME and PLANT, by default the physics.
-
-    Returns None for names of built-in and of unknown plants.
-
-    Raises
-    ------
-    MissingPackageError
-        If the package of a known kind is not installed.
-    """
-    kind, colon, rest = name.partition(":")
-    if not colon or kind in BUILT_IN or kind not in {*plug_in_names("plants"), *known_packages().get("plants", {})}:
-        return None
-    part = plug_in("plants", kind)
-    if not isinstance(part, PlantKind):
-        return None
-    argument, at, plant = rest.rpartition("@")
-    # A path may contain the separator.
-    is_plant = bool(at) and plant.partition(":")[0] in BUILT_IN
-    return (part, argument, plant) if is_plant else (part, rest, PHYSICS)
 
 
 def make_part(name: str, sensor: object, robot: object, seed: int) -> SimulatorPart:

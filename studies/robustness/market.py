@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
-from diffdrive_mpc.sim.plants.plug_ins import DRAWN
+from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc_extras.campaign.conditions import Condition
 
 MARKET = "market"

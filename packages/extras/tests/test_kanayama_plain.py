@@ -14,7 +14,7 @@ from diffdrive_mpc.sim import simulate
 from diffdrive_mpc_extras.peers.kanayama_plain import KanayamaController, load_plain_gains
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(x=st.floats(-0.2, 0.2), y=st.floats(-0.2, 0.2), theta=st.floats(-0.5, 0.5))
 def test_it_converges_from_beside_the_reference(x: float, y: float, theta: float) -> None:
     run = simulate(KanayamaController(), DisplacedUnicycle([x, y, theta]), Arc())

@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.drawn_robot import Span, driving_seeds
 from diffdrive_mpc.sim.plants.make import drawn_robot
-from diffdrive_mpc.sim.plants.plug_ins import DRAWN
+from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc_extras.campaign.campaign_file import Campaign
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import built

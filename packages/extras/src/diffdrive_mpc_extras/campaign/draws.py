@@ -14,7 +14,7 @@ from scipy.special import ndtr, ndtri
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
-from diffdrive_mpc.sim.plants.plug_ins import DRAWN
+from diffdrive_mpc.sim.plants.names import DRAWN
 
 Value = bool | int | float | str
 """Of a factor in one run."""

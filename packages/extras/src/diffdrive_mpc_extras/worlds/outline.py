@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from diffdrive_mpc.models.robot import Robot, load_robot
-from diffdrive_mpc.sim.plants.make import simulated_robot
-from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, load_twin_parameters
+from diffdrive_mpc.models.robot import Robot
+from diffdrive_mpc.sim.plants.make import plant_body
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
 from diffdrive_mpc_extras.worlds.settings import world_settings
 
 
@@ -22,5 +22,4 @@ def plant_outline(name: str) -> tuple[float, float]:
 
     Raises ConfigError if it names a robot file that cannot be used.
     """
-    build = simulated_robot(name)
-    return outline(build.robot, build.twin) if build else outline(load_robot(), load_twin_parameters())
+    return outline(*plant_body(name))

@@ -11,7 +11,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim import Plant, Run, make_plant
-from diffdrive_mpc.sim.plants.plug_ins import PlantKind, RunColumns, split_plant
+from diffdrive_mpc.sim.plants.names import split_plant
+from diffdrive_mpc.sim.plants.plug_ins import PlantKind, RunColumns
 from diffdrive_mpc_extras.worlds.outline import plant_outline
 from diffdrive_mpc_extras.worlds.passage import Passage, passage_of
 from diffdrive_mpc_extras.worlds.scene import WorldScene
