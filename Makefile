@@ -114,10 +114,9 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 	$(BIN)/python -m studies tracking --quick --out $(REPORTS_OUT)/tracking
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
 	for name in simulate bench identify tracking prove; do \
-		$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
+		$(BIN)/python tests/browser.py $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
 	done
-	$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
-		--width 390 --height 1500
+	$(BIN)/python tests/browser.py $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png 390 1500
 
 wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
 	$(BIN)/uv build --python $(BIN)/python --out-dir dist

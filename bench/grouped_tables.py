@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -29,7 +30,7 @@ UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)
 """Factor from the unit of the column, and the usual decimal places."""
 KNOWN = "_known"
 """Ending of a statistic that leaves out runs whose value could not be computed; else the statistic is NaN."""
-STATISTICS = {
+STATISTICS: dict[str, Callable[..., Any]] = {
     "mean": np.mean,
     "max": np.max,
     "min": np.min,

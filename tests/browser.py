@@ -1,8 +1,9 @@
-"""A page of a report in a real browser, which Playwright drives."""
+"""Reports in a real browser: python tests/browser.py REPORT.html PICTURE.png [WIDTH HEIGHT] takes a screenshot."""
 
 from __future__ import annotations
 
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,3 +57,18 @@ def open_report(page: Any, report: Path) -> None:
         page.wait_for_selector(READY, state="attached", timeout=_LONGEST)
     except NotDrawnError as error:
         raise ConfigError(f"{report}: it does not draw itself; is it a report.html of this version?") from error
+
+
+def screenshot(report: Path, picture: Path, width: int = 1280, height: int = 1500) -> None:
+    """Write a screenshot of the top of a report [pixels]; a height of 0 takes the whole page."""
+    if not report.is_file():
+        raise ConfigError(f"{report}: no such report")
+    with opened_browser() as browser:
+        page = browser.new_page(viewport={"width": width, "height": height or 1000}, device_scale_factor=1)
+        open_report(page, report)
+        page.evaluate("window.scrollTo({top: 0, behavior: 'instant'})")
+        page.screenshot(path=picture, full_page=height == 0)
+
+
+if __name__ == "__main__":
+    screenshot(*map(Path, sys.argv[1:3]), *map(int, sys.argv[3:]))

@@ -15,12 +15,12 @@ from diffdrive_mpc.app.replay.own_log import read_recording
 from diffdrive_mpc.app.replay.recording import Recording
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.step_result import StepResult
 
 _EQUAL = 1e-9

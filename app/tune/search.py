@@ -75,7 +75,10 @@ class ConfigurationSearch:
     def drive(self, values: Mapping[str, Any], seeds: Iterable[int], jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every combination of the plan and the seeds with `values`; return the table of `sweep`."""
         changed = {key: value for key, value in values.items() if value != self.start[key]}
-        return sweep(**self._named, **self._plan.runs, **changed, seeds=seeds, jobs=jobs, on_done=bar.advance)
+        values_of_runs: dict[str, Any] = dict(self._named)
+        values_of_runs.update(self._plan.runs)
+        values_of_runs.update(changed)
+        return sweep(seeds=seeds, jobs=jobs, on_done=bar.advance, **values_of_runs)
 
     def run(self, jobs: int, bar: ProgressBar) -> list[TunePoint]:
         """Try the start configuration, then the points that Optuna proposes; return all in order."""
@@ -98,7 +101,7 @@ class ConfigurationSearch:
     def errors(self, rows: DataFrame) -> FloatArray:
         """Position RMSE of each run [m]; a failed run counts with at least `failure_error`."""
         measured = rows["position_rmse_m"].to_numpy(dtype=float)
-        return np.where(failed(rows), np.fmax(measured, self._plan.failure_error), measured)
+        return np.asarray(np.where(failed(rows), np.fmax(measured, self._plan.failure_error), measured))
 
     def _rounded(self, key: str, value: float) -> float | int:
         is_kept = isinstance(value, int) or value == self.start[key]

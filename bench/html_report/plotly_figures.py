@@ -50,7 +50,8 @@ def map_figure(grid: GridMap) -> dict[str, Any]:
     """Return the figure of a map, with logarithmic colours."""
     values = np.array(grid.values, dtype=float)
     logarithms = np.log10(np.where(values > 0.0, values, np.nan))
-    ticks = np.linspace(float(np.nanmin(logarithms)), float(np.nanmax(logarithms)), 5)
+    low, high = float(np.nanmin(logarithms)), float(np.nanmax(logarithms))
+    ticks = np.linspace(low, high, 5)
     trace = {
         "type": "heatmap",
         "x": list(grid.x.values),

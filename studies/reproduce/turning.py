@@ -16,7 +16,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc_extras.energy.power_readings import robot_power
 from diffdrive_mpc_extras.planner import PlanError, plan
 from diffdrive_mpc_extras.terrain import load_terrain, side_torques
 from diffdrive_mpc_extras.torque.measurements import load_turn_study, plant_of, steady_turns
@@ -236,4 +236,4 @@ def planning_times(costs: str, count: int, seed: int) -> tuple[float, ...]:
 
 def robot_parts(robot: str) -> tuple[Vehicle, DriveConstants]:
     """Return vehicle and motors of a simulated robot; raises ConfigError where one does not exist."""
-    return load_vehicle(robot), load_simulated_robot(robot).drive
+    return load_vehicle(robot), robot_power(f"mujoco:{robot}").drive

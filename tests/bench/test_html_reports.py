@@ -12,7 +12,7 @@ from bench_parts import quick_outcome
 from opened_report import check_page, check_report, content_of, opened
 from plotly.graph_objects import Figure
 
-from browser import opened_browser
+from browser import opened_browser, screenshot
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
@@ -38,7 +38,6 @@ from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.documents.screenshots import screenshot
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")
 HOSTILE = '<script>document.title = "taken"</script><b>&amp;'

@@ -17,8 +17,11 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import TrackingController
 from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
+from diffdrive_mpc_extras.rehearsal.feature import Rehearse
 from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc_extras.rehearsal.lap_parts import lap_parts
 from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
@@ -65,7 +68,15 @@ def drive_laps(
         done = None if on_tick is None else _after(lap, laps, on_tick)
         plant = build_plant(replace(case, seed=seed, surface=floor))
         runs.append(simulate(controller, plant, reference, keep_plans=keep_plans, on_tick=done))
-    return Laps(tuple(runs), controller.rehearsal if isinstance(controller, Controller) else None)
+    return Laps(tuple(runs), _learned(controller))
+
+
+def _learned(controller: TrackingController) -> LapLearner | FloorRehearsal | None:
+    """Return what the feature `rehearsal` of a controller learned; None if it has no such feature."""
+    if not isinstance(controller, Controller) or not rehearsal_of(controller.config).is_enabled:
+        return None
+    feature: Rehearse = controller.feature("rehearsal")
+    return feature.learned
 
 
 def _after(lap: int, laps: int, on_tick: Callable[[int, int], None]) -> Callable[[int, int], None]:
