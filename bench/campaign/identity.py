@@ -10,7 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from diffdrive_mpc import models, mpc, sim
-from diffdrive_mpc.bench import case, command_check, controllers, peers, run_row
+from diffdrive_mpc.bench import case, controllers, peers, run_row
+from diffdrive_mpc.bench.campaign import command_check
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.machine import package_version
 from diffdrive_mpc.models.checked_yaml import read_yaml
