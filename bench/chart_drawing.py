@@ -54,7 +54,7 @@ def draw_charts(
 def draw_run(views: RunViews, title: str, path: Path, draw_more: Callable[[Axes], None] = lambda _: None) -> None:
     """Draw the plane of runs, `draw_more` on it, and their panes over time into the PNG file `path`."""
     panes = views.panes
-    with new_figure(path, 11.0, 8.0) as figure:
+    with new_figure(path, 9.6, 6.4) as figure:
         grid = figure.add_gridspec(len(panes), 2, width_ratios=(1.1, 1.0))
         plane = figure.add_subplot(grid[:, 0])
         draw_chart(plane, views.plane)

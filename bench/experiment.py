@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -100,18 +101,17 @@ def grouped(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ..
     """
     if not len(rows) or not columns:
         return [((), rows)] if len(rows) else []
-    keys: list[pd.Categorical] = []
+    keys: list[pd.Series[Any]] = []
     for column in columns:
-        texts = (
-            rows.groupby(keys, observed=True)["case"].transform(_names)
-            if column == COMPARED and keys
-            else (_names(rows["case"]) if column == COMPARED else rows[column].map(str))
-        )
-        keys.append(pd.Categorical(texts, categories=texts.unique()))
+        if column == COMPARED:
+            texts = rows.groupby(keys, observed=True)["case"].transform(_names) if keys else _names(rows["case"])
+        else:
+            texts = rows[column].map(str)
+        keys.append(texts.astype(pd.CategoricalDtype(texts.unique())))
     return [(tuple(map(str, names)), part) for names, part in rows.groupby(keys, observed=True)]
 
 
-def _names(cases: pd.Series) -> pd.Series:
+def _names(cases: pd.Series[Any]) -> pd.Series[Any]:
     return pd.Series(driver_names(list(cases)), cases.index)
 
 

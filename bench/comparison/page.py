@@ -29,9 +29,9 @@ from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_s
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.table import number
 
-_TICKS = 40_000
+_TICKS = 28_000
 """Ticks of all runs together that the page holds at most, so that it stays small."""
-_TICKS_OF_A_RUN = 500
+_TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
 
 
