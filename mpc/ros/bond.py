@@ -16,9 +16,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
 from diffdrive_mpc.mpc.ros.conversions import message_type, subscribe_bounded
-from diffdrive_mpc.mpc.ros.node_part import NodePart, PartHost
+from diffdrive_mpc.mpc.ros.node_part import NodePart
 
 TOPIC = "bond"
 # As bondcpp has them, and Nav2's nodes set them [s].
@@ -160,13 +159,10 @@ def _ignore(_: str) -> None:
 class BondPart(NodePart):
     """Bond of the active node with the lifecycle manager, if its type is installed."""
 
-    def __init__(self, node: PartHost) -> None:
-        super().__init__(node)
-        self.bond: Bond | None = None
+    bond: Bond | None = None
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Begin a bond."""
-        super().activate(loop)
         self._close()
         period = self.running()[1].settings.bond_heartbeat_period
         if not period:
@@ -179,13 +175,11 @@ class BondPart(NodePart):
 
     def deactivate(self) -> None:
         """End the bond; it tells the manager until the manager has answered."""
-        super().deactivate()
         if self.bond is not None:
             self.bond.leave()
 
     def tear_down(self) -> None:
         """End the bond without waiting for the manager."""
-        super().tear_down()
         self._close()
 
     def diagnostics(self) -> Mapping[str, str]:

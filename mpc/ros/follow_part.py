@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopTick
+from diffdrive_mpc.mpc.ros.control_loop import LoopTick
 from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
-from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import nothing
 from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import moved_poses
@@ -22,14 +22,11 @@ if TYPE_CHECKING:
 class FollowPathPart(NodePart):
     """Action server of the node, and the goals of the present activation."""
 
-    def __init__(self, node: PartHost) -> None:
-        super().__init__(node)
-        self.server: FollowPathServer | None = None
-        self._following: Following | None = None
+    server: FollowPathServer | None = None
+    _following: Following | None = None
 
     def configure(self, tools: NodeTools) -> None:
         """Start the action server if it is wanted and its type is installed."""
-        super().configure(tools)
         if not tools.settings.follow_path:
             return
         try:
@@ -39,12 +36,11 @@ class FollowPathPart(NodePart):
             return
         self.server = FollowPathServer(self.node, tools.settings)
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Accept goals."""
-        super().activate(loop)
         if self.server is None:
             return
-        tools = self.running()[1]
+        loop, tools = self.running()
         controller, side_process = tools.controller, tools.side_process
         checks = tuple(check for part in self.node.parts.values() if (check := part.path_check()) is not None)
 
@@ -71,14 +67,12 @@ class FollowPathPart(NodePart):
 
     def deactivate(self) -> None:
         """End all goals, and refuse new ones."""
-        super().deactivate()
         if self.server is not None:
             self.server.shut("the node was deactivated")
         self._following = None
 
     def tear_down(self) -> None:
         """Stop the action server."""
-        super().tear_down()
         if self.server is not None:
             self.server.close()
             self.server = None

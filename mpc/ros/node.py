@@ -143,7 +143,7 @@ class TrackingNode(PartHost):
         gc.unfreeze()
         self.destroy_timer(self._timer)
         self._outgoing.stop(self._now())
-        self._each_part(lambda part: part.deactivate())
+        self.deactivate_parts()
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -169,10 +169,10 @@ class TrackingNode(PartHost):
         in_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._controller.reset()
         self._inbox.restart()
-        loop = self._loop = ControlLoop(
+        self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._held
         )
-        self._each_part(lambda part: part.activate(loop))
+        self.activate_parts(self._loop)
         # A full collection walks all objects for some 60 ms, three ticks: they are set aside until deactivation.
         gc.collect()
         gc.freeze()
@@ -251,7 +251,7 @@ class TrackingNode(PartHost):
         self._due = self.create_guard_condition(self._tick)
         tools = NodeTools(settings, controller, self._inbox, self._outgoing, self._aside, watched)
         try:
-            self._each_part(lambda part: part.configure(tools))
+            self.configure_parts(tools)
         except Exception:
             self._tear_down()
             raise
@@ -288,7 +288,7 @@ class TrackingNode(PartHost):
         self._outgoing.destroy()
         self.destroy_timer(self._diagnostics_timer)
         self._aside.close()
-        self._each_part(lambda part: part.tear_down())
+        self.tear_down_parts()
         self.destroy_guard_condition(self._read)
         self.destroy_guard_condition(self._due)
 

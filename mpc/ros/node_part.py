@@ -94,6 +94,31 @@ class PartHost(LifecycleNode):
     label: str
     parts: dict[str, NodePart]
 
+    def configure_parts(self, tools: NodeTools) -> None:
+        """Give the parts their tools, and configure them."""
+        for part in self.parts.values():
+            part.tools = tools
+            part.configure(tools)
+
+    def activate_parts(self, loop: ControlLoop) -> None:
+        """Give the parts the loop, and activate them."""
+        for part in self.parts.values():
+            part.loop = loop
+            part.activate()
+
+    def deactivate_parts(self) -> None:
+        """Take the loop from the parts, and deactivate them."""
+        for part in self.parts.values():
+            part.loop = None
+            part.deactivate()
+
+    def tear_down_parts(self) -> None:
+        """Take the tools from the parts, and destroy what they built."""
+        for part in self.parts.values():
+            part.tools = None
+            part.tear_down()
+            part.unsubscribe()
+
 
 class NodePart:
     """Feature of the node; hooks do nothing unless a subclass overrides them.
@@ -128,25 +153,18 @@ class NodePart:
 
     def configure(self, tools: NodeTools) -> None:
         """Build what needs the configured node; raise ValueError to refuse the transition."""
-        self.tools = tools
 
     def check_activation(self) -> None:
         """Raise ValueError if the node must not become active."""
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Prepare for the first tick of an activation."""
-        self.loop = loop
 
     def deactivate(self) -> None:
         """End the activation; the robot has been sent its last command."""
-        self.loop = None
 
     def tear_down(self) -> None:
         """Destroy what `configure` built, or a part of it if that failed."""
-        self.tools = None
-        for subscription in self._subscriptions:
-            self.node.destroy_subscription(subscription)
-        self._subscriptions.clear()
 
     def change_limits(self) -> None:
         """React to changed weights or limits of the active controller."""
@@ -204,3 +222,9 @@ class NodePart:
     ) -> None:
         """Subscribe to serialised messages until the part is torn down."""
         self._subscriptions.append(self.node.create_subscription(kind, topic, take, qos, raw=True))
+
+    def unsubscribe(self) -> None:
+        """Destroy the subscriptions."""
+        for subscription in self._subscriptions:
+            self.node.destroy_subscription(subscription)
+        self._subscriptions.clear()

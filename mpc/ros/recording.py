@@ -23,9 +23,9 @@ from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, LoopTick
+from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
-from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.tabled import table_of
@@ -233,15 +233,12 @@ def _model_text(model: str) -> str:
 class RecordingPart(NodePart):
     """Records of ticks on topics, and the recording of an activation; it is the last part, after all columns."""
 
-    def __init__(self, node: PartHost) -> None:
-        super().__init__(node)
-        self.recording: ActivationRecording | None = None
-        self.records: TickRecords | None = None
-        self._recorded: Begun | None = None
+    recording: ActivationRecording | None = None
+    records: TickRecords | None = None
+    _recorded: Begun | None = None
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Begin a recording if the settings ask for it."""
-        super().activate(loop)
         tools = self.running()[1]
         self.records, self._recorded = TickRecords(tools.controller), None
         self.recording = self._begin(tools) if tools.settings.record else None
@@ -261,7 +258,6 @@ class RecordingPart(NodePart):
 
     def deactivate(self) -> None:
         """End the recording."""
-        super().deactivate()
         if self.recording is not None:
             self.recording.close()
             self.recording = None

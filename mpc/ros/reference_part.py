@@ -12,7 +12,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
 from diffdrive_mpc.mpc.ros.conversions import check_frame, message_type, too_long
-from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import (
     MOST_BYTES,
     MOST_TRAJECTORY_BYTES,
@@ -32,9 +32,8 @@ _TOPICS = "set_path", "set_trajectory", "set_timed_trajectory"
 class ReferencePart(NodePart):
     """References from topics: the side process reads them, and the loop drives along them."""
 
-    def configure(self, tools: NodeTools) -> None:
+    def configure(self, _tools: NodeTools) -> None:
         """Subscribe to the topics whose types are installed."""
-        super().configure(tools)
         self.subscribe_raw(Path, _TOPICS[0], self._reader(read_path))
         self.subscribe_raw(MultiDOFJointTrajectory, _TOPICS[1], self._reader(read_trajectory))
         timed = timed_trajectory_type()
@@ -91,13 +90,10 @@ class ReferencePart(NodePart):
 class SpeedLimitPart(NodePart):
     """Speed limit from a topic; it also holds for later activations."""
 
-    def __init__(self, node: PartHost) -> None:
-        super().__init__(node)
-        self._limit: SpeedLimit | None = None
+    _limit: SpeedLimit | None = None
 
     def configure(self, tools: NodeTools) -> None:
         """Subscribe to the topic if its type is installed."""
-        super().configure(tools)
         if not tools.settings.use_speed_limit:
             return
         kind = message_type("nav2_msgs", "SpeedLimit")
@@ -106,9 +102,8 @@ class SpeedLimitPart(NodePart):
             return
         self.subscribe(kind, "speed_limit", self._take, 10, self._refuse)
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Apply the last limit."""
-        super().activate(loop)
         self.change_limits()
 
     def change_limits(self) -> None:

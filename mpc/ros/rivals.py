@@ -13,7 +13,7 @@ from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.command_output import command_topic
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
-from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.publishers import deaf_to_commands, publishers_of
 
 _CLAIM = "_diffdrive_mpc"
@@ -138,14 +138,11 @@ def _names(names: Sequence[str]) -> str:
 class RivalWatch(NodePart):
     """Objections and warnings about other nodes that publish commands or inputs, or that misread the commands."""
 
-    def __init__(self, node: PartHost) -> None:
-        super().__init__(node)
-        self.rivals: Rivals | None = None
-        self._timer: Any = None
+    rivals: Rivals | None = None
+    _timer: Any = None
 
     def configure(self, tools: NodeTools) -> None:
         """Prepare the claim of the topic of the commands."""
-        super().configure(tools)
         self.rivals = Rivals(self.node, command_topic(tools.settings))
 
     def check_activation(self) -> None:
@@ -157,22 +154,19 @@ class RivalWatch(NodePart):
             self.rivals.release()
             raise RefusedError(objection)
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Look for rivals now and periodically."""
-        super().activate(loop)
         self._look_around()
         self._timer = self.node.create_timer(_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def deactivate(self) -> None:
         """Release the topic of the commands."""
-        super().deactivate()
         self.node.destroy_timer(self._timer)
         if self.rivals is not None:
             self.rivals.release()
 
     def tear_down(self) -> None:
         """Release the topic of the commands."""
-        super().tear_down()
         if self.rivals is not None:
             self.rivals.release()
             self.rivals = None

@@ -12,7 +12,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
-from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, LoopTick
+from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
 from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, MessageError, nanoseconds
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
 from diffdrive_mpc.mpc.ros.settings import PartSettings, Positive
@@ -102,7 +102,6 @@ class EnergyPart(NodePart):
 
     def configure(self, tools: NodeTools) -> None:
         """Load the turn costs, and subscribe to the battery."""
-        super().configure(tools)
         settings = self._settings = tools.part_settings(EnergySettings)
         file = energy_of(tools.controller.config).turn_costs
         self._costs = load_turn_costs(file) if file else None
@@ -113,9 +112,8 @@ class EnergyPart(NodePart):
             take, refuse = self.take_battery, self.battery.refuse
             self.subscribe(BatteryState, "battery_state", take, qos_profile_sensor_data, refuse, BATTERY_BYTES)
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Forget readings and energy of the last activation."""
-        super().activate(loop)
         self.battery.restart()
         self._reading, self._drive = None, None
         self._begin()

@@ -191,7 +191,6 @@ class PredictedErrorPart(NodePart):
 
     def configure(self, tools: NodeTools) -> None:
         """Load the calibration; without a limit, a model without a prediction is accepted."""
-        super().configure(tools)
         settings = self._settings = tools.part_settings(PredictedErrorSettings)
         self._predictor, self._unpredictable = None, ""
         try:
@@ -205,7 +204,6 @@ class PredictedErrorPart(NodePart):
 
     def tear_down(self) -> None:
         """Answer the pending requests."""
-        super().tear_down()
         for future in self._pending:
             future.set_result((False, "the node was deactivated and cleaned up"))
 

@@ -23,7 +23,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
+from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.conversions import (
     LONGEST_NAME,
     MessageError,
@@ -33,7 +33,7 @@ from diffdrive_mpc.mpc.ros.conversions import (
     too_long,
 )
 from diffdrive_mpc.mpc.ros.inbox import Inbox
-from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import nothing
 from diffdrive_mpc.mpc.ros.settings import PartSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
@@ -273,13 +273,10 @@ class FreeSpacePart(NodePart):
 
     schema = SurroundingsSettings
 
-    def __init__(self, node: PartHost) -> None:
-        super().__init__(node)
-        self.surroundings: SurroundingsInput | None = None
+    surroundings: SurroundingsInput | None = None
 
     def configure(self, tools: NodeTools) -> None:
         """Subscribe to the topics in use."""
-        super().configure(tools)
         settings = tools.part_settings(SurroundingsSettings)
         if not (settings.use_costmap or settings.use_obstacles):
             return
@@ -294,13 +291,11 @@ class FreeSpacePart(NodePart):
             self.subscribe_raw(PointCloud2, "obstacles", seen.take_obstacles, qos_profile_sensor_data)
         tools.side_process.prepare(nothing)
 
-    def activate(self, loop: ControlLoop) -> None:
+    def activate(self) -> None:
         """Forget the surroundings of the last activation."""
-        super().activate(loop)
         if self.surroundings is not None:
             self.surroundings.restart()
 
     def tear_down(self) -> None:
         """Forget the surroundings."""
-        super().tear_down()
         self.surroundings, self.topics = None, ()
