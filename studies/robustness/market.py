@@ -23,7 +23,7 @@ def market_cases(
     tuning: bool = False,
     settings: Mapping[str, bool | int | float | str] | None = None,
 ) -> list[Case]:
-    """Runs of the first `robots` reserved robots of the market that can drive a path; see `drivable_robots.driving_seeds`.
+    """Runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
 
     With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
     `settings`, configuration values by dotted key.
