@@ -239,8 +239,8 @@ def drive_all(
     bar.begin(f"{text}, {place.scheduler or f'{jobs} at a time'}", len(missing))
     if missing and place.scheduler:
         with cluster(place.scheduler):
-            for number, row in finished_tasks([partial(do, task) for task in missing], jobs):
-                store.save(missing[number].key, missing[number].identity, row)
+            for number, done in finished_tasks([partial(do, task) for task in missing], jobs):
+                store.save(missing[number].key, missing[number].identity, done)
                 bar.advance()
     elif missing:
         drive_here(missing, place.folder, jobs, bar.advance)

@@ -166,9 +166,7 @@ def shown(rows: DataFrame) -> Shown:
     kept = every[every["series"].notna()]
     driven = kept[kept["seed"] == kept["seed"].min()]
     models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
-    series = [
-        {**one, "style": models.index(name)} for name, one in zip(driven["driver"], driven["series"], strict=True)
-    ]
+    series = [run.in_style(models.index(name)) for name, run in zip(driven["driver"], driven["series"], strict=True)]
     runs = [RunViews(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)
