@@ -114,8 +114,8 @@ def test_a_model_beside_the_configuration_stays_where_it_is(tmp_path: Path) -> N
         ({"parameters": {"horizon": {"low": 10}}}, "give either times: [LOW, HIGH], or low and high"),
         ({"parameters": {"model": {"times": [0.5, 2]}}}, "parameters.model: its value is 'ssm'; only numbers are"),
         (
-            {"parameters": {"expert.estimator.least_gain": {"low": 4.0, "high": 5.0}}},
-            "parameters.expert.estimator.least_gain: the configuration has 0.2, which is not between 4",
+            {"parameters": {"expert.reentry.look_ahead_max": {"low": 4.0, "high": 5.0}}},
+            "parameters.expert.reentry.look_ahead_max: the configuration has 2.0, which is not between 4",
         ),
         ({"parameters": {"estimator.load_shift": {"times": [0.5, 2]}}}, "a factor on it is nothing; give low and high"),
         ({"verdict": {"runs": 6, "draw_seed": 2, "first_seed": 601}}, "seeds from 601 on are those of the tuning"),
