@@ -1,10 +1,10 @@
 # ROS 2 Jazzy with the controller's node and the simulated robot; docs/install.md says how to use it.
 FROM ros:jazzy-ros-base AS robot
 
-# gcc compiles functions of yours (costs, limits, models); EGL and OSMesa draw MuJoCo's pictures without a display.
+# gcc compiles functions of yours (costs, limits, models).
 # hadolint ignore=DL3008
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends ffmpeg gcc libc6-dev libegl1 libosmesa6 python3-venv \
+    && apt-get install --yes --no-install-recommends gcc libc6-dev python3-venv \
     && rm -rf /var/lib/apt/lists/*
 
 # Beside ROS's own Python 3.12 and NumPy 1.26, with the pins of requirements.txt; rclpy is ROS's, not the wheels'.

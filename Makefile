@@ -48,7 +48,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full results edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -67,7 +67,7 @@ $(READY): $(CORE) requirements.txt
 	$(PIP_INSTALL) $(LOCKED) $(VENV)/uv.txt
 	$(BIN)/uv pip install --quiet --no-config --python $(BIN)/python $(LOCKED) requirements.txt || $(PIP_INSTALL) $(LOCKED) requirements.txt
 	$(PIP_INSTALL) --no-deps --no-build-isolation $(addprefix --editable ,$(PACKAGES))
-	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
+	$(BIN)/python -m diffdrive_mpc.app.schemas
 	@touch $(READY)
 
 $(LAB_READY): $(READY) .ci/lab.txt
@@ -101,7 +101,7 @@ market: $(READY) ## a thousand robots that nobody tuned to: out/market, some six
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
 
-tune: $(READY) ## search for a better configuration, and hold it against the shipped one on other seeds: out/tune
+tune: $(READY) ## search for a better configuration, and compare with the shipped one on other seeds: out/tune
 	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
 
 screenshots: $(READY) ## reports of small real runs, and their pictures for docs/see.md, in a real browser
@@ -112,14 +112,11 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 		--structure ssm --out $(REPORTS_OUT)/identify
 	$(BIN)/diffdrive-mpc bench --quick --out $(REPORTS_OUT)/bench
 	$(BIN)/python -m studies tracking --quick --out $(REPORTS_OUT)/tracking
-	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
-	$(BIN)/diffdrive-mpc commission heavy --inside 5x4 --quick --out $(REPORTS_OUT)/commission
-	for name in simulate bench identify tracking tune prove commission; do \
-		$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
+	for name in simulate bench identify tracking prove; do \
+		$(BIN)/python tests/browser.py $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
 	done
-	$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
-		--width 390 --height 1500
+	$(BIN)/python tests/browser.py $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png 390 1500
 
 wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
 	$(BIN)/uv build --python $(BIN)/python --out-dir dist
@@ -127,18 +124,19 @@ wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/:
 test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tests`
 	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
-test-system: $(LAB_READY) ## tests that need Debian packages: a browser, ffmpeg, cross compilers, an emulator, an X server
+test-system: $(LAB_READY) ## tests that need Debian packages: a browser, cross compilers, an emulator, an X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
-	PYTHONPATH=tests:tests/models:tests/extras $(BIN)/python -m fuzz $(FUZZ)
+	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
 
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)
 
-lint: $(READY) ## style and format
+lint: $(READY) ## style, format and language
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python .ci/language.py
 
 types: $(READY) ## strict type check
 	$(BIN)/mypy
@@ -154,9 +152,9 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/python -m studies models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(STUDY_OUT)/tracking $(STUDY_OUT)/reproduce $(STUDY_OUT)/speed $(STUDY_OUT)/peers $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(STUDY_OUT)/torque $(STUDY_OUT)/saving)
+	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(STUDY_OUT)/tracking $(STUDY_OUT)/reproduce $(STUDY_OUT)/speed $(STUDY_OUT)/peers $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT))
 
-STUDIES_SHOWN = tracking reproduce speed loop-speed peers torque saving energy-front predicted-error
+STUDIES_SHOWN = tracking reproduce speed peers predicted-error
 
 results: $(READY) ## every report of the documents anew, and into the documents: some hours on a quiet machine
 	$(MAKE) bench-full edge robustness market prove tune
@@ -164,11 +162,8 @@ results: $(READY) ## every report of the documents anew, and into the documents:
 	$(BIN)/python -m studies.documents.documents $(OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(MARKET_OUT) $(PROVE_OUT) $(TUNE_OUT) \
 		$(addprefix $(STUDY_OUT)/,$(STUDIES_SHOWN))
 
-schemas: $(READY) ## write the JSON Schemas of all kinds of files again
-	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
-
-gallery: $(READY) ## the films of docs/see.md: some minutes
-	$(BIN)/python -m studies.gallery.build docs
+schemas: $(READY) ## write the JSON Schemas of controller, model and trajectory files again
+	$(BIN)/python -m diffdrive_mpc.app.schemas
 
 site: $(READY) ## the documents as a site: out/site
 	$(BIN)/python -m studies.site.staging out/site-pages
@@ -176,7 +171,7 @@ site: $(READY) ## the documents as a site: out/site
 	@echo "$(SITE_OUT)/index.html"
 
 lab: $(LAB_READY) ## the laboratory, one page for a browser that needs nothing else: out/lab.html
-	$(BIN)/python -m diffdrive_mpc_lab.build $(LAB_OUT)
+	$(BIN)/diffdrive-mpc lab --out $(LAB_OUT)
 
 notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages
 	$(BIN)/python -m studies.site.notebooks

@@ -33,18 +33,16 @@ class BuildWithCore(build_py):
             from diffdrive_mpc.models.compiled.compiler import NotCompiledError  # noqa: PLC0415
             from diffdrive_mpc.mpc.core.packaged import write_packaged as write_core  # noqa: PLC0415
             from diffdrive_mpc.sim.core.library import write_packaged as write_twin  # noqa: PLC0415
-            from diffdrive_mpc_monitor.judge import write_packaged as write_judge  # noqa: PLC0415
 
             package = Path(self.build_lib, "diffdrive_mpc")
             try:
                 write_core(package / "mpc" / "core")
-                write_judge(package / "mpc" / "monitor" / "core")
                 write_twin(package / "sim" / "core")
             except NotCompiledError as error:
                 sys.exit(f"error: the package's C is not compiled: {error}; install gcc, or take a wheel")
-            # Plug-ins register kinds of files in the metadata of the package.
+            # Plug-ins register structures of models in the metadata of the package.
             self.run_command("egg_info")
-            generate = [sys.executable, "-m", "diffdrive_mpc.app.schemas.generate", str(package.resolve())]
+            generate = [sys.executable, "-m", "diffdrive_mpc.app.schemas", str(package.resolve())]
             subprocess.run(generate, check=True, env=os.environ | {"PYTHONPATH": str(SOURCES)})
 
 

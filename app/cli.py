@@ -1,21 +1,28 @@
-"""The command line `diffdrive-mpc`. Commands live in `app.commands`, and import what they need when they run."""
+"""The command line `diffdrive-mpc`: the commands of `app.commands`, and those that installed packages register.
+
+A command imports what it needs when it runs. Entry points of the group `diffdrive_mpc.commands` add commands: the name
+of an entry is the name of the command, or `GROUP.NAME` for a command of a group such as `models`.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from diffdrive_mpc.app.former_names import WithFormerNames
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.models.errors import MissingPackageError
+from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.bench.command_line.options import PluggedCommand
+    from diffdrive_mpc.app.command_line.options import PluggedCommand
 
     app: typer.Typer
 
@@ -23,7 +30,7 @@ _HOME = "diffdrive_mpc.app.commands"
 
 
 class Commands(WithFormerNames, OneLineErrors):
-    """The commands."""
+    """The commands of this package and of installed packages."""
 
 
 class CommandEntry(NamedTuple):
@@ -40,29 +47,25 @@ class CommandEntry(NamedTuple):
 _COMMANDS = {
     "simulate": CommandEntry("Drive", "drives"),
     "bench": CommandEntry("Drive", "drives"),
-    "campaign": CommandEntry("Drive", "drives"),
-    "replay": CommandEntry("Drive", "drives"),
-    "animate": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
-    "excite": CommandEntry("Your robot", "robot"),
-    "twin": CommandEntry("Your robot", "robot"),
     "tune": CommandEntry("Your robot", "robot"),
-    "prove": CommandEntry("Your robot", "robot"),
-    "predict-error": CommandEntry("Your robot", "robot", "predict_error"),
-    "commission": CommandEntry("Your robot", "robot"),
-    "node": CommandEntry("Robot", "ros", passed_on=True),
+    "node": CommandEntry("Robot", "node", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
-    "monitor": CommandEntry("Robot", "ros", passed_on=True),
-    "export": CommandEntry("Robot", "ros"),
     "doctor": CommandEntry("Robot", "ros"),
-    "schema": CommandEntry("Files", "schema"),
 }
 _GROUPS = {"models": "models", "config": "config", "log": "log"}
 """Groups of commands, each with its module."""
 
 
-def command_line(only: str = "") -> typer.Typer:
-    """The command line; with `only` one of our commands of that name alone, for which no other is imported."""
+def command_line(words: Sequence[str] = ()) -> typer.Typer:
+    """Build the command line.
+
+    Parameters
+    ----------
+    words
+        Start of what was typed. If the first word is a command, only that command is imported; if it is a group, only
+        the commands of that group.
+    """
     made = typer.Typer(
         cls=Commands,
         no_args_is_help=True,
@@ -70,29 +73,52 @@ def command_line(only: str = "") -> typer.Typer:
         help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )
     made.callback(epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
-    every = _COMMANDS.keys() | _GROUPS.keys()
-    ours = {only} & every or every
-    for name, (panel, module, function, passed_on) in _COMMANDS.items():
-        if name in ours:
-            home = import_module(f"{_HOME}.{module}")
-            called = function or name
-            example = getattr(home, f"{called.upper()}_EXAMPLE")
-            settings = import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
-            add = made.command(name, epilog=example, rich_help_panel=panel, context_settings=settings)
-            add(getattr(home, called))
-    for plugged in _plugged() if ours == every else ():
-        made.command(plugged.name, epilog=plugged.example, rich_help_panel=plugged.panel)(plugged.run)
+    added = {name: name.partition(".") for name in plug_in_names("commands")}
+    every = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in added.values()}
+    chosen = {*words[:1]} & every or every
+    for name, entry in _COMMANDS.items():
+        if name in chosen:
+            _add_command(made, name, entry)
+    groups = {}
     for name, module in _GROUPS.items():
-        if name in ours:
-            group = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
-            made.add_typer(group, name=name, rich_help_panel="Files")
+        if name in chosen:
+            groups[name] = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
+            made.add_typer(groups[name], name=name, rich_help_panel="Files")
+    for entry_name, (first, _, second) in added.items():
+        is_named = not second or not words[1:] or words[1] == second or words[1].startswith("-")
+        if first in chosen and is_named:
+            _add_plugged(groups[first] if second else made, entry_name, second or first)
     return made
 
 
-def _plugged() -> tuple[PluggedCommand, ...]:
-    from diffdrive_mpc.models.plug_ins import plug_ins
+def _add_command(app: typer.Typer, name: str, entry: CommandEntry) -> None:
+    home = import_module(f"{_HOME}.{entry.module}")
+    called = entry.function or name
+    example = getattr(home, f"{called.upper()}_EXAMPLE")
+    add = app.command(name, epilog=example, rich_help_panel=entry.panel, context_settings=_settings(entry.passed_on))
+    add(getattr(home, called))
 
-    return plug_ins("commands")
+
+def _add_plugged(app: typer.Typer, entry_name: str, name: str) -> None:
+    """Add the command of a package; if its package cannot be imported, a command that raises the reason."""
+    if name in {command.name for command in app.registered_commands}:
+        return  # groups are shared by all command lines of a process
+    try:
+        plugged: PluggedCommand = plug_in("commands", entry_name)
+    except ImportError as error:
+        reason = str(error)
+
+        def refuse() -> None:
+            raise MissingPackageError(reason)
+
+        refuse.__doc__ = f"Not available: {reason}."
+        plugged = PluggedCommand("Not available", refuse, "")
+    settings = _settings(plugged.passed_on)
+    app.command(name, epilog=plugged.example, rich_help_panel=plugged.panel, context_settings=settings)(plugged.run)
+
+
+def _settings(passed_on: bool) -> dict[str, Any] | None:
+    return import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
 
 
 def _print_version(wanted: bool) -> None:
@@ -127,7 +153,7 @@ def main() -> None:
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     completing = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
-    app = command_line("" if completing else "".join(sys.argv[1:2]))
+    app = command_line([] if completing else sys.argv[1:3])
     # A shell that completes a line says it elsewhere.
     if not completing:
         build_only_named(app, sys.argv[1:])

@@ -1,44 +1,52 @@
-"""Former names of commands, each answered with the present one."""
+"""Former names of commands and options: a user who types one reads what does its job now."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import yaml
 from typer.core import TyperGroup
 
-_STUDIES = (
-    "tracking",
-    "robustness",
-    "worlds",
-    "peers",
-    "reproduce",
-    "saving",
-    "energy-front",
-    "speed",
-    "loop-speed",
-    "real-logs",
-    "models fit",
-    "models drives",
-    "models train",
-    "models calibrate",
-    "models truths",
-)
-_CLONE = "in a clone of the repository"
-MOVED = {
-    "robot": "`diffdrive-mpc sim-robot`",
-    "study": f"`python -m studies`, {_CLONE}",
-    "monitor-study": f"`python -m studies monitor`, {_CLONE}",
-    **{name: f"`python -m studies {name}`, {_CLONE}" for name in _STUDIES},
-}
-"""By the words that were typed, docs/moved.md."""
+from diffdrive_mpc.models.plug_ins import check_package
+
+
+@cache
+def former_names(kind: str) -> Mapping[str, str]:
+    """Return the lines for former names by the words that were typed; `kind` is `commands` or `options`."""
+    data = yaml.safe_load(Path(__file__).with_name("former_names.yaml").read_text(encoding="utf-8"))
+    return data[kind] or {}
+
+
+def check_options(words: Sequence[str]) -> None:
+    """Raise ValueError if a typed option of a command has another name now or was removed."""
+    for word in words[1:]:
+        option = f"{words[0]} {word.partition('=')[0]}"
+        if option in former_names("options"):
+            raise ValueError(f"{option}: {former_names('options')[option]}")
 
 
 class WithFormerNames(TyperGroup):
-    """A group of commands that knows their former names."""
+    """A group of commands that knows former names and the commands of packages that are not installed."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - of a class that typer hides
+        """Parse the words of the command line; raises ValueError if one is a former option."""
+        if ctx.parent is None and args and not ctx.resilient_parsing:
+            check_options(args)
+        return super().parse_args(ctx, args)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - of classes that typer hides
-        """The command of that name; None if there is none. Raises ValueError for a former name."""
+        """Return the command of that name; None if it is unknown.
+
+        Raises ValueError for a former name, and MissingPackageError if its package is not installed.
+        """
         words = cmd_name if ctx.parent is None else f"{ctx.info_name} {cmd_name}"
-        if words in MOVED and not ctx.resilient_parsing:
-            raise ValueError(f"{words}: this command is {MOVED[words]} now")
-        return super().get_command(ctx, cmd_name)
+        command = super().get_command(ctx, cmd_name)
+        if command is not None or ctx.resilient_parsing:
+            return command
+        if words in former_names("commands"):
+            raise ValueError(f"{words}: {former_names('commands')[words]}")
+        check_package("commands", words.replace(" ", "."))
+        return None

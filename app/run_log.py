@@ -18,7 +18,6 @@ from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.whole_file import reason, whole_file
 from diffdrive_mpc.sim import Run
 
-_SIMULATE = ("diffdrive-mpc", "simulate")
 WriteLog = Callable[..., None]
 
 
@@ -31,7 +30,7 @@ def holds_plans(log: Path | None) -> bool:
 def run_log(log: Path | None) -> Iterator[WriteLog]:
     """Give what writes the log of a run, where one is asked for; the file appears in the end, whole or not at all.
 
-    It takes the run, its case, and the arguments of `simulate` that repeat it, where those of the case do not.
+    It takes the run, its case, and the words of the command that repeats it if `simulate` does not.
 
     Parameters
     ----------
@@ -52,7 +51,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
             if holds_plans(log):
                 from diffdrive_mpc.sim.log_mcap import write_ticks  # noqa: PLC0415 - loads slowly
 
-                write_ticks(run, draft, _told(case, command or repeating(case)))
+                write_ticks(run, draft, _told(case, command or ["simulate", *repeating(case)]))
             else:
                 from diffdrive_mpc.sim.log_csv import write_rows  # noqa: PLC0415 - most runs leave no log
 
@@ -82,7 +81,7 @@ def repeating(case: Case) -> list[str]:
 def _told(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
     """What the file says of the run, by name of the record."""
     labels = {name: str(value) for name, value in case.labels.items()}
-    version = {"version": project_version(), "repeat": shlex.join([*_SIMULATE, *command])}
+    version = {"version": project_version(), "repeat": shlex.join(["diffdrive-mpc", *command])}
     metadata: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}
     if case.controller not in PEERS:
         config = controller_config(case.model, case.config, case.overrides)

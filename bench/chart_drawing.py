@@ -2,46 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
 from diffdrive_mpc.bench.figure_style import ERROR_MAP, MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, Series
+from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, RunViews, Series
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
 """Of a chart, and of each row of names below it [inches]."""
 _NAMES_IN_A_ROW = 3
+_DENSE = 100
+"""Number of points from which markers are small."""
 HATCHES = ("", "//", "..", "\\\\", "xx", "--", "++")
 _BARS = 0.84
 """Width of all bars of a category, of the distance between two."""
 
 
-def draw_charts(charts: Sequence[Chart | GridMap], path: Path, width: float = _WIDTH) -> None:
-    """Draw charts of a width [inches] side by side into the PNG file `path`; their names stand below, once."""
+def draw_charts(
+    charts: Sequence[Chart | GridMap], path: Path, width: float = _WIDTH, columns: int | None = None
+) -> None:
+    """Draw charts of a width [inches] into the PNG file `path`, `columns` in a row, by default all of them.
+
+    The names of the series are listed once, below the charts.
+    """
+    columns = columns or len(charts)
     names = {entry.name: None for chart in charts if isinstance(chart, Chart) for entry in chart.series}
-    rows = -(-len(names) // (_NAMES_IN_A_ROW * len(charts))) if len(names) > 1 else 0
-    with new_figure(path, width * len(charts), _HEIGHT + _LEGEND_ROW * rows) as figure:
-        panels = figure.subplots(1, len(charts), squeeze=False)[0]
-        for axes, chart in zip(panels, charts, strict=True):
+    legend_rows = -(-len(names) // (_NAMES_IN_A_ROW * columns)) if len(names) > 1 else 0
+    rows = -(-len(charts) // columns)
+    with new_figure(path, width * columns, _HEIGHT * rows + _LEGEND_ROW * legend_rows) as figure:
+        panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+        for axes in panels[len(charts) :]:
+            axes.set_visible(False)
+        for axes, chart in zip(panels, charts, strict=False):
             if isinstance(chart, GridMap):
                 shown = draw_map(axes, chart)
                 figure.colorbar(shown, ax=axes, label=chart.unit)
             else:
                 draw_chart(axes, chart)
             axes.set_title(chart.title)
-        handles: dict[str, Any] = {}
-        for axes in panels:
-            drawn_handles, labels = axes.get_legend_handles_labels()
-            handles |= dict(zip(labels, drawn_handles, strict=True))
-        if rows:
-            columns = min(len(names), _NAMES_IN_A_ROW * len(charts))
-            figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
+        if legend_rows:
+            _legend(figure, panels, min(len(names), _NAMES_IN_A_ROW * columns))
+
+
+def draw_run(views: RunViews, title: str, path: Path, draw_more: Callable[[Axes], None] = lambda _: None) -> None:
+    """Draw the plane of runs, `draw_more` on it, and their panes over time into the PNG file `path`."""
+    panes = views.panes
+    with new_figure(path, 9.6, 6.4) as figure:
+        grid = figure.add_gridspec(len(panes), 2, width_ratios=(1.1, 1.0))
+        plane = figure.add_subplot(grid[:, 0])
+        draw_chart(plane, views.plane)
+        draw_more(plane)
+        right = [figure.add_subplot(grid[row, 1]) for row in range(len(panes))]
+        for axes, chart in zip(right, panes, strict=True):
+            draw_chart(axes, chart)
+        for axes in right[:-1]:
+            axes.sharex(right[-1])
+            axes.tick_params(labelbottom=False)
+            axes.set_xlabel("")
+        figure.align_ylabels(right)
+        figure.suptitle(title)
+        _legend(figure, (plane, *right), 6)
+
+
+def _legend(figure: Figure, panels: Sequence[Axes], columns: int) -> None:
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        drawn_handles, labels = axes.get_legend_handles_labels()
+        handles = dict(zip(labels, drawn_handles, strict=True)) | handles
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
 
 
 def draw_chart(axes: Axes, chart: Chart) -> None:
@@ -65,6 +100,9 @@ def draw_chart(axes: Axes, chart: Chart) -> None:
     for mark in chart.marks:
         _draw_mark(axes, mark)
     axes.set(xlabel=chart.x.title, ylabel=chart.y.title)
+    if chart.equal:
+        axes.set_aspect("equal")
+        return
     if chart.y.range is not None:
         axes.set_ylim(chart.y.range)
     elif chart.y.type == "linear" and axes.get_ylim()[0] > 0.0:
@@ -128,11 +166,17 @@ def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: S
 
 def _draw_points(axes: Axes, series: Series, categories: Sequence[str]) -> None:
     x = [categories.index(str(value)) for value in series.x] if categories else _numbers(series.x)
+    if series.kind == "steps":
+        axes.step(x, list(map(str, series.y)), where="post", color=colour(series.style))
+        return
     y = _numbers(series.y)
     look: dict[str, Any] = {"color": colour(series.style), "label": series.name}
     look["linestyle"] = "none" if series.kind == "points" else line_style(series.style)
-    if series.kind != "line":
-        look |= {"marker": MARKERS[series.style % len(MARKERS)], "markersize": 4}
+    if series.kind == "reference":
+        look |= {"color": REFERENCE_COLOUR, "linestyle": ":", "linewidth": 2.0}
+    elif series.kind != "line":
+        size = 4.0 if len(series.x) < _DENSE else 1.5
+        look |= {"marker": MARKERS[series.style % len(MARKERS)], "markersize": size}
     axes.errorbar(x, y, yerr=_interval(series, y), capsize=3, **look)
 
 

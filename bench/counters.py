@@ -69,45 +69,12 @@ def _switches() -> int:
     return resource.getrusage(getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF)).ru_nivcsw
 
 
-class CoreCounters(NamedTuple):
-    """What the system says of one core since it was started; zero where it does not.
-
-    Time that programs and the kernel had it, and that the host took from it [s], in steps of some milliseconds; how
-    often it was throttled.
-    """
-
-    busy: float = 0.0
-    stolen: float = 0.0
-    throttled: int = 0
-
-    @classmethod
-    def read(cls, core: int | None) -> CoreCounters:
-        """Of a core by its number; zeros for None."""
-        if core is None:
-            return cls()
-        lines = _text("/proc/stat").splitlines()
-        # user, nice, system, idle, iowait, irq, softirq, steal
-        ticks = next(
-            ([int(word) for word in line.split()[1:9]] for line in lines if line.startswith(f"cpu{core} ")), None
-        )
-        throttled = _text(f"/sys/devices/system/cpu/cpu{core}/thermal_throttle/core_throttle_count")
-        if ticks is None or len(ticks) < 8:
-            return cls(throttled=int(throttled or 0))
-        each = 1.0 / os.sysconf("SC_CLK_TCK")
-        return cls(each * (sum(ticks[:3]) + ticks[5] + ticks[6]), each * ticks[7], int(throttled or 0))
-
-    def since(self, before: CoreCounters) -> CoreCounters:
-        """What was counted since `before`."""
-        return CoreCounters(self.busy - before.busy, self.stolen - before.stolen, self.throttled - before.throttled)
-
-    @property
-    def disturbed(self) -> bool:
-        """Whether, counted since something began, the host took time or the core was throttled."""
-        return self.stolen > 0 or self.throttled > 0
-
-
-def _text(path: str) -> str:
+def busy_time(core: int | None) -> float:
+    """Return the time for which a core was busy since the system started [s]; 0 if unknown."""
     try:
-        return Path(path).read_text(encoding="ascii")
+        lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
     except OSError:
-        return ""
+        return 0.0
+    # user, nice, system, idle, iowait, irq, softirq
+    ticks = next(([int(word) for word in line.split()[1:8]] for line in lines if line.startswith(f"cpu{core} ")), None)
+    return 0.0 if ticks is None else (sum(ticks[:3]) + sum(ticks[5:])) / os.sysconf("SC_CLK_TCK")

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -93,27 +94,30 @@ def total(rows: DataFrame, column: str) -> int:
     return int(values(rows, column).sum())
 
 
+def grouped(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ...], DataFrame]]:
+    """Group rows by columns in the order of first appearance; the first column varies most slowly.
+
+    `COMPARED` names controllers by all that varies inside the groups of the columns before it.
+    """
+    if not len(rows) or not columns:
+        return [((), rows)] if len(rows) else []
+    keys: list[pd.Series[Any]] = []
+    for column in columns:
+        if column == COMPARED:
+            texts = rows.groupby(keys, observed=True)["case"].transform(_names) if keys else _names(rows["case"])
+        else:
+            texts = rows[column].map(str)
+        keys.append(texts.astype(pd.CategoricalDtype(texts.unique())))
+    return [(tuple(map(str, names)), part) for names, part in rows.groupby(keys, observed=True)]
+
+
+def _names(cases: pd.Series[Any]) -> pd.Series[Any]:
+    return pd.Series(driver_names(list(cases)), cases.index)
+
+
 def by(rows: DataFrame, column: str) -> dict[str, DataFrame]:
-    """Rows by the value of a column, or by what is `COMPARED`, in the order of first appearance."""
-    if not len(rows):
-        return {}
-    if column == COMPARED:
-        rows = rows.assign(compared=driver_names(list(rows["case"])))
-    return {str(name): part for name, part in rows.groupby(column, sort=False, dropna=False)}
-
-
-def nested(rows: DataFrame, *columns: str) -> list[tuple[tuple[str, ...], DataFrame]]:
-    """Groups by several columns, the first varying most slowly."""
-    if not columns:
-        return [((), rows)]
-    first, *rest = columns
-    return [((name, *names), part) for name, own in by(rows, first).items() for names, part in nested(own, *rest)]
-
-
-def with_mean(rows: DataFrame, column: str) -> list[tuple[str, DataFrame]]:
-    """Group rows by a column; if there are several groups, all rows follow as another group, "mean"."""
-    parts = list(by(rows, column).items())
-    return [*parts, ("mean", rows)] if len(parts) > 1 else parts
+    """Return rows by the value of a column, or by what is `COMPARED`, in the order of first appearance."""
+    return {name: part for (name,), part in grouped(rows, [column])}
 
 
 def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,64 +24,43 @@ CONTENTS = ".contents.json"
 _LARGEST = 50 * MEGABYTE
 
 
-@dataclass(frozen=True)
-class Contents:
-    """Files of a folder, by their path in it.
-
-    Attributes
-    ----------
-    owners
-        The command that wrote each.
-    states
-        Size [bytes] and time of the last change [ns] of each, as it was left.
-    """
-
-    owners: Mapping[str, str] = field(default_factory=dict)
-    states: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, folder: Path) -> Contents:
-        """Of what is in a folder; of nothing where it does not say, or says what cannot be read."""
-        try:
-            stated: Any = parse_json(read_input(folder / CONTENTS, _LARGEST))
-            owners = {str(name): str(one["by"]) for name, one in stated.items()}
-            states = {str(name): (int(one["bytes"]), int(one["changed_ns"])) for name, one in stated.items()}
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            return cls()
-        whole = folder.resolve()
-        there = {name for name in owners if (whole / name).is_file() and (whole / name).resolve() == whole / name}
-        return cls({name: owners[name] for name in there}, {name: states[name] for name in there})
-
-    def others(self, name: str, owner: str) -> str:
-        """Which other command a file is of; empty for none."""
-        known = self.owners.get(name, owner)
-        return "" if known == owner else known
-
-    def page(self, owner: str) -> str:
-        """Name of the page of a command: its own where the usual one is that of another."""
-        return f"{owner}.html" if self.others(REPORT, owner) else REPORT
-
-    def stale(self, folder: Path, owner: str, new: set[str]) -> list[str]:
-        """What the command wrote there before, and is not in `new`; what was changed since, or is read, stays."""
-        left = [
-            name
-            for name, known in self.owners.items()
-            if known == owner and name not in new and not is_read((folder / name).resolve())
-        ]
-        return sorted(name for name in left if _state(folder / name) == self.states[name])
-
-    def text(self, folder: Path, owner: str, new: set[str]) -> str:
-        """What the folder is to say once the command has written `new`."""
-        kept = {name: by for name, by in self.owners.items() if by != owner and name not in new}
-        entries = {name: (by, self.states[name]) for name, by in kept.items()}
-        entries |= {name: (owner, _state(folder / name)) for name in new}
-        rows = {name: {"by": by, "bytes": size, "changed_ns": time} for name, (by, (size, time)) in entries.items()}
-        return json.dumps(dict(sorted(rows.items())), indent=0) + "\n"
+Entries = dict[str, dict[str, Any]]
+"""Files of a folder by their path in it: the command that wrote each, size [bytes] and time of the last change [ns]."""
 
 
-def _state(path: Path) -> tuple[int, int]:
+def _contents(folder: Path) -> Entries:
+    """Return the entries of a folder; none if its list cannot be read."""
+    try:
+        listed: Any = parse_json(read_input(folder / CONTENTS, _LARGEST))
+        entries = {str(name): _entry(str(of["by"]), of["bytes"], of["changed_ns"]) for name, of in listed.items()}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}
+    whole = folder.resolve()
+    return {name: of for name, of in entries.items() if (path := whole / name).is_file() and path.resolve() == path}
+
+
+def _entry(owner: str, size: int, changed: int) -> dict[str, Any]:
+    return {"by": owner, "bytes": int(size), "changed_ns": int(changed)}
+
+
+def _entry_of(path: Path, owner: str) -> dict[str, Any]:
     status = path.stat()
-    return status.st_size, status.st_mtime_ns
+    return _entry(owner, status.st_size, status.st_mtime_ns)
+
+
+def _other_owner(entries: Entries, name: str, owner: str) -> str:
+    """Return the command that wrote a file; empty if it is `owner` or unknown."""
+    known = str(entries.get(name, {}).get("by", owner))
+    return "" if known == owner else known
+
+
+def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[str]:
+    """Return files that the command wrote before and not now; a file that was changed since, or is read, stays."""
+    return sorted(
+        name
+        for name, entry in entries.items()
+        if entry == _entry_of(folder / name, owner) and name not in new and not is_read((folder / name).resolve())
+    )
 
 
 @contextmanager
@@ -168,30 +146,32 @@ def staged(
         yield results
         if owner and shared:
             stack.enter_context(alone_in(place, target, wait=True))
-        before = Contents.of(place)
-        if owner and (results / REPORT).exists():
-            (results / REPORT).rename(results / before.page(owner))
+        before = _contents(place)
+        if owner and (results / REPORT).exists() and _other_owner(before, REPORT, owner):
+            (results / REPORT).rename(results / f"{owner}.html")
         for path in sorted(results.rglob("*")):
             _check_kind(place, path.relative_to(results), target, folder=path.is_dir())
             if owner and path.is_file():
                 within = path.relative_to(results)
                 check_not_read(place / within, f"--out {target / within}")
         new = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
-        stale = before.stale(place, owner, {*new, *files}) if owner else []
+        stale = _stale(before, place, owner, {*new, *files}) if owner else []
         if owner:
-            (results / CONTENTS).write_text(before.text(results, owner, new), encoding="utf-8")
+            entries = {name: entry for name, entry in before.items() if entry["by"] != owner and name not in new}
+            entries |= {name: _entry_of(results / name, owner) for name in new}
+            text = json.dumps(dict(sorted(entries.items())), indent=0) + "\n"
+            (results / CONTENTS).write_text(text, encoding="utf-8")
         _put_in_place(results, place, old, files, stale)
 
 
 def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -> None:
     """Refuse to replace a file of another command; of its page only the name is another."""
-    known = Contents.of(place)
-    for name in files:
-        other = known.others(name, owner)
-        if owner and other and name != REPORT:
+    known = _contents(place)
+    for name in files if owner else ():
+        other = _other_owner(known, name, owner)
+        if other and name != REPORT:
             raise ConfigError(f"--out {target}: '{name}' there is a result of `{other}`; give another folder")
-        if owner:
-            check_not_read(place / name, f"--out {target / name}")
+        check_not_read(place / name, f"--out {target / name}")
 
 
 def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:

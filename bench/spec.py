@@ -12,10 +12,10 @@ from pandas import DataFrame
 from pydantic import Field
 
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, check_count
-from diffdrive_mpc.bench.cells import Cell, TableSpec
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, run_case
 from diffdrive_mpc.bench.experiment import ExperimentRun, Measure, drive_all, json_rows
 from diffdrive_mpc.bench.experiment_file import ExperimentFile, Value, Varied
+from diffdrive_mpc.bench.grouped_tables import Cell, TableSpec
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study, check_parts

@@ -52,13 +52,35 @@ class RichTables:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the parts, one below the other."""
-        parts = _split(self.table, options.max_width)
-        for i, (columns, widths) in enumerate(parts):
+        parts = self._parts(options.max_width)
+        for i, columns in enumerate(parts):
             if i > 0:
                 yield Text()
-            yield self._part(columns, widths, is_first=i == 0, is_last=i == len(parts) - 1)
+            yield self._part(columns, is_first=i == 0, is_last=i == len(parts) - 1)
 
-    def _part(self, columns: Sequence[int], widths: Sequence[int], *, is_first: bool, is_last: bool) -> RichTable:
+    def _parts(self, width: int) -> list[list[int]]:
+        """Return the columns of each part of at most `width` characters."""
+        names = list(range(self.table.text_columns))
+        parts = [names]
+        room = width - min(sum(self._min_width(i) + _GAP for i in names), width // 2)
+        left = room
+        for i in range(len(names), len(self.table.columns)):
+            needed = self._min_width(i) + _GAP
+            if needed > left and len(parts[-1]) > len(names):
+                parts.append(names)
+                left = room
+            parts[-1] = [*parts[-1], i]
+            left -= needed
+        return parts
+
+    def _min_width(self, column: int) -> int:
+        """Return the width of the longest word of a text or heading, and of the longest number, which do not break."""
+        is_number = column >= self.table.text_columns
+        cells = [plain_line(row[column]) for row in self.table.rows]
+        words = [word for cell in (_brief(self.table.columns[column]), *cells) for word in cell.split()]
+        return max(map(cell_len, [*words, *(cells if is_number else [])]), default=0)
+
+    def _part(self, columns: Sequence[int], *, is_first: bool, is_last: bool) -> RichTable:
         table = self.table
         drawn = RichTable(
             title=Text(table.title, style="bold") if is_first else None,
@@ -71,56 +93,19 @@ class RichTables:
             pad_edge=False,
             show_edge=False,
         )
-        for column, width in zip(columns, widths, strict=True):
-            justify: Literal["left", "right"] = "right" if column >= table.text_columns else "left"
-            drawn.add_column(Text(_brief(table.columns[column])), justify=justify, width=width, overflow="fold")
+        for column in columns:
+            is_number = column >= table.text_columns
+            justify: Literal["left", "right"] = "right" if is_number else "left"
+            min_width = self._min_width(column) if is_number else None
+            drawn.add_column(Text(_brief(table.columns[column])), justify=justify, min_width=min_width, overflow="fold")
         for row in table.rows:
             drawn.add_row(*(Text(plain_line(row[column])) for column in columns))
         return drawn
 
 
 def rich_table(table: plain.TextTable) -> RichTables:
-    """A table for the terminal."""
+    """Return a table for the terminal."""
     return RichTables(table)
-
-
-def _split(table: plain.TextTable, width: int) -> list[tuple[list[int], list[int]]]:
-    """The columns of each part of a table of at most `width` characters, with their widths."""
-    cells = [
-        [_brief(heading), *map(plain_line, column)] for heading, *column in zip(table.columns, *table.rows, strict=True)
-    ]
-    wide = [max(map(cell_len, column)) for column in cells]
-    # Texts and headings break between words, numbers not at all.
-    least = [max(cell_len(word) for cell in column for word in cell.split() or [""]) for column in cells]
-    columns = list(range(len(cells)))
-    names, numbers = columns[: table.text_columns], columns[table.text_columns :]
-    for i in numbers:
-        least[i] = max([least[i], *map(cell_len, cells[i][1:])])
-    # Where there is no room for the names and one number, names break within words, too; those on the left last.
-    room = width - max((least[i] + _GAP for i in numbers), default=0)
-    unbroken = [min(least[i], room // 3) if i == 0 else 1 for i in names]
-    least[: len(names)] = _fit(least[: len(names)], unbroken, room)
-    parts = [names]
-    for i in numbers:
-        if len(parts[-1]) > len(names) and _total([least[j] for j in (*parts[-1], i)]) > width:
-            parts.append(names)
-        parts[-1] = [*parts[-1], i]
-    return [(part, _fit([wide[i] for i in part], [least[i] for i in part], width)) for part in parts]
-
-
-def _fit(widths: Sequence[int], least: Sequence[int], total: int) -> list[int]:
-    """Make the widest columns narrower, none below its `least`, until all of them fit into `total` characters."""
-    fitted = list(widths)
-    while _total(fitted) > total:
-        shrinkable = [i for i, width in enumerate(fitted) if width > least[i]]
-        if not shrinkable:
-            break
-        fitted[max(shrinkable, key=lambda i: fitted[i])] -= 1
-    return fitted
-
-
-def _total(widths: Sequence[int]) -> int:
-    return sum(widths) + _GAP * (len(widths) - 1)
 
 
 def millis(value: float) -> str:

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
-from diffdrive_mpc.bench.counters import CoreCounters, Effort, watched
+from diffdrive_mpc.bench.counters import Effort, busy_time, watched
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.runner import NotReproducibleError, OnDone
 from diffdrive_mpc.bench.turns import take_turns
@@ -93,10 +93,10 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
     """
     groups = list(_grouped(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
-        began, own, counted = time.perf_counter(), time.process_time(), CoreCounters.read(core)
+        began, own, counted = time.perf_counter(), time.process_time(), busy_time(core)
         replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
-        durations, best = take_turns(replays, core=core, on_replay=on_done)
-        busy = CoreCounters.read(core).since(counted).busy - (time.process_time() - own)
+        durations, best = take_turns(replays, on_replay=on_done)
+        busy = busy_time(core) - counted - (time.process_time() - own)
         others = max(0.0, busy) / (time.perf_counter() - began)
     times = {
         outcome.case: one

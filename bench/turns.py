@@ -9,12 +9,12 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffdrive_mpc.bench.counters import CoreCounters, Effort
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.models.interface import FloatArray
 
 BLOCK = 25
@@ -82,13 +82,11 @@ class TurnTimes:
         return self.only_clean if self.clean.any() else self.times
 
 
-@dataclass(eq=False)
-class _Measured:
+class _Measured(NamedTuple):
     """One turn."""
 
     times: FloatArray
     effort: Effort
-    disturbed: bool = False
 
 
 @dataclass(eq=False)
@@ -106,23 +104,21 @@ class _Track:
         size = self.stretch if first and self.stretch else last - first
         return [(begin, min(begin + size, last)) for begin in range(first, last, size)]
 
-    def take(self, first: int, last: int) -> list[_Measured]:
+    def take(self, first: int, last: int) -> None:
         """Have a turn."""
-        turn = []
         for begin, end in self.stretches(first, last):
             result = self.replay.run(begin, end)
             if result is None:
                 self.failed = True
                 break
-            turn.append(_Measured(*result))
-            self.blocks.setdefault(begin, []).append(turn[-1])
+            turn = _Measured(*result)
+            self.blocks.setdefault(begin, []).append(turn)
             if not self.stretch:
-                self.stretch = max(1, int(STRETCH / max(turn[-1].effort.elapsed / (end - begin), 1e-9)))
-        return turn
+                self.stretch = max(1, int(STRETCH / max(turn.effort.elapsed / (end - begin), 1e-9)))
 
     def clean(self, block: int, best: float) -> list[_Measured]:
         """Undisturbed measurements of the stretch that begins at a tick."""
-        return [one for one in self.blocks.get(block, []) if not one.disturbed and one.effort.undisturbed(best)]
+        return [turn for turn in self.blocks.get(block, []) if turn.effort.undisturbed(best)]
 
     def end(self, best: float, block: int) -> int:
         """The tick after the last turn in which a stretch lacks clean measurements; 0 if none does."""
@@ -139,9 +135,10 @@ class _Track:
         times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
         clean = np.zeros(times.shape[:2], dtype=bool)
         for first, turns in self.blocks.items():
+            # Where there are too few good ones, disturbed ones replace them; they stay marked as such.
             good = self.clean(first, best)
-            # Where there are too few, disturbed ones stand in; they stay marked as such.
-            chosen = (good + [turn for turn in turns if turn not in good])[: self.repetitions]
+            bad = [turn for turn in turns if not turn.effort.undisturbed(best)]
+            chosen = (good + bad)[: self.repetitions]
             for row, one in enumerate(chosen):
                 place = slice(first, first + len(one.times))
                 times[row, place], clean[row, place] = one.times, row < len(good)
@@ -155,7 +152,6 @@ def take_turns(
     *,
     repetitions: int = 1,
     block: int = BLOCK,
-    core: int | None = None,
     on_replay: Callable[[], None] = lambda: None,
 ) -> tuple[list[list[TurnTimes]], float]:
     """Replay everything until every block was measured undisturbed, `AGAIN` times more than wanted or out of patience.
@@ -168,8 +164,6 @@ def take_turns(
         Undisturbed measurements that are wanted of each block.
     block
         Ticks of a turn.
-    core
-        The core that all of them run on, for its counters; None where that is not known.
     on_replay
         Called for each replay of the first pass.
 
@@ -189,7 +183,7 @@ def take_turns(
         for group in tracks:
             if perf_counter() > deadline:
                 break
-            _go_round([track for track in group if track.end(best, block)], best, block, core)
+            _go_round([track for track in group if track.end(best, block)], best, block)
             best = min(
                 [best, *(turn.effort.pace for track in group for turns in track.blocks.values() for turn in turns)]
             )
@@ -198,19 +192,14 @@ def take_turns(
     return [[track.result(best, block) for track in group] for group in tracks], float(best)
 
 
-def _go_round(group: list[_Track], best: float, block: int, core: int | None) -> None:
+def _go_round(group: list[_Track], best: float, block: int) -> None:
     """One pass of a group, each as far as it lacks clean blocks."""
     ends = {id(track): track.end(best, block) for track in group}
     for track in group:
         track.replay.restart()
     for turn, first in enumerate(range(0, max(ends.values(), default=0), block)):
-        before, measured = CoreCounters.read(core), []
         # Each is the first once in a while.
         for track in itertools.islice(itertools.cycle(group), turn % len(group), turn % len(group) + len(group)):
             last = min(first + block, ends[id(track)])
-            if track.failed or first >= last:
-                continue
-            measured += track.take(first, last)
-        disturbed = CoreCounters.read(core).since(before).disturbed
-        for row in measured:
-            row.disturbed = disturbed
+            if not track.failed and first < last:
+                track.take(first, last)

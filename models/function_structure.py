@@ -43,6 +43,8 @@ class FunctionStructure:
         A function that raises MissingPackageError where what the finder needs is not installed; empty for nothing.
     shipped
         The parameter file of its shipped model, if there is one.
+    config
+        The configuration of a controller with that model, if there is one; `load_config` reads it by `name`.
     slow
         Whether a comparison leaves it out unless it is named.
     """
@@ -57,6 +59,7 @@ class FunctionStructure:
     finder_function: str
     check: str = ""
     shipped: Path | None = None
+    config: Path | None = None
     slow: bool = False
 
     def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.function_structure import FunctionStructure, function_structures
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
@@ -91,13 +92,19 @@ def load_base_effects(name: str | Path) -> BaseEffects:
 
 
 def model_path(name: str | Path) -> Path:
-    """The parameter file behind `name`; raises ConfigError when there is none."""
+    """Return the parameter file behind `name`.
+
+    Raises ConfigError if there is none, and MissingPackageError if a package that is not installed ships the model.
+    """
     if str(name) in ROBOT_NAMES:
         return ROBOTS / f"{name}.yaml"
     if str(name) in _LINEAR:
         return _LINEAR[str(name)]
     shipped = _shipped()
-    return shipped.get(str(name)) or named_file("model", PARAMETERS, name, tuple(shipped))
+    if str(name) in shipped:
+        return shipped[str(name)]
+    check_package("models", name)
+    return named_file("model", PARAMETERS, name, tuple(shipped))
 
 
 def read_model_file(path: str | Path) -> ModelFile:
@@ -120,6 +127,7 @@ def _structure(data: object) -> str:
 def _checked(path: str | Path, data: object) -> ModelFile:
     structure = STRUCTURES.get(_structure(data))
     if structure is None:
+        check_package("structures", _structure(data))
         known = ", ".join((*STRUCTURES, *function_structures()))
         declared = data.get("structure") if isinstance(data, Mapping) else None
         raise ConfigError(f"{path}: structure: expected one of {known}, found {declared!r}")

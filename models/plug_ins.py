@@ -18,11 +18,20 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from diffdrive_mpc.models.errors import MissingPackageError
 
-GROUPS = ("commands", "structures", "features", "node_parts", "plants", "peers", "columns", "dimensions", "files")
+GROUPS = (
+    "commands",
+    "structures",
+    "features",
+    "node_parts",
+    "plants",
+    "peers",
+    "columns",
+    "dimensions",
+    "files",
+    "parameter_writers",
+)
 
 
 @cache
@@ -61,6 +70,8 @@ def plug_ins(group: str) -> tuple[Any, ...]:
 @cache
 def known_packages() -> Mapping[str, Mapping[str, str]]:
     """Return the package of every part that this project's own packages register, by group and name."""
+    import yaml  # noqa: PLC0415 - names that are registered need no file
+
     data = yaml.safe_load(Path(__file__).with_name("known_packages.yaml").read_text(encoding="utf-8"))
     return {
         group: {name: package for package, names in packages.items() for name in names}
@@ -70,9 +81,16 @@ def known_packages() -> Mapping[str, Mapping[str, str]]:
 
 def missing_part(group: str, name: str) -> str:
     """Return one line that says which package has a part and how to install it."""
-    kind = {"node_parts": "node part", "columns": "column"}.get(group, group.removesuffix("s"))
+    kind = group.removesuffix("s").replace("_", " ")
     package = known_packages().get(group, {}).get(name)
+    name = name.replace(".", " ") if group == "commands" else name
     if package is None:
         return f"{kind} '{name}': no installed package has it; installed: {', '.join(_entries(group)) or 'none'}"
     extra = package.removeprefix("diffdrive-mpc-")
     return f"{kind} '{name}' is in the package {package}: pip install 'diffdrive-mpc[{extra}]'"
+
+
+def check_package(group: str, name: object) -> None:
+    """Raise MissingPackageError if a known package has the part `name` of a group; call it if the part is not found."""
+    if str(name) in known_packages().get(group, {}):
+        raise MissingPackageError(missing_part(group, str(name)))

@@ -1,12 +1,20 @@
-"""The command line of the studies, `python -m studies NAME` in a clone."""
+"""The command line of the studies, `python -m studies NAME` in a clone.
+
+A package has its studies in `packages/PACKAGE/studies/NAME`, with the function `run` and its `EXAMPLE` in `command.py`.
+`studies` is a namespace package: the folders of the packages are parts of it.
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
 
 import typer
 
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from studies.commands import studies
 from studies.commands.shipped_models import shipped_models_app
 
@@ -26,6 +34,19 @@ app = typer.Typer(
 )
 for _name, _study in studies.STUDIES.items():
     app.command(_name, epilog=studies.EXAMPLES[_name])(_study)
+
+
+def _package_studies() -> Iterator[tuple[str, ModuleType]]:
+    """Yield the studies of packages: name and module of each command; makes their folders importable."""
+    for file in sorted(Path(__file__).resolve().parents[1].glob("packages/*/studies/*/command.py")):
+        package, name = str(file.parents[2]), file.parent.name
+        if package not in sys.path:
+            sys.path.append(package)
+        yield name.replace("_", "-"), import_module(f"studies.{name}.command")
+
+
+for _name, _module in _package_studies():
+    app.command(_name, epilog=_module.EXAMPLE)(_module.run)
 app.add_typer(shipped_models_app, name="models")
 
 

@@ -1,27 +1,30 @@
-"""Searches of the product cut to a few steps, for tests of what comes before and after them."""
+"""Searches cut to a few steps, for tests of the code before and after them."""
 
 from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
 
 import pytest
 
 from diffdrive_mpc.app.identification import trial_drives
-from diffdrive_mpc.mpc.trajectories import model_excitation
-from diffdrive_mpc_extras.hybrids import finding as hybrid
-from diffdrive_mpc_extras.twin import fitting
 
-SHORTER = (
-    (model_excitation, "model_excitation_settings", {"population": 6, "generations": 1}),
-    (hybrid, "hybrid_settings", {"units": 6, "decays": (1e-3,), "most_steps": 80}),
-    (fitting, "twin_settings", {"evaluations": (2, 3), "refined": 1}),
-)
-"""Module, its function that reads the settings, and what is changed in them."""
+SHORTER = {
+    "diffdrive_mpc_extras.excitation.model_excitation": (
+        "model_excitation_settings",
+        {"population": 6, "generations": 1},
+    ),
+    "diffdrive_mpc_extras.hybrids.finding": ("hybrid_settings", {"units": 6, "decays": (1e-3,), "most_steps": 80}),
+    "diffdrive_mpc_extras.twin.fitting": ("twin_settings", {"evaluations": (2, 3), "refined": 1}),
+}
+"""Modules of a package that may be missing: the function that reads the settings, and changes of them."""
 
 
 @contextmanager
 def quick_settings():
-    """Search for drives, train hybrids and fit twins with `SHORTER`, and try what was identified along one path."""
+    """Search, train and fit with `SHORTER`, and try an identified model along one path."""
     with pytest.MonkeyPatch.context() as patch:
-        for module, name, changes in SHORTER:
+        for place, (name, changes) in SHORTER.items() if find_spec("diffdrive_mpc_extras") else ():
+            module = import_module(place)
             settings = getattr(module, name)().model_copy(update=changes)
             patch.setattr(module, name, lambda settings=settings: settings)
         patch.setattr(trial_drives, "PATHS", ("circle",))

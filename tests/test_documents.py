@@ -33,27 +33,19 @@ PART_OF_CI = {
         'NAME=speed OPTIONS="--quick --horizons 10"'
     ),
     "python -m studies tracking --out out/tracking --quick --only cross": 'NAME=tracking OPTIONS="--quick',
-    "python -m studies real-logs husky --out husky-proof": "-m studies real-logs husky --out husky-proof",
 }
 # Commands that a test of their own runs with the same options, to look at what they leave.
 RUN_IN_TESTS = {
-    "python -m studies energy-front --quick --out front": "studies/test_energy_front.py",
-    "python -m studies saving --quick --out saved": "studies/test_saving_study.py",
-    "python -m studies torque --quick --out turn": "studies/test_torque_study.py",
-    "diffdrive-mpc commission heavy --inside 5x4 --out my_robot --quick": "app/test_commission.py",
-    "diffdrive-mpc simulate --config my_robot/robot/config.yaml --plant mujoco:heavy --trajectory square": (
-        "app/test_commission.py"
-    ),
-    "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "app/test_speed_passport.py",
-    "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "models/test_model_comparison.py",
+    "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "packages/extras/tests/test_speed_passport.py",
+    "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "packages/extras/tests/test_model_comparison.py",
 }
-PLACES = {"front", "saved", "turn", "my_robot", "passport"}
+PLACES = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
 # What of a command says that it needs a program of the system.
-NEEDS = {".mp4": "film", "--render": "rendering", "--view": "window", "--emulate": "microcontroller"}
+NEEDS = {"--view": "window", "--emulate": "microcontroller"}
 RUN_BY_CI = re.compile(
     r"make (bench|study NAME=(tracking|reproduce|speed)|site|test|test-system|lint|types|wheel|fuzz)$"
 )
@@ -93,7 +85,7 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
                     assert RUN_BY_CI.match(line), f"{named(document)}: `{line}` is run by no test"
                 elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
                     continue
-                elif "$DIFFDRIVE_MPC_DATA" in line or "real-logs" in line:
+                elif "$DIFFDRIVE_MPC_DATA" in line:
                     raise AssertionError(f"{named(document)}: .ci/run does not have `{line}`")
                 elif words[:3] == ["python", "-m", "studies"]:
                     invoked(studies_app, words[3:], "python -m studies")

@@ -10,12 +10,12 @@ import time
 
 import numpy as np
 import pytest
+from recorded_drive import read_drive
+from two_processes import own_domain, running
 from typer.testing import CliRunner
 
 from diffdrive_mpc import load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
-from studies.ros.recorded_drive import read_drive
-from studies.ros.two_processes import own_domain, running
 
 PERIOD, TRUTH_STEP = 0.05, 0.005
 DEAD_TIME, LAG_V, LAG_OMEGA, YAW_GAIN = 0.12, 0.22, 0.18, 0.7

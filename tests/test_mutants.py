@@ -4,7 +4,13 @@ import pytest
 
 import mutants
 
-FOLDERS = ("mpc/core", "mpc/problem", "models/structures", "sim/metrics", "mpc/monitor/core")
+FOLDERS = (
+    "mpc/core",
+    "mpc/problem",
+    "models/structures",
+    "sim/metrics",
+    "packages/monitor/src/diffdrive_mpc_monitor/core",
+)
 
 
 def test_every_file_of_the_core_has_tests():

@@ -1,8 +1,11 @@
-"""The system suite says what it needs, and a run without it says how many tests it holds."""
+"""Runs of a part of the tests end with the number of tests left out and with what those need."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 
@@ -16,15 +19,33 @@ def test_without_its_programs_it_fails_with_one_line_that_names_the_packages(tmp
     done = run_pytest("-m", "system", PATH=str(tmp_path), HOME=str(tmp_path))
     assert done.returncode != 0
     (line,) = done.stderr.strip().splitlines()
-    assert line.startswith("ERROR: the system suite cannot run: not installed: chromium, ffmpeg, ")
-    assert " on Debian or Ubuntu: sudo apt-get install chromium ffmpeg " in line
+    assert line.startswith("ERROR: the system suite cannot run: not installed: chromium, firefox-esr, ")
+    assert " on Debian or Ubuntu: sudo apt-get install chromium firefox-esr " in line
 
 
 def test_a_run_without_it_ends_with_its_size(tmp_path):
     """In the process of pytest, and with a worker of xdist."""
     for workers in ("0", "1"):
-        words = ("-n", workers, "-m", "not system", "tests/sim/test_view.py", "-k", "thinned")
+        words = ("-n", workers, "-m", "not system", "tests/sim/test_view.py", "-k", "missing_display")
         done = run_pytest(*words, PATH=str(tmp_path), HOME=str(tmp_path))
         assert done.returncode == 0, done.stdout
         last = done.stdout.rstrip().splitlines()[-1]
-        assert last.startswith("6 more tests need Debian packages (") and last.endswith("): make test-system")
+        assert last.startswith("1 more tests need Debian packages (") and last.endswith("): make test-system")
+
+
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_run_without_real_logs_ends_with_their_number_and_source(workers):
+    environment = {name: value for name, value in os.environ.items() if name != "DIFFDRIVE_MPC_DATA"}
+    done = run_pytest("-n", workers, "tests/models/test_logs_real.py", **environment)
+    assert done.returncode == 0, done.stdout
+    assert done.stdout.rstrip().splitlines()[-1] == (
+        "6 more tests need real logs: set DIFFDRIVE_MPC_DATA to a folder with norlab_husky_tile/ and "
+        "norlab_warthog_terrains/ (NORLAB, BSD-3-Clause; see CONTRIBUTING.md)"
+    )
+
+
+def test_missing_folder_of_real_logs_fails_with_one_line(tmp_path):
+    done = run_pytest("tests/models/test_logs_real.py", **os.environ | {"DIFFDRIVE_MPC_DATA": str(tmp_path / "logs")})
+    assert done.returncode != 0
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("ERROR: DIFFDRIVE_MPC_DATA: no folder ")

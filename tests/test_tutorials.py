@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_drive import read_drive
+from two_processes import own_domain
 
 from diffdrive_mpc import load_config, load_trajectory
-from studies.ros.recorded_drive import read_drive
-from studies.ros.two_processes import own_domain
 from studies.site.notebooks import executed, notebook_text, pictures
 
 FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"

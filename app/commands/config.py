@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.commands.options import RobotName
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
 
 config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain controller configurations.")
 
@@ -67,32 +67,38 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configurat
 def schema(
     part: Annotated[
         str | None,
-        typer.Argument(metavar="KEY", help="A group or key, such as weights or limits.v.", show_default="all of them"),
+        typer.Argument(
+            metavar="KEY",
+            help="A group or key, such as weights or limits.v; with --json controller, model or trajectory.",
+            show_default="all of them",
+        ),
     ] = None,
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="The JSON schema, for editors.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="The JSON Schema of a kind of file, for editors; by default controller.")
+    ] = False,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the JSON schema here.", show_default="standard output")
+        Path | None, typer.Option(metavar="FILE", help="Write the JSON Schema here.", show_default="standard output")
     ] = None,
 ) -> None:
     """List every key, or those of a group, with default, unit, range and meaning.
 
-    With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
+    With a first line `# yaml-language-server: $schema=FILE` in a YAML file, editors complete and check its keys.
     """
-    from diffdrive_mpc.app.config_report import print_schema  # noqa: PLC0415
-    from diffdrive_mpc.app.schemas.generate import schema_text  # noqa: PLC0415
-    from diffdrive_mpc.bench.command_line.file_kinds import KINDS  # noqa: PLC0415
-    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+    if not as_json:
+        from diffdrive_mpc.app.config_report import print_schema  # noqa: PLC0415
+        from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+
+        if out is not None:
+            raise ConfigError("--out is for the JSON Schema; give --json too")
+        print_schema(part)
+        return
+    from diffdrive_mpc.app.schemas import json_schema  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
 
-    if part is not None and as_json:
-        raise ConfigError(f"--json is the schema of the whole configuration; leave '{part}' out")
-    if out is not None and not as_json:
-        raise ConfigError("--out is for the JSON schema; give --json too")
-    if out is not None:
-        with whole_file(out) as draft:
-            draft.write_text(schema_text(KINDS["controller"]), encoding="utf-8")
-    elif as_json:
-        echo(schema_text(KINDS["controller"]), nl=False)
-    else:
-        print_schema(part)
+    text = json_schema(part or "controller")
+    if out is None:
+        echo(text, nl=False)
+        return
+    with whole_file(out) as draft:
+        draft.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc log`: logs in other programs."""
+"""`diffdrive-mpc log`: work with logs of drives."""
 
 from __future__ import annotations
 
@@ -7,27 +7,39 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.options import out_option
+from diffdrive_mpc.app.commands.options import ConfigFile, Settings, TrustedFolders
+from diffdrive_mpc.app.former_names import WithFormerNames
 
-log_app = typer.Typer(no_args_is_help=True, help="Open logs in Foxglove, PlotJuggler and Rerun.")
-
-
-@log_app.command(epilog="Example: diffdrive-mpc log layouts --out layouts")
-def layouts(out: Annotated[Path, out_option("foxglove.json and plotjuggler.xml")]) -> None:
-    """Write the layouts for Foxglove and PlotJuggler that fit the topics of a log."""
-    from diffdrive_mpc.app.layouts import write_layouts  # noqa: PLC0415 - --help does without it
-
-    for path in write_layouts(out):
-        echo(path)
+log_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="Replay logs of drives.")
 
 
-@log_app.command(epilog="Example: diffdrive-mpc log rerun drive.mcap --to drive.rrd")
-def rerun(
-    file: Annotated[Path, typer.Argument(metavar="LOG", help="A log of `simulate` or of the node, .mcap or .csv.")],
-    to: Annotated[str, typer.Option(metavar="live|FILE.rrd", help="Open the viewer, or write a file for it.")] = "live",
+@log_app.callback()
+def _log() -> None:
+    """Replay logs of drives."""
+
+
+@log_app.command(epilog="Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of simulate or of the node: .csv or .mcap.")],
+    *,
+    config: ConfigFile = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Velocity model in place of the configuration's.", show_default="that of --config, or of the log"
+        ),
+    ] = None,
+    settings: Settings = None,
+    trajectory: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="Tracked reference.", show_default="the one in the log")
+    ] = None,
+    trust_terms: TrustedFolders = None,
 ) -> None:
-    """Show a log in Rerun: robot, plan and reference, and the numbers over time. Needs the extra `rerun`."""
-    from diffdrive_mpc.app.rerun_view import show_log  # noqa: PLC0415 - --help does without it
+    """Repeat every tick of a recorded drive, and print the largest difference of the commands [m/s, rad/s].
 
-    echo(f"{file}: {show_log(file, to)} ticks" + (f", {to}" if to != "live" else ""))
+    The controller gets the recorded measurements, and believes that the recorded commands went out. A CSV log holds no
+    configuration: give the one that drove by --config or --model.
+    """
+    from diffdrive_mpc.app.replay.replay import ReplayRequest, replay_log  # noqa: PLC0415 - --help does without it
+
+    replay_log(ReplayRequest(log, config, model, settings or (), trajectory, trust_terms or ()))

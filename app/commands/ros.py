@@ -7,53 +7,15 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from diffdrive_mpc.app.commands.options import ConfigFile, Model, Settings, ros_arguments, with_dimensions
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import file_option, out_option
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import file_option
+from diffdrive_mpc.app.commands.options import ros_arguments, with_dimensions
 
-NODE_EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
 ROBOT_EXAMPLE = "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive"
 
 
-def node(
-    context: typer.Context,
-    *,
-    config: Annotated[
-        str,
-        typer.Option(
-            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, "
-            "or the configuration file that was simulated with.",
-            autocompletion=choices("config"),
-        ),
-    ] = "ssm",
-    trajectory: Annotated[
-        str,
-        typer.Option(
-            help="a shipped name such as circle, or the path of a file; empty: references come by topic.",
-            autocompletion=choices("trajectory"),
-        ),
-    ] = "circle",
-    settings: Settings = None,
-    autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,
-    drive: Annotated[
-        bool, typer.Option("--drive", help="The same, and drive as soon as measurements arrive: stand clear.")
-    ] = False,
-) -> None:
-    """Drive a robot through ROS 2, until interrupted. What follows `--ros-args` goes to ROS: remappings, parameters."""
-    from diffdrive_mpc.bench.sweep import single_settings  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
-
-    arguments = ros_arguments(context)
-    own = NodeSettings(config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive)
-    overrides = single_settings(settings or [])
-    from diffdrive_mpc.mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
-
-    run(arguments, own, dict(overrides))
-
-
-@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "world", "seed")
+@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "seed")
 def robot(
     context: typer.Context,
     *,
@@ -123,7 +85,7 @@ def robot(
     settings = load_base_settings(base, changes)
     case = Case(model=chosen_model(None, config), config=None if config is None else str(config), **values)
     plant = (
-        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world)
+        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
         if config is None
         else build_plant(case)
     )
@@ -140,103 +102,24 @@ def robot(
     )
 
 
-# `diffdrive-mpc monitor`: the process that watches a controller.
-
-
-MONITOR_EXAMPLE = "Example: diffdrive-mpc monitor --ros-args -r cmd_vel:=/base/cmd_vel"
-
-RulesFile = Annotated[str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")]
-
-
-def monitor(
-    context: typer.Context,
-    *,
-    rules: RulesFile = "default",
-    export: Annotated[
-        Path | None,
-        typer.Option(help="Write the judge in C with these rules into a folder instead.", show_default=False),
-    ] = None,
-) -> None:
-    """Stand between a controller and its base: pass on what keeps all rules, stop the robot at what breaks one.
-
-    The controller has to publish `cmd_vel_unchecked` (node: `--ros-args -r cmd_vel:=cmd_vel_unchecked`). What follows
-    `--ros-args` goes to ROS: remappings, parameters.
-    """
-    arguments = ros_arguments(context)
-    if export is not None:
-        from diffdrive_mpc_monitor.export import export_judge  # noqa: PLC0415 - --help does without it
-        from diffdrive_mpc_monitor.rules import load_rules  # noqa: PLC0415
-
-        echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
-        return
-    from diffdrive_mpc_monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
-    from diffdrive_mpc_monitor.ros.node import MonitorSettings  # noqa: PLC0415
-
-    run(arguments, MonitorSettings(rules=rules))
-
-
-# `diffdrive-mpc export`: the controller as a C99 library for a microcontroller.
-
-
-EXPORT_EXAMPLE = "Example: diffdrive-mpc export --model ssm --set horizon=15 --precision float --out firmware"
-
-
-def export(
-    *,
-    out: Annotated[Path, out_option("the library")],
-    model: Model = None,
-    config: ConfigFile = None,
-    settings: Settings = None,
-    trajectory: Annotated[
-        str,
-        typer.Option(
-            help="What the table holds: a shipped name such as circle, or the path of a file.",
-            autocompletion=choices("trajectory"),
-        ),
-    ] = "circle",
-    precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
-    emulated: Annotated[
-        bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
-    ] = False,
-) -> None:
-    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
-    from diffdrive_mpc_extras.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
-
-    export_library(
-        out,
-        model=model,
-        config=config,
-        settings=settings or [],
-        trajectory=trajectory,
-        precision=precision,
-        emulated=emulated,
-    )
-
-
-# `diffdrive-mpc doctor`: what is there on this computer, and what it means.
+# `diffdrive-mpc doctor`: checks of the installation.
 
 
 DOCTOR_EXAMPLE = "Example: diffdrive-mpc doctor"
 
 
-def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
-) -> None:
-    """Look at this computer for three seconds: what is there, what it means, and what to do.
+def doctor() -> None:
+    """Check Python, dependencies, controller, MuJoCo and ROS 2; print one line per check, with a remedy.
 
-    Paste its answer when you ask for help. The exit code is 1 only where the controller itself cannot run.
+    The exit code is 1 if the controller cannot run.
     """
-    from diffdrive_mpc.app.doctor import examination  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.progress import output_console  # noqa: PLC0415
+    from diffdrive_mpc.app.doctor import examine  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.machine import project_version  # noqa: PLC0415
 
-    findings = examination.examine()
-    if as_json:
-        echo(examination.as_json(findings))
-    else:
-        console = output_console()
-        console.print(examination.heading(), markup=False, highlight=False)
-        for table in examination.tables(findings):
-            echo()
-            console.print(table.rich())
-    if not examination.can_run(findings):
+    echo(f"diffdrive-mpc {project_version()}")
+    can_run = True
+    for check in examine():
+        echo(check.line)
+        can_run &= check.is_ok or not check.is_required
+    if not can_run:
         raise typer.Exit(FAILED)

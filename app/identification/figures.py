@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,35 +12,24 @@ from diffdrive_mpc.bench.chart_drawing import draw_chart, draw_charts
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
-from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 FOLDER = "figures"
 """Of the figures, inside that of the results."""
 UNITS = {"v": "m/s", "omega": "rad/s"}
+WINDOW = 30.0
+"""Duration of a drive that a row of a figure shows, while there are at most `_ROWS` [s]."""
+_ROWS = 6
+_STEP_RESPONSE = 5.0
+"""Duration of a step response over the lag of the slower channel [-]."""
 _SAMPLES, _POINTS = 400, 1500
 _INTERVAL = 1.959964
 
 Draw = Callable[[IdentificationReport, Path], None]
-
-
-class FigureSettings(StrictModel):
-    """Sizes, as in `figures.yaml`."""
-
-    window: Positive
-    rows: int
-    step_response: Positive
-
-
-@cache
-def figure_settings() -> FigureSettings:
-    """Read `figures.yaml`; raises ConfigError on a mistake in it."""
-    return load_checked(FigureSettings, Path(__file__).with_name("figures.yaml"))
 
 
 def draw_identification(report: IdentificationReport, folder: Path, on_done: Callable[[], None]) -> dict[str, str]:
@@ -135,9 +123,9 @@ def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
 
 def draw_simulation(report: IdentificationReport, path: Path) -> None:
     """Draw all that was held out, v beside omega, in as many rows of time as can be read on a page."""
-    records, window = report.data.validation, figure_settings().window
+    records = report.data.validation
     total = sum(record.dt * len(record.command) for record in records)
-    rows = min(figure_settings().rows, max(1, int(np.ceil(total / window))))
+    rows = min(_ROWS, max(1, int(np.ceil(total / WINDOW))))
     charts = simulation_charts(report, rows * _POINTS)
     with new_figure(path, 4.6 * len(charts), 1.2 + 1.8 * rows) as figure:
         panels = figure.subplots(rows, len(charts), squeeze=False, sharey="col")
@@ -196,15 +184,6 @@ def drift_charts(report: IdentificationReport) -> list[Chart]:
     return [Chart("Drift of the pose", *axes, series)]
 
 
-def busiest(commands: FloatArray, window: int) -> int:
-    """First row of the window in which the commands, each over its own spread, change most."""
-    if len(commands) <= window:
-        return 0
-    change = np.abs(np.diff(commands, axis=0, prepend=commands[:1]))
-    activity = np.cumsum((change / np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)).sum(axis=1))
-    return int(np.argmax(activity[window - 1 :] - np.concatenate([[0.0], activity[:-window]])))
-
-
 def draw_residuals(report: IdentificationReport, path: Path) -> None:
     """Draw autocorrelation and cross-correlations of both residuals, each with its 95 % bound."""
     check = report.fitted.validation.residuals
@@ -232,7 +211,7 @@ def draw_residuals(report: IdentificationReport, path: Path) -> None:
 def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[FloatArray]]:
     """Times (n,) [s], and for a unit step of each command both outputs (n, 2)."""
     model = report.fitted.identified.model
-    discrete = model.discretise(figure_settings().step_response * float(model.lag.max()) / _SAMPLES)
+    discrete = model.discretise(_STEP_RESPONSE * float(model.lag.max()) / _SAMPLES)
     time = discrete.dt * np.arange(_SAMPLES + 1)
     return np.asarray(time), [discrete.simulate(np.tile(np.eye(2)[j], (len(time), 1))) for j in range(2)]
 

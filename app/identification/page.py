@@ -119,7 +119,6 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
             points=_RUN_POINTS,
             labels={"stand-in": drive.plant, "path": drive.path},
             style=plants.index(drive.plant),
-            every_layer=False,
         )
         for drive in drives
     ]

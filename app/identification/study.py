@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import shlex
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
 from diffdrive_mpc.app.identification.trial_drives import (
@@ -19,7 +20,6 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_table,
 )
 from diffdrive_mpc.app.identification.verdict import DRIVES, TrialVerdict, judge_by_drives
-from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
@@ -30,15 +30,18 @@ from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
-from diffdrive_mpc.models.identification.stack import Quantities, estimate_stack
+from diffdrive_mpc.models.identification.stack import Quantities, estimate_stack, quantity_table
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import plain_line
-from diffdrive_mpc_extras.stack.stack import chosen_packages, package_file, package_text, stack_table
+
+WriteParameters = Callable[[Quantities], str]
+"""Plug-in of the group `diffdrive_mpc.parameter_writers`: text of the parameter file of one package."""
 
 
 def identify_into(
@@ -51,17 +54,21 @@ def identify_into(
 ) -> None:
     """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
 
-    `packages` are names with commas of those whose parameter files are written, too. Without `force` neither
-    model nor configuration is written where the logs or the FIT speak against it; a mapping that mends the logs is.
+    `packages` are names, separated by commas, of packages whose parameter files are written, too. Without `force`
+    neither model nor configuration is written if the logs or the FIT speak against it; a mapping that corrects the logs
+    is written.
 
     Raises
     ------
+    models.errors.MissingPackageError
+        If no installed plug-in writes the parameters of a package.
     models.checked_yaml.ConfigError, ValueError, OSError
         If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
     """
-    names = () if packages is None else chosen_packages(packages)
+    names = dict.fromkeys(name.strip() for name in packages.split(",")) if packages is not None else {}
+    writers = {name: plug_in("parameter_writers", name) for name in names}
     try:
-        _identify_into(logs, out, names, force, options)
+        _identify_into(logs, out, writers, force, options)
     except AdvisedError as error:
         if error.advice is None:
             raise
@@ -71,25 +78,25 @@ def identify_into(
 
 
 def _identify_into(
-    logs: Sequence[Path], out: Path, packages: Sequence[str], force: bool, options: Mapping[str, Any]
+    logs: Sequence[Path], out: Path, writers: Mapping[str, WriteParameters], force: bool, options: Mapping[str, Any]
 ) -> None:
     began = time.perf_counter()
-    files = (*FILES, FIRST_CIRCLE, *map(package_file, packages), REPORT)
+    files = (*FILES, FIRST_CIRCLE, *(f"{package}.yaml" for package in writers), REPORT)
     quantities: Quantities = {}
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
         verdict = _proven(_identified(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
-        if packages and (force or not verdict.identification.refusal):
+        if writers and (force or not verdict.identification.refusal):
             bar.begin("parameters of other packages", 1)
             report = verdict.identification.report
             fitted = report.fitted
             quantities = estimate_stack(report.data, fitted.identified.limits, fitted.base)
-            for package in packages:
-                (folder / package_file(package)).write_text(package_text(package, quantities), encoding="utf-8")
+            for package, write in writers.items():
+                (folder / f"{package}.yaml").write_text(write(quantities), encoding="utf-8")
         write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)
     _print(verdict.identification, out)
     if quantities:
-        output_console().print(rich_table(stack_table(quantities)))
+        output_console().print(rich_table(quantity_table(quantities)))
     if verdict.identification.advice:
         _print_line(verdict.identification.advice.sentence(out))
     _print_verdict(verdict, out, force)

@@ -1,1 +1,1 @@
-"""Recorded measurements through a controller, open loop: what it would have commanded beside what was commanded."""
+"""Repeat the ticks of a recorded drive and compare the commands."""

@@ -1,4 +1,4 @@
-"""The common form of all logs for a replay: controller ticks, and what had to be approximated."""
+"""A recorded drive as the ticks of its controller."""
 
 from __future__ import annotations
 
@@ -11,23 +11,18 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.hold import Hold
 
-UNKNOWN = np.full(2, np.nan)
-"""A command that the log does not hold."""
-
 
 class Start(NamedTuple):
     """A start of the controller."""
 
     reference: Reference | None
-    """What was tracked; None where the log does not say."""
+    """Tracked reference; None if the log does not contain it."""
     t0: float
-    """Where its time 0 is [s]."""
-    reset: bool
-    """Whether the controller was reset first, with the robot at rest."""
-    before: FloatArray | None = None
-    """(K, 2) commands sent before it; None where the log does not hold them."""
+    """Time 0 of the reference on the log's clock [s]."""
+    is_reset: bool
+    """True if the controller was reset first, with the robot at rest."""
     goes_on: bool = False
-    """Whether it replaced another reference while driving, without a reset."""
+    """True if the start replaced another reference while driving, without a reset."""
 
 
 @dataclass(frozen=True)
@@ -37,77 +32,71 @@ class RecordedTick:
     Attributes
     ----------
     time
-        On the log's clock [s].
+        Time on the log's clock [s].
     measurement
-        What arrived since the tick before.
+        Readings that arrived since the tick before.
     command
-        (2,) v [m/s], omega [rad/s] as sent; NaN where unknown.
+        (2,) sent v [m/s] and omega [rad/s]; NaN where unknown.
+    mode, message
+        Mode and message of the recorded controller; empty if they are not in the log.
     hold
-        Why the controller was asked to stand.
+        Reason for which the controller had to stand.
     start
-        The start of the controller before this tick.
+        Start of the controller before this tick.
     config
-        Weights and limits from this tick on, where they changed.
-    mode, solver_path, message
-        What the recorded controller said; empty where that is not in the log.
+        Weights and limits from this tick on, if they changed.
     stopped_after
-        Iterations after which the clock ended its solve; None where it did not.
+        Iterations after which the clock ended the solve; None if it did not.
     """
 
     time: float
     measurement: Measurement
     command: FloatArray
+    mode: str = ""
+    message: str = ""
     hold: Hold | None = None
     start: Start | None = None
     config: ControllerConfig | None = None
-    mode: str = ""
-    solver_path: str = ""
-    message: str = ""
     stopped_after: int | None = None
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A drive as it was recorded.
+    """A recorded drive.
 
     Attributes
     ----------
     name
-        Of the file or bag.
-    source
-        What kind of log it is, in words.
+        Name of the file.
     ticks
-        In order; the first has a start.
+        Ticks in order; the first one has a start.
     config
-        Configuration of the recorded controller, where the log holds it.
-    by_controller
-        Whether the recorded commands are those of this project's controller.
-    approximated
-        What had to be approximated, and the consequence, one sentence each.
-    findings
-        What is wrong with the log, a line each.
+        Configuration of the recorded controller, if the log contains it.
+    notes
+        Approximations with their consequences and faults of the file, one sentence each.
     """
 
     name: str
-    source: str
     ticks: tuple[RecordedTick, ...]
     config: ControllerConfig | None = None
-    by_controller: bool = True
-    approximated: tuple[str, ...] = ()
-    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def time(self) -> FloatArray:
-        """(n,) of the ticks [s]."""
+        """(n,) times of the ticks [s]."""
         return np.array([tick.time for tick in self.ticks])
 
     @property
     def command(self) -> FloatArray:
-        """(n, 2) as recorded."""
+        """(n, 2) recorded commands v [m/s], omega [rad/s]."""
         return np.array([tick.command for tick in self.ticks]).reshape(-1, 2)
 
     @property
+    def starts(self) -> tuple[Start, ...]:
+        """Starts of the controller in order."""
+        return tuple(tick.start for tick in self.ticks if tick.start is not None)
+
+    @property
     def references(self) -> tuple[Reference, ...]:
-        """Those that the log holds, in order."""
-        starts = (tick.start for tick in self.ticks if tick.start is not None)
-        return tuple(start.reference for start in starts if start.reference is not None)
+        """References of the starts, as far as the log contains them."""
+        return tuple(start.reference for start in self.starts if start.reference is not None)

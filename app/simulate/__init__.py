@@ -1,1 +1,1 @@
-"""One drive or laps of one, from the command line: summary, report, log, and a run of a proof driven again."""
+"""One drive from the command line: summary, report and log."""

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,16 +19,13 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.run_row import RunOutcome, who_drives
-from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
-
-if TYPE_CHECKING:
-    from diffdrive_mpc.app.animation.animate import FilmFile
-
 
 _MESSAGES_SHOWN = 5
 _METHODS = {
@@ -48,9 +45,7 @@ def simulate_one(
     settings: Sequence[str],
     out: Path | None,
     log: Path | None,
-    rerun: str | None = None,
     scaled: bool = False,
-    film: FilmFile | None = None,
     view: bool = False,
     details: bool = False,
 ) -> None:
@@ -60,12 +55,10 @@ def simulate_one(
     ----------
     values
         By dimension, `model` being None where it was not given.
-    config, settings, out, log, rerun, scaled
+    config, settings, out, log, scaled
         As typed.
-    film
-        The film to make of it.
     view
-        Whether it is watched in MuJoCo's viewer.
+        Whether MuJoCo's viewer shows it.
     details
         Whether its tables are printed instead of a summary.
 
@@ -76,33 +69,19 @@ def simulate_one(
     controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        if rerun is not None:
-            from diffdrive_mpc.app.rerun_view import ShownController, rerun_view  # noqa: PLC0415
-
-            shown = stack.enter_context(rerun_view(rerun, reference.name))
-            controller = ShownController(controller, plant, shown)
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
-        reel = None
-        if film is not None:
-            from diffdrive_mpc.app.animation.animate import film_draft, write_film  # noqa: PLC0415
-            from diffdrive_mpc.app.animation.playback import from_columns  # noqa: PLC0415
-            from diffdrive_mpc.sim.view.body import robot_body  # noqa: PLC0415
-
-            reel = stack.enter_context(film_draft(film.path, "--animate"))
         if view:
-            from diffdrive_mpc.app.animation.animate import watched  # noqa: PLC0415
+            from diffdrive_mpc.sim.viewer import viewed  # noqa: PLC0415
 
-            controller = stack.enter_context(watched(controller, plant, reference, case.plant, case.surface))
-        kept = folder is not None or reel is not None or holds_plans(log)
+            start = reference.sample(np.zeros(1)).pose[0]
+            controller = stack.enter_context(viewed(controller, plant, case.plant, start))
+        kept = folder is not None or holds_plans(log)
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
             run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
         write_log(run, case)
         if folder is not None:
             draw(RunOutcome(case, run), folder, time.perf_counter() - began)
-        if film is not None and reel is not None:
-            body = robot_body(case.plant)
-            write_film(from_columns(run.columns, run.plans, command_limits(case)), film.film, body, reel)
     report(RunOutcome(case, run), out, details=details)
 
 
@@ -114,14 +93,6 @@ def case_from_options(values: Mapping[str, Any], *, config: Path | None, setting
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
-
-
-def command_limits(case: Case) -> tuple[float, float] | None:
-    """Largest v [m/s] and omega [rad/s] that the controller of a case commands; None for a peer."""
-    if case.controller in PEERS:
-        return None
-    limits = controller_config(case.model, case.config, case.overrides).limits
-    return limits.v, limits.omega
 
 
 def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> None:
@@ -149,7 +120,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
 
 
 def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
-    """Six lines, and one more each for a scenario and a world."""
+    """Yield six lines, one more for a scenario and for each part of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
@@ -177,9 +148,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
     if outcome.case.scenario != NO_SCENARIO:
         recovery = run.recovery
         yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"
-    if run.passage:
-        arrived = "arrived" if run.passage.arrived else "not arrived"
-        yield f"world: {arrived}, {run.passage.contacts} contacts, least clearance {run.passage.clearance_m:.3f} m"
+    yield from filter(None, (part.summary(run) for part in columns_of(run)))
     if out is None:
         yield "next: --details prints the tables, --out FOLDER writes a report with figures"
     else:
@@ -193,7 +162,6 @@ def tables(outcome: RunOutcome) -> list[Table]:
         path_table,
         scenario_table,
         summary_table,
-        world_table,
     )
     from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
 
@@ -202,7 +170,8 @@ def tables(outcome: RunOutcome) -> list[Table]:
     made = [make(rows) for make in shown]
     if outcome.case.scenario != NO_SCENARIO:
         made.append(scenario_table(rows))
-    return [world_table(rows), *made] if outcome.run.passage else made
+    added = (part.table(rows) for part in columns_of(outcome.run))
+    return [*filter(None, added), *made]
 
 
 def draw(outcome: RunOutcome, folder: Path, seconds: float) -> None:

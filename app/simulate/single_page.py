@@ -1,26 +1,23 @@
-"""The page of `diffdrive-mpc simulate`: one run, or laps, with linked views."""
+"""The page of `diffdrive-mpc simulate`: one run with linked views."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
 from diffdrive_mpc.bench.html_report.origin import case_config, configuration, origin
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, RunViews, Shown, Toggle, View
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, RunViews, Shown
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.run_row import STATISTICS, RunOutcome, who_drives
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.metrics.metrics import Metrics
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 
 POINTS = 2000
 """Maximum number of ticks on the page of one run."""
-_LAP_POINTS = 700
 
 
 def key_figures(run: Run) -> list[KeyFigure]:
@@ -35,14 +32,7 @@ def key_figures(run: Run) -> list[KeyFigure]:
         KeyFigure("inside the band", f"{number(of.in_band_percent, 1)} %", band),
         KeyFigure("step time, p99", step, late),
         KeyFigure("fallbacks", str(of.fallbacks), "ticks without a fresh plan", "bad" if of.fallbacks else "good"),
-        *_energy(of),
     ]
-
-
-def _energy(of: Metrics) -> list[KeyFigure]:
-    if not math.isfinite(of.energy_j):
-        return []
-    return [KeyFigure("energy", f"{number(of.energy_j, 1)} J", f"work of the motors {number(of.motor_work_j, 1)} J")]
 
 
 def sentences(case: Case, run: Run) -> list[str]:
@@ -57,7 +47,8 @@ def sentences(case: Case, run: Run) -> list[str]:
     return [
         f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
         f"seed {case.seed}). It {ending}: the robot was {_mm(of.lateral_rmse_m)} beside its path (RMSE) and "
-        f"{_mm(of.lateral_max_m)} at most."
+        f"{_mm(of.lateral_max_m)} at most.",
+        *filter(None, (part.summary(run) for part in columns_of(run))),
     ]
 
 
@@ -77,54 +68,6 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
     title = f"{who_drives(case)} along {case.labels['trajectory']}"
     return Page(
         "diffdrive-mpc simulate", title, shown, tables, origin(describe_run(seconds), [("seed", str(case.seed))])
-    )
-
-
-def laps_page(
-    case: Case,
-    learned: Sequence[Run],
-    plain: Sequence[Run],
-    table: Table,
-    views: Sequence[View],
-    seconds: float,
-) -> Page:
-    """The page of laps with rehearsal and without: both as toggles, and each lap."""
-    names = ("with rehearsal", "without rehearsal")
-    laps = tuple(str(lap + 1) for lap in range(len(learned)))
-    config = case_config(case)
-    series = [
-        run_series(
-            run, f"{who}, lap {lap}", points=_LAP_POINTS, labels={"controller": who, "lap": lap}, style=i, config=config
-        )
-        for i, (who, runs) in enumerate(zip(names, (learned, plain), strict=True))
-        for lap, run in zip(laps, runs, strict=True)
-    ]
-    better = f"{_mm(plain[-1].metrics.position_rmse_m)} without rehearsal"
-    figures = key_figures(learned[-1])
-    figures[1] = replace(figures[1], label="position error in the last lap, RMSE", note=better)
-    shown = Shown(
-        summary=[
-            f"{who_drives(case)} drove “{learned[0].reference.name}” {len(laps)} times, learning from lap to lap. "
-            f"Position RMSE in the first lap {_mm(learned[0].metrics.position_rmse_m)}, "
-            f"in the last {_mm(learned[-1].metrics.position_rmse_m)}; {better}.",
-        ],
-        key_figures=figures,
-        toggles=[Toggle("controller", names, names, styled=True), Toggle("lap", laps, laps[-1:])],
-        views=[RunViews(series, _hint(learned[-1], _LAP_POINTS)), *views],
-        warnings=[
-            run_warning
-            for lap, run in zip(laps, learned, strict=True)
-            for run_warning in run_warnings(run, config, f"lap {lap}")
-        ],
-        configurations=configuration(case),
-    )
-    title = f"{who_drives(case)} along {case.labels['trajectory']}, {len(laps)} laps"
-    return Page(
-        "diffdrive-mpc simulate --laps",
-        title,
-        shown,
-        [table],
-        origin(describe_run(seconds), [("seed", str(case.seed))]),
     )
 
 

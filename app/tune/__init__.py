@@ -1,1 +1,1 @@
-"""Tuning of a controller: a search over its configuration, and a verdict on runs that the search has not seen."""
+"""Search for a controller configuration, and a comparison on seeds that the search does not use."""

@@ -1,127 +1,206 @@
-"""The tuning of a controller as a study: search, verdict, report and the configuration that comes of it."""
+"""The tuning as a study: search, comparison on the report seeds, report and configuration file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+import os
+from dataclasses import dataclass
 from pathlib import Path
 
-from diffdrive_mpc.app.tune.optuna_study import needs_optuna
-from diffdrive_mpc.app.tune.report import configuration, facts, front_chart, search_chart, shown, tables
-from diffdrive_mpc.app.tune.search import ConfigurationSearch, Searched
+import numpy as np
+from pandas import DataFrame
+
+from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint, Values, best_of, failed
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
-from diffdrive_mpc.app.tune.verdict import TuneVerdict, judge
-from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, KeyFigure, Series, Shown, Warned
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.runner import lasting_processes
+from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.bench.study import Report, Study, carry_out
+from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import check
-from diffdrive_mpc.models.whole_file import check_not_read
-from diffdrive_mpc_extras.campaign.draws import Value
-from diffdrive_mpc_extras.campaign.engine import CampaignPlace
-from diffdrive_mpc_extras.proof.study import told_of
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.whole_file import check_not_read, whole_file
+from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.mpc.config.described import commented_yaml
+from diffdrive_mpc.mpc.config.rooms import plain_key
 
 CONFIG = "config.yaml"
+_OTHER_FIGURES = ("lateral_max_m", "heading_rmse_rad", "iterations_mean", "fallbacks")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs of the start configuration and of the best point with the report seeds, in the same order.
+
+    Attributes
+    ----------
+    start, best
+        Tables of `sweep`.
+    start_errors, best_errors
+        (runs,) position RMSE, failures included [m].
+    """
+
+    start: DataFrame
+    best: DataFrame
+    start_errors: FloatArray
+    best_errors: FloatArray
+
+    def change(self, runs: FloatArray | slice = slice(None)) -> BootstrapEstimate:
+        """Return the relative change of the mean error over `runs`, paired run by run [-]."""
+        pairs = np.array([self.best_errors[runs], self.start_errors[runs]])
+        return BootstrapEstimate.of_same_runs(
+            [pairs], lambda table: table.mean(axis=-1)[0] / table.mean(axis=-1)[1] - 1
+        )
+
+    @property
+    def failures(self) -> tuple[int, int]:
+        """Failed runs of the start configuration and of the best point."""
+        return int(failed(self.start).sum()), int(failed(self.best).sum())
+
+    @property
+    def is_better(self) -> bool:
+        """True if the 95 % interval of the change lies below zero and no more runs fail."""
+        before, after = self.failures
+        return self.change().high < 0.0 and after <= before
 
 
 @dataclass(frozen=True)
 class TuningOutcome:
-    """What a tuning found: the points, the verdict on the best of them, and the values that the defaults have."""
+    """Points of the search, the best of them, and its comparison with the start configuration."""
 
-    searched: Searched
-    verdict: TuneVerdict
-    usual: Mapping[str, Value]
+    points: list[TunePoint]
+    best: TunePoint
+    start: Values
+    comparison: Comparison
+
+    @property
+    def changed(self) -> Values:
+        """Values of the best point that differ from the start configuration."""
+        return {key: value for key, value in self.best.values.items() if value != self.start[key]}
+
+    @property
+    def written(self) -> Values:
+        """Values that the configuration file gets: none if the best point is not better."""
+        return self.changed if self.comparison.is_better else {}
+
+    @property
+    def sentence(self) -> str:
+        """The result in one line."""
+        if not self.changed:
+            return "no better than the start configuration: no point has a smaller error on the tuning seeds"
+        compared, change = self.comparison, self.comparison.change()
+        verdict = "better" if compared.is_better else "no better"
+        before, after = compared.failures
+        return (
+            f"{verdict} than the start configuration: position RMSE {1e3 * compared.best_errors.mean():.3g} mm "
+            f"in place of {1e3 * compared.start_errors.mean():.3g} mm on {len(compared.best)} runs of the report seeds "
+            f"({_percent(change.value)}, 95 % interval {_percent(change.low)} to {_percent(change.high)}), "
+            f"{after} failed runs in place of {before}"
+        )
 
 
 @dataclass(frozen=True)
 class TuneResult:
-    """What `tune` leaves.
+    """Result of `tune`.
 
     Attributes
     ----------
     config_path
-        The configuration that was written: the chosen point, or the defaults where it is no better.
-    improved
-        Whether it is better on runs of other seeds.
+        Configuration file: the best point, or the start configuration if the point is not better.
+    is_better
+        True if the best point is better on the report seeds.
     sentence
-        What came of it, in one line, with the interval.
-    tuned
-        All of it.
+        The result in one line.
     """
 
     config_path: Path
-    improved: bool
+    is_better: bool
     sentence: str
-    tuned: TuningOutcome
 
 
 class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
-    """Search for a configuration, and the verdict on what was found.
+    """Search for a configuration and its comparison.
 
     Parameters
     ----------
     config
-        The controller's configuration: a file, or the shipped one of a model.
+        Start configuration: a shipped name or a file.
     plan
-        What is searched, and on which runs.
-    place
-        Where runs are driven and kept.
-    storage, worker
-        Those of `tune.search.ConfigurationSearch`.
+        Ranges, runs and seeds.
     """
 
-    name, title, shared = "tune", "Tuning", True
+    name, title = "tune", "Tuning"
 
-    def __init__(self, config: str, plan: TunePlan, place: CampaignPlace, storage: str = "", worker: int = 1) -> None:
-        self._config, self._plan, self._place = config, plan, place
-        self._storage, self._worker = storage, worker
+    def __init__(self, config: str, plan: TunePlan) -> None:
+        self._config, self._plan = config, plan
 
     def plan(self) -> ConfigurationSearch:
-        """Make the search; raises ConfigError where a range or a factor has a mistake."""
-        needs_optuna()
-        return ConfigurationSearch(self._plan, told_of(self._config), self._place, self._storage, self._worker)
+        """Prepare the search; raises as `ConfigurationSearch` does."""
+        return ConfigurationSearch(self._config, self._plan)
 
-    def cases(self, plan: ConfigurationSearch) -> Iterable[Case]:
-        """A run of the verdict."""
-        return [plan.verdict_runs(1)[0].case]
-
-    def run(self, plan: ConfigurationSearch, jobs: int, bar: ProgressBar) -> TuningOutcome:  # noqa: ARG002 - the place has them
-        """Search, then judge the best point."""
-        # Many short lists of runs: processes that start anew for each would cost as much as the runs.
+    def run(self, plan: ConfigurationSearch, jobs: int, bar: ProgressBar) -> TuningOutcome:
+        """Search with the tuning seeds, then compare with the report seeds."""
+        seeds = self._plan.report_seeds.seeds
         with lasting_processes():
-            searched = plan.run(bar)
-            return TuningOutcome(searched, judge(self._plan, plan, searched.best, bar), plan.usual)
+            points = plan.run(jobs, bar)
+            best = best_of(points)
+            bar.begin("comparing", 2 * self._plan.places * len(seeds))
+            start_rows = plan.drive(plan.start, seeds, jobs, bar)
+            best_rows = plan.drive(best.values, seeds, jobs, bar) if best.values != plan.start else start_rows
+        comparison = Comparison(start_rows, best_rows, plan.errors(start_rows), plan.errors(best_rows))
+        return TuningOutcome(points, best, plan.start, comparison)
 
-    def report(self, results: TuningOutcome, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
-        """Tables, the front, and how the search went."""
-        searched, verdict = results.searched, results.verdict
-        front = {"front.png": [front_chart(searched)]} if self._plan.objective.effort else {}
+    def report(self, results: TuningOutcome, seconds: float) -> Report:  # noqa: ARG002 - the page states it
+        """Return tables, charts and the page."""
+        plan, sentence, better = self._plan, results.sentence, results.comparison.is_better
+        change = results.comparison.change()
+        advice = f"{CONFIG} holds the start configuration; try more points (--points) or other ranges (--plan)"
         return Report(
-            counted=f"{len(searched.points)} points",
-            meta={
-                "statistics": STATISTICS,
-                "controller": Path(self._config).name,
-                "tuning": self._plan.description,
-                "sentence": verdict.sentence,
-                "improved": verdict.improved,
-            },
+            counted=f"{len(results.points)} points",
+            meta={"statistics": STATISTICS, "tuning": plan.description, "sentence": sentence, "is_better": better},
             content={
-                "verdict": plain(replace(verdict, put_back=[], figures=[])),
-                "put_back": plain(verdict.put_back),
-                "figures": plain(verdict.figures),
-                "importance": searched.importance,
-                "chosen": searched.best.number,
-                "front": [one.number for one in searched.front],
-                "points": plain(searched.points),
+                "change": plain(change),
+                "failures": results.comparison.failures,
+                "best": results.best.number,
+                "points": plain(results.points),
             },
-            facts=[f"{Path(self._config).name}: {self._plan.description}.", *facts(self._plan, searched, verdict)],
-            notes=[f"Errors: {STATISTICS}."],
-            tables=tables(searched, verdict, results.usual),
-            figures=front | {"search.png": [search_chart(searched)]},
-            shown=shown(self._config, searched, verdict, results.usual),
+            facts=[
+                f"{Path(self._config).name}: {plan.description}.",
+                f"{sentence[0].upper()}{sentence[1:]}.",
+                f"{plan.points} points, each with {plan.places * plan.tuning_seeds.count} runs of the tuning seeds.",
+            ],
+            notes=[
+                f"Errors: {STATISTICS}.",
+                f"A failed run counts with at least {plan.failure_error:g} m. The search counts position errors only: "
+                "compare step times and commands with `bench` before you use the configuration.",
+            ],
+            tables=[_comparison_table(results.comparison), _parameter_table(results)],
+            figures={"search.png": [_search_chart(results.points)]},
+            shown=Shown(
+                key_figures=[
+                    KeyFigure("better", "yes" if better else "no", "on the report seeds", "good" if better else ""),
+                    KeyFigure(
+                        "position RMSE", _percent(change.value), f"{_percent(change.low)} to {_percent(change.high)}"
+                    ),
+                ],
+                warnings=[] if better else [Warned(f"The best point is {sentence}.", advice)],
+                configurations=[
+                    ConfigurationView("Configuration that was written (YAML)", self._yaml(results, Path())),
+                ],
+            ),
         )
+
+    def write(self, outcome: TuningOutcome, path: Path) -> None:
+        """Write the configuration; files that it names get paths relative to its folder."""
+        head = f"# Tuned from {Path(self._config).name}: {outcome.sentence}.\n"
+        with whole_file(path) as draft:
+            draft.write_text(head + self._yaml(outcome, path.parent), encoding="utf-8")
+
+    def _yaml(self, outcome: TuningOutcome, folder: Path) -> str:
+        notes = {plain_key(key): f"was {outcome.start[key]:g}" for key in outcome.written}
+        return commented_yaml(_relative(load_config(self._config, outcome.written), folder), notes)
 
 
 def tune(
@@ -131,53 +210,86 @@ def tune(
     plan: TunePlan | str | Path | None = None,
     plant: str | Path | None = None,
     points: int | None = None,
-    workers: int | None = None,
-    scheduler: str = "",
-    storage: str = "",
-    worker: int = 1,
+    jobs: int | None = None,
 ) -> TuneResult:
-    """Tune a controller, print the tables, and write config.yaml, the report and the study into `out`.
+    """Tune a configuration, print the tables, and write config.yaml and the report into `out`.
 
     Parameters
     ----------
     config
-        Configuration to start from: a file, or the shipped one of a model.
+        Start configuration: a file, or the shipped one of a model.
     out
-        Folder of the results, of the study and of the rows of its runs; what is there already is not driven again.
+        Folder of the results.
     plan
-        What is searched and on which runs: a plan or its file; by default the shipped one.
+        Plan or its file; by default the shipped one.
     plant
         Plant in place of the plan's: "mujoco:NAME", "model:NAME", or the file of a robot or twin.
     points
-        How many are tried, in place of what the plan says; with more of them a study goes on.
-    workers
-        Processes that drive runs; by default one for each core.
-    scheduler
-        Address of a Dask scheduler that drives them instead.
-    storage
-        Address of a data base for the study; by default a file in `out`.
-    worker
-        Number of this worker, where several work on one study.
+        Number of points in place of the plan's.
+    jobs
+        Processes; by default one for each core. The result does not depend on it.
 
     Raises ConfigError or ValueError if a file has a mistake, MissingPackageError without Optuna, StudyFailedError if
-    runs could not be driven.
+    a process died.
     """
-    read = plan if isinstance(plan, TunePlan) else load_plan(None if plan is None else Path(plan))
+    chosen = plan if isinstance(plan, TunePlan) else load_plan(None if plan is None else Path(plan))
+    values = chosen.model_dump()
     if plant is not None:
-        read = read.model_copy(update={"factors": read.factors | {"plant": _plant(plant)}})
+        values["runs"]["plant"] = _plant(str(plant))
     if points is not None:
-        read = check(TunePlan, read.model_dump() | {"points": points}, "--points")
+        values["points"] = points
     folder = Path(out)
     check_not_read(folder / CONFIG, f"--out {folder / CONFIG}")
-    study = TuneStudy(str(config), read, CampaignPlace(folder, workers, scheduler), storage, worker)
-    tuned = carry_out(study, folder, workers)
-    path = folder / CONFIG
-    configuration(str(config), tuned.searched, tuned.verdict, read, tuned.usual, path)
-    return TuneResult(path, tuned.verdict.improved, tuned.verdict.sentence, tuned)
+    study = TuneStudy(str(config), check(TunePlan, values, "plan"))
+    outcome = carry_out(study, folder, jobs)
+    study.write(outcome, folder / CONFIG)
+    return TuneResult(folder / CONFIG, outcome.comparison.is_better, outcome.sentence)
 
 
-def _plant(plant: str | Path) -> str:
-    """A plant as a case names it: the file of a robot is one of the physics."""
-    named = str(plant)
-    alone = ":" not in named and Path(named).suffix in (".yaml", ".yml")
-    return f"mujoco:{Path(named).resolve()}" if alone else named
+def _plant(name: str) -> str:
+    is_file = ":" not in name and Path(name).suffix in (".yaml", ".yml")
+    return f"mujoco:{Path(name).resolve()}" if is_file else name
+
+
+def _relative(config: ControllerConfig, folder: Path) -> ControllerConfig:
+    def named(file: str) -> str:
+        return os.path.relpath(file, folder) if Path(file).is_file() else file
+
+    terms = [term.model_copy(update={"file": named(term.file)}) for term in config.terms]
+    return config.model_copy(update={"model": named(config.model), "terms": terms})
+
+
+def _comparison_table(compared: Comparison) -> Table:
+    names = compared.start["trajectory"].astype(str)
+    groups = {name: (names == name).to_numpy() for name in dict.fromkeys(names)}
+    rows = []
+    for name, runs in (groups | {"all": np.ones(len(names), dtype=bool)}).items():
+        start, best, change = compared.start_errors[runs], compared.best_errors[runs], compared.change(runs)
+        failures = [str(int(failed(table[runs]).sum())) for table in (compared.start, compared.best)]
+        cells = (number(1e3 * start.mean(), 3), number(1e3 * best.mean(), 3), _percent(change.value))
+        rows.append((name, *cells, f"{_percent(change.low)} to {_percent(change.high)}", *failures))
+    others = [
+        f"{column} {compared.start[column].mean():.3g} -> {compared.best[column].mean():.3g}"
+        for column in _OTHER_FIGURES
+    ]
+    columns = ("path", "start [mm]", "best [mm]", "change", "95 % interval", "failed, start", "failed, best")
+    note = "Position RMSE, paired run by run; intervals: bootstrap. Means of other figures, start -> best: "
+    return Table("Comparison on the report seeds", columns, tuple(rows), 1, f"{note}{'; '.join(others)}.")
+
+
+def _parameter_table(outcome: TuningOutcome) -> Table:
+    rows = tuple((key, f"{outcome.start[key]:g}", f"{value:g}") for key, value in outcome.best.values.items())
+    note = "" if outcome.comparison.is_better else f"The best point is not written: {CONFIG} holds the start values."
+    return Table("Best point of the search", ("parameter", "start", "best"), rows, 1, note)
+
+
+def _search_chart(points: list[TunePoint]) -> Chart:
+    numbers = [float(point.number) for point in points]
+    errors = [1e3 * point.error for point in points]
+    best = np.minimum.accumulate(errors).tolist()
+    series = [Series("points", numbers, errors, 1, "points"), Series("best so far", numbers, best, 0, "line")]
+    return Chart("Search on the tuning seeds", Axis("point"), Axis("mean position RMSE [mm]", "log"), series)
+
+
+def _percent(change: float) -> str:
+    return f"{100 * change:+.1f} %"

@@ -1,201 +1,116 @@
-"""What a tuning consists of: parameters with ranges, what is to be small, what must hold, and on which runs."""
+"""Plan of a tuning: parameters with ranges, the runs that score a point, and the seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from diffdrive_mpc.bench.case import check_count
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.sim import Metrics
-from diffdrive_mpc.sim.metrics.recovery import Recovery
-from diffdrive_mpc_extras.campaign.campaign_file import MOST_RUNS, Campaign, whole_paths
-from diffdrive_mpc_extras.campaign.definition import Definition, check_factor, stated
-from diffdrive_mpc_extras.campaign.draws import Value, read_factor
+from diffdrive_mpc.bench.case import MOST_CASES, MOST_SEEDS, check_count
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 
 DEFAULT = Path(__file__).with_name("default.yaml")
-Count = Annotated[int, Field(ge=1, le=10_000)]
-Seed = Annotated[int, Field(ge=0)]
-Share = Annotated[float, Field(gt=0)]
-Figure = Literal["mean", "cvar"]
-Factors = dict[str, bool | int | float | str]
-Weighted = dict[str, dict[Figure, Share]]
-_CONTROLLER = ("controller", "model", "config")
-COLUMNS = (
-    *(of.name for of in fields(Metrics) if not of.name.startswith(("step_time", "solve_time", "deadline"))),
-    *(f"recovery_{of.name.removeprefix('recovery_')}" for of in fields(Recovery)),
-)
-"""Columns of a run's row that an objective or a constraint may name."""
+Dimension = Literal["trajectory", "timing", "plant", "surface", "sensors", "scenario"]
+Factor = Annotated[float, Field(gt=0)]
 
 
 class SearchRange(StrictModel):
-    """Where a value of the configuration is searched: as factors of what it is now, or between two values."""
+    """Range of a configuration value: factors on its start value, or two values."""
 
-    times: tuple[Share, Share] | None = Field(None, description="lowest and highest factor on what it is now")
+    times: tuple[Factor, Factor] | None = Field(None, description="lowest and highest factor on the start value")
     low: float | None = Field(None, description="lowest value, in the unit of the key")
     high: float | None = Field(None, description="highest value")
-    log: bool = Field(False, description="whether ratios count between low and high; with `times` they always do")
+    log: bool = Field(False, description="search ratios between low and high; `times` always does")
 
     @model_validator(mode="after")
-    def _one_way(self) -> SearchRange:
+    def _check_ends(self) -> SearchRange:
         low, high = self.times or (self.low, self.high)
         if (self.times is None) == ((self.low, self.high) == (None, None)) or low is None or high is None:
             raise ValueError("give either times: [LOW, HIGH], or low and high")
         if not low < high:
-            raise ValueError("the lower end has to be below the higher one")
-        if self.times is not None and not low <= 1.0 <= high:
-            raise ValueError("times: what it is now, a factor of 1, has to lie within")
+            raise ValueError(f"the low end {low:g} is not below the high end {high:g}")
         if self.log and not low > 0.0:
-            raise ValueError("log takes values above zero")
+            raise ValueError(f"log needs values above zero, low is {low:g}")
         return self
 
+    def ends(self, key: str, start: object) -> tuple[float, float]:
+        """Return the lowest and the highest value of `key`.
 
-class Objective(StrictModel):
-    """What is to be small: figures of columns over the runs, each over that of the defaults, weighted.
-
-    The defaults have an objective of 1.
-    """
-
-    error: Annotated[Weighted, Field(min_length=1)] = Field(description="by column: weight of mean or cvar")
-    effort: Weighted = Field(default_factory=dict, description="the same, for what commands cost")
-
-    @model_validator(mode="after")
-    def _known(self) -> Objective:
-        for column in (*self.error, *self.effort):
-            _check_column(column)
-        return self
-
-
-class Constraint(StrictModel):
-    """A column that may be no larger in any run than a value, or than a factor on the largest of the defaults."""
-
-    column: str
-    at_most: float | None = Field(None, description="in the unit of the column")
-    times: Share | None = Field(None, description="on the largest value of the defaults")
-    runs: Annotated[int, Field(ge=0, le=1000)] = Field(
-        0, description="so many runs of its own, with `factors`, of points that reach the last fidelity; 0: all others"
-    )
-    factors: Factors = Field(default_factory=dict, description="what these runs have in place of the others' factors")
-
-    @model_validator(mode="after")
-    def _one_limit(self) -> Constraint:
-        _check_column(self.column)
-        if (self.at_most is None) == (self.times is None):
-            raise ValueError("give either at_most or times")
-        if self.factors and not self.runs:
-            raise ValueError("factors: say how many runs have them, in runs")
-        return self
+        Raises ConfigError if `start`, its value in the configuration, is not a number or lies outside.
+        """
+        if isinstance(start, bool) or not isinstance(start, (int, float)):
+            raise ConfigError(f"parameters.{key}: its value is {start!r}; only numbers are tuned, remove it")
+        if self.times is not None and not start > 0:
+            raise ConfigError(f"parameters.{key}: factors need a value above zero, it is {start:g}; give low and high")
+        low, high = [start * factor for factor in self.times] if self.times else [self.low or 0.0, self.high or 0.0]
+        if not low <= start <= high:
+            raise ConfigError(
+                f"parameters.{key}: the configuration has {start:g}, which is not between {low:g} and {high:g}; "
+                "widen the range"
+            )
+        return low, high
 
 
-class StepTime(StrictModel):
-    """A limit on the 99th percentile of the step time on a machine that is named."""
+class SeedRange(StrictModel):
+    """Consecutive seeds of the noise."""
 
-    machine: str = Field(min_length=1, description="where it was measured, for the report")
-    p99: Share = Field(description="what it is there with the horizon that the configuration has now [s]")
-    at_most: Share = Field(description="what it may be there [s]")
+    first: Annotated[int, Field(ge=0)]
+    count: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
 
-
-class Fidelity(StrictModel):
-    """Runs that a point is judged by before it goes on."""
-
-    runs: Count
-    factors: Factors = Field(default_factory=dict, description="what these runs have in place of the others' factors")
-
-
-class TuneRuns(StrictModel):
-    """Which runs: points of the spread and seeds of the noise."""
-
-    draw_seed: Seed = Field(description="of the points of the spread")
-    first_seed: Seed = Field(description="of the noise; the next run has the next one")
-
-
-class ValidationRuns(TuneRuns):
-    """Runs that the search has not seen, on which the chosen point is held against the defaults."""
-
-    runs: Annotated[int, Field(ge=2, le=10_000)]
-    put_back: Annotated[int, Field(ge=0, le=10_000)] = Field(
-        0, description="so many of them also with each parameter alone put back to its default; 0: without"
-    )
+    @property
+    def seeds(self) -> range:
+        """The seeds in order."""
+        return range(self.first, self.first + self.count)
 
 
 class TunePlan(StrictModel):
     """A tuning as its YAML file states it."""
 
-    description: str = Field(min_length=1, description="what it is for, in one line")
-    points: Annotated[int, Field(ge=2, le=100_000)] = Field(description="how many are tried, the defaults included")
-    at_once: Count = Field(description="points that are asked for together")
-    keep: Annotated[int, Field(ge=2, le=100)] = Field(3, description="one of so many goes on to the next fidelity")
-    search_seed: Seed = Field(0, description="of the sampler")
+    description: str = Field(min_length=1, description="purpose in one line")
+    points: Annotated[int, Field(ge=2, le=100_000)] = Field(description="configurations to try, the start included")
+    sampler_seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = Field(0, description="seed of Optuna's sampler")
     parameters: Annotated[dict[str, SearchRange], Field(min_length=1)] = Field(
-        description="by key of the configuration"
+        description="ranges by key of the configuration"
     )
-    objective: Objective
-    constraints: dict[Annotated[str, Field(pattern="^[a-z_]+$")], Constraint] = Field(default_factory=dict)
-    step_time: StepTime | None = None
-    fidelities: Annotated[tuple[Fidelity, ...], Field(min_length=1)]
-    tuning: TuneRuns
-    verdict: ValidationRuns
-    factors: dict[str, object] = Field(default_factory=dict, description="as in a campaign")
-    spread: dict[str, tuple[float, float]] = Field(
-        default_factory=dict, description="lowest and highest factor on what plant, floor or sensors say"
+    runs: dict[Dimension, str | tuple[str, ...]] = Field(
+        default_factory=dict, description="values by dimension of `diffdrive_mpc.sweep`"
     )
+    failure_error: Factor = Field(0.5, description="smallest error that a failed run counts with [m]")
+    tuning_seeds: SeedRange = Field(description="seeds of the search")
+    report_seeds: SeedRange = Field(description="seeds of the comparison")
+
+    @field_validator("runs")
+    @classmethod
+    def _list_values(cls, runs: dict[str, str | tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+        return {name: (values,) if isinstance(values, str) else values for name, values in runs.items()}
 
     @model_validator(mode="after")
-    def _apart(self) -> TunePlan:
-        own = [fidelity.factors for fidelity in self.fidelities] + [
-            constraint.factors for constraint in self.constraints.values()
-        ]
-        for name in (*self.factors, *self.spread, *(key for factors in own for key in factors)):
-            check_factor(name, "factors and spread")
-            if name in (*_CONTROLLER, "seed") or name.startswith("config."):
-                raise ValueError(f"factors.{name}: the tuning itself says that; leave it out")
-        for name, data in self.factors.items():
-            read_factor(data, f"factors.{name}")
-        most = max(
-            [fidelity.runs for fidelity in self.fidelities]
-            + [constraint.runs for constraint in self.constraints.values()]
-        )
-        tuned = range(self.tuning.first_seed, self.tuning.first_seed + most)
-        judged = range(self.verdict.first_seed, self.verdict.first_seed + self.verdict.runs)
-        if max(tuned.start, judged.start) < min(tuned.stop, judged.stop):
-            raise ValueError(f"verdict.first_seed: seeds from {judged.start} on are those of the tuning; give others")
+    def _check_seeds(self) -> TunePlan:
+        tuning, report = self.tuning_seeds.seeds, self.report_seeds.seeds
+        if max(tuning.start, report.start) < min(tuning.stop, report.stop):
+            raise ValueError(f"report_seeds: {report.start} to {report.stop - 1} overlap with tuning_seeds")
+        check_count(self.places * (self.points * len(tuning) + 2 * len(report)), MOST_CASES)
         return self
 
-    @model_validator(mode="after")
-    def _can_be_driven(self) -> TunePlan:
-        # At least: each fidelity drives what the one before has kept.
-        kept = [-(-self.points // self.keep**k) for k in range(len(self.fidelities))]
-        searched = sum(points * of.runs for points, of in zip(kept, self.fidelities, strict=True))
-        alone = self.verdict.put_back * len(self.parameters)
-        check_count(searched + 2 * self.verdict.runs + alone, MOST_RUNS)
-        return self
-
-    def runs(
-        self, of: TuneRuns, count: int, usual: Mapping[str, Value], factors: Mapping[str, object]
-    ) -> list[Definition]:
-        """`count` runs of the controller that `usual` names, with `factors` in place of the plan's.
-
-        Raises ConfigError if a factor has a mistake, or plant, floor or sensors have no value that is to be spread.
-        """
-        drawn = dict(self.factors) | dict(factors) | {"seed": {"each": of.first_seed}}
-        for key, (low, high) in self.spread.items():
-            value = stated(key, drawn)
-            drawn[key] = {"uniform": sorted((low * value, high * value))}
-        campaign = Campaign(description=self.description, runs=count, draw_seed=of.draw_seed, factors=drawn)
-        return [definition.changed(usual) for definition in campaign.definitions()]
+    @property
+    def places(self) -> int:
+        """Number of combinations of `runs`."""
+        return math.prod(map(len, self.runs.values()))
 
 
 def load_plan(path: Path | None = None) -> TunePlan:
-    """Read a plan, by default the shipped one; raises ConfigError when it has a mistake."""
+    """Read a plan, by default the shipped one; raises ConfigError for a mistake.
+
+    Files that the plan names are relative to its folder.
+    """
     file = path or DEFAULT
-    read = load_checked(TunePlan, file)
-    return read.model_copy(update={"factors": whole_paths(read.factors, file.parent)})
+    plan = load_checked(TunePlan, file)
+    runs = {name: tuple(_resolved(value, file.parent) for value in values) for name, values in plan.runs.items()}
+    return plan.model_copy(update={"runs": runs})
 
 
-def _check_column(column: str) -> None:
-    if column not in COLUMNS:
-        raise ValueError(f"there is no column '{column}'; known: {', '.join(COLUMNS)}")
+def _resolved(name: str, folder: Path) -> str:
+    kind, colon, file = name.rpartition(":")
+    return f"{kind}{colon}{(folder / file).resolve()}" if (folder / file).is_file() else name

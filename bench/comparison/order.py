@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.experiment import COMPARED, by, mean
+from diffdrive_mpc.bench.experiment import COMPARED, by
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -54,63 +53,54 @@ def interval(differences: FloatArray) -> FloatArray:
 
 
 def order(rows: DataFrame) -> list[Rank]:
-    """Controllers by mean position RMSE, the best first; those with a run that has none are left out."""
-    compared = by(rows, COMPARED)
-    errors = {name: _errors(runs) for name, runs in compared.items()}
-    ranked = sorted((name for name in errors if np.isfinite(list(errors[name].values())).all()), key=_mean_of(errors))
-    places = []
-    for before, name in itertools.pairwise(["", *ranked]):
-        behind = interval(_differences(errors[before], errors[name])) if before else np.full(2, np.nan)
-        means = [mean(runs, "position_rmse_m") for runs in by(compared[name], "seed").values()]
-        places.append(Rank(name, _mean_of(errors)(name), float(np.std(means)), behind))
-    return places
+    """Return controllers by mean position RMSE, the best first; those with a run that has none are left out."""
+    errors = _errors(rows).dropna(axis=1)
+    means = errors.mean().sort_values(kind="stable")
+    spreads = errors.groupby("seed").mean().std(ddof=0)
+    behind = [interval((errors[name] - errors[before]).to_numpy()) for before, name in itertools.pairwise(means.index)]
+    intervals = [np.full(2, np.nan), *behind]
+    return [Rank(name, means[name], spreads[name], ends) for name, ends in zip(means.index, intervals, strict=False)]
 
 
-def reversed_pairs(one: DataFrame, other: DataFrame) -> tuple[list[str], list[str]]:
-    """Pairs whose order differs between two sets of runs: those told apart in both, and those that are not."""
-    first, second = ({name: _errors(runs) for name, runs in by(runs, COMPARED).items()} for runs in (one, other))
+def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[str]]:
+    """Return pairs whose order differs between two sets of runs: those told apart in both, and those that are not."""
+    sets = _errors(main), _errors(others)
     certain: list[str] = []
-    open_: list[str] = []
-    for a, b in itertools.combinations([name for name in first if name in second], 2):
-        here, there = (_differences(errors[a], errors[b]) for errors in (first, second))
-        if np.mean(here) * np.mean(there) < 0:
-            apart = all(np.prod(interval(differences)) > 0 for differences in (here, there))
-            (certain if apart else open_).append(f"{a} and {b}")
-    return certain, open_
+    uncertain: list[str] = []
+    for a, b in itertools.combinations([name for name in sets[0] if name in sets[1]], 2):
+        first, second = ((errors[b] - errors[a]).dropna().to_numpy() for errors in sets)
+        if np.mean(first) * np.mean(second) < 0:
+            is_certain = all(np.prod(interval(differences)) > 0 for differences in (first, second))
+            (certain if is_certain else uncertain).append(f"{a} and {b}")
+    return certain, uncertain
 
 
 def order_table(main: DataFrame, others: DataFrame) -> Table:
-    """The order over the seeds of the tables, and over others where they were run."""
+    """Return the order over the seeds of the tables, and over others where they were run."""
     rows = []
-    sets = {label: runs for label, runs in (("these", main), ("others", others)) if len(runs)}
-    for label, runs in sets.items():
-        seeds = len(by(runs, "seed"))
-        for rank, place in enumerate(order(runs), 1):
+    for label, runs in (("these", main), ("others", others)):
+        for rank, place in enumerate(order(runs) if len(runs) else [], 1):
             low, high = 1e3 * place.behind
-            behind = "-" if rank == 1 else f"{number(low, 2)} to {number(high, 2)}"
-            apart = "-" if rank == 1 else ("yes" if place.told_apart else "no")
+            behind = ("-", "-") if rank == 1 else (f"{number(low, 2)} to {number(high, 2)}", _YES[place.told_apart])
             errors = (number(1e3 * place.rmse, 2), number(1e3 * place.spread, 2))
-            rows.append((f"{seeds} ({label})", place.name, *errors, behind, apart))
+            rows.append((f"{runs['seed'].nunique()} ({label})", place.name, *errors, *behind))
     columns = ("seeds", "controller", "position RMSE [mm]", "spread [mm]", "behind the one above [mm]", "told apart")
     note = f"{RULE} Spread: from seed to seed."
     if len(others):
-        certain, open_ = reversed_pairs(main, others)
-        same = "The order is the same over the other seeds" if not certain + open_ else ""
-        swapped = f"Over the other seeds {', '.join(open_)} change places, which are not told apart" if open_ else ""
-        wrong = f"The order of {', '.join(certain)} is reversed over the other seeds" if certain else ""
-        note += "".join(f" {sentence}." for sentence in (same, swapped, wrong) if sentence)
+        certain, uncertain = reversed_pairs(main, others)
+        if not certain + uncertain:
+            note += " The order is the same over the other seeds."
+        if uncertain:
+            note += f" Over the other seeds {', '.join(uncertain)} change places, which are not told apart."
+        if certain:
+            note += f" The order of {', '.join(certain)} is reversed over the other seeds."
     return Table("Order", columns, tuple(rows), text_columns=2, note=note)
 
 
-def _errors(runs: DataFrame) -> dict[tuple[str, int], float]:
-    keys = zip(runs["trajectory"], runs["seed"], strict=True)
-    return dict(zip(keys, runs["position_rmse_m"], strict=True))
+_YES = {True: "yes", False: "no"}
 
 
-def _mean_of(errors: dict[str, dict[tuple[str, int], float]]) -> Callable[[str], float]:
-    return lambda name: float(np.mean(list(errors[name].values())))
-
-
-def _differences(one: dict[tuple[str, int], float], other: dict[tuple[str, int], float]) -> FloatArray:
-    """Other less one, on what both have driven."""
-    return np.array([other[key] - one[key] for key in one if key in other])
+def _errors(rows: DataFrame) -> DataFrame:
+    """Return the position RMSE of each controller (column) on each trajectory with each seed (row)."""
+    keys = ["trajectory", "seed"]
+    return DataFrame({name: part.set_index(keys)["position_rmse_m"] for name, part in by(rows, COMPARED).items()})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+import pandas as pd
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, predictive
 from diffdrive_mpc.bench.comparison.tables import solve_times, step_times, time_percentile
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, total
@@ -29,9 +29,9 @@ from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_s
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.table import number
 
-_TICKS = 40_000
+_TICKS = 28_000
 """Ticks of all runs together that the page holds at most, so that it stays small."""
-_TICKS_OF_A_RUN = 500
+_TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
 
 
@@ -56,19 +56,20 @@ def shown(results: ComparisonResults) -> Shown:
 
 
 def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
-    """Step times, and what was swept, by the name of the figure in which they stand."""
+    """Return step times, and what was swept, by the name of the figure file."""
     made = {"step-time.png": [step_time_chart(results.main)]}
     names, sample = list(by(results.main, COMPARED)), results.main["run"].iloc[0].sample_time
     if len(results.speed):
+        speeds = [round(case.top_speed or 0.0, 6) for case in results.speed["case"]]
         axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
-        made["speed.png"] = _against(
-            "Error against speed", axis, results.speed, lambda row: row.top_speed or 0.0, names
-        )
+        made["speed.png"] = _swept(results.speed, speeds, axis, _errors("Error against speed"), names)
     if len(results.dead_time):
-        title, axis = "Error against an unknown dead time", "dead time beyond the configured one [ms]"
-        made["dead-time.png"] = _against(title, axis, results.dead_time, lambda row: 1e3 * sample * row.late, names)
+        delays = [round(1e3 * sample * case.late, 6) for case in results.dead_time["case"]]
+        axis, title = "dead time beyond the configured one [ms]", "Error against an unknown dead time"
+        made["dead-time.png"] = _swept(results.dead_time, delays, axis, _errors(title), names)
     if len(results.horizon):
-        made["horizon.png"] = _horizons(results.horizon, sample, names)
+        axis = f"horizon [steps of {1e3 * sample:.1f} ms]"
+        made["horizon.png"] = _swept(results.horizon, list(results.horizon["horizon"]), axis, _HORIZON_FIGURES, names)
     return made
 
 
@@ -126,10 +127,9 @@ def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
                     labels={"controller": name, "path": path, "seed": seed},
                     style=styles.index(name),
                     config=case_config(case),
-                    every_layer=len(main) == 1,
                 )
             )
-    return RunViews(series, f"{HOW_TO_READ}; its rows are the runs in their order. {PEAKS}.")
+    return RunViews(series, f"{HOW_TO_READ}. {PEAKS}.")
 
 
 def error_chart(main: DataFrame) -> Chart:
@@ -157,44 +157,41 @@ def step_time_chart(main: DataFrame) -> Chart:
     return Chart("How long steps take", *axes, series, note, marks=marks)
 
 
-def _against(title: str, axis: str, rows: DataFrame, key: Callable[[Case], float], names: Sequence[str]) -> list[Chart]:
-    """Mean position and lateral RMSE at each abscissa, and the range of the seeds' own means."""
-    at = rows.assign(at=[round(key(case), 6) for case in rows["case"]]).sort_values("at", kind="stable")
-    made = []
-    for metric in ("position", "lateral"):
-        series = []
-        for name, own in by(at, "driver").items():
-            seeds = own.groupby(["at", "seed"])[f"{metric}_rmse_m"].apply(lambda row: 1e3 * row.mean(skipna=False))
-            value = [1e3 * mean(part, f"{metric}_rmse_m") for _, part in own.groupby("at")]
-            several = seeds.notna().all() and len(by(own, "seed")) > 1
-            low, high = (list(seeds.groupby("at").agg(end)) if several else () for end in ("min", "max"))
-            x, y = list(own["at"].unique()), [rounded(one) for one in value]
-            series.append(Series(name, x, y, _style(name, names), low=low, high=high, labels=_labels(name, names)))
-        made.append(Chart(f"{title}: {metric}", Axis(axis), Axis(f"{metric} RMSE [mm]", _scale(series)), series))
-    return made
+Figures = Mapping[str, tuple[str, Callable[[DataFrame], float]]]
+"""Title of a chart, title of its y axis, and value of a group of runs."""
+_HORIZON_FIGURES: Figures = {
+    "Error against the horizon": ("position RMSE [mm]", lambda rows: 1e3 * mean(rows, "position_rmse_m")),
+    "Solve time against the horizon": (
+        "solve time, p99 [ms]",
+        lambda rows: 1e3 * time_percentile(solve_times(rows), 99),
+    ),
+    "Step time against the horizon": (
+        "step time, median [ms]",
+        lambda rows: 1e3 * time_percentile(step_times(rows), 50),
+    ),
+}
 
 
-def _horizons(rows: DataFrame, sample_time: float, names: Sequence[str]) -> list[Chart]:
-    axis = Axis(f"horizon [steps of {1e3 * sample_time:.1f} ms]")
-    figures: dict[str, tuple[str, Callable[[DataFrame], float]]] = {
-        "Error against the horizon": ("position RMSE [mm]", lambda part: 1e3 * mean(part, "position_rmse_m")),
-        "Solve time against the horizon": (
-            "solve time, p99 [ms]",
-            lambda part: 1e3 * time_percentile(solve_times(part), 99),
-        ),
-        "Step time against the horizon": (
-            "step time, median [ms]",
-            lambda part: 1e3 * time_percentile(step_times(part), 50),
-        ),
+def _errors(title: str) -> Figures:
+    return {
+        f"{title}: position": ("position RMSE [mm]", lambda rows: 1e3 * mean(rows, "position_rmse_m")),
+        f"{title}: lateral": ("lateral RMSE [mm]", lambda rows: 1e3 * mean(rows, "lateral_rmse_m")),
     }
-    made = []
+
+
+def _swept(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, names: Sequence[str]) -> list[Chart]:
+    """Return figures of the runs at each x, and the range of the figures of single seeds."""
+    rows, made = rows.assign(x=x), []
     for title, (unit, figure) in figures.items():
         series = []
-        for name, own in by(rows.sort_values("horizon", kind="stable"), "driver").items():
-            at = {int(steps): rounded(figure(part)) for steps, part in own.groupby("horizon")}
+        for name, part in by(rows, "driver").items():
+            values = {float(at): rounded(figure(group)) for at, group in part.groupby("x")}
+            of_seeds = pd.Series({key: figure(group) for key, group in part.groupby(["x", "seed"])})
+            several = part["seed"].nunique() > 1 and of_seeds.notna().all()
+            low, high = (list(of_seeds.groupby(level=0).agg(end)) if several else () for end in ("min", "max"))
             style, labels = _style(name, names), _labels(name, names)
-            series.append(Series(name, list(at), list(at.values()), style, labels=labels))
-        made.append(Chart(title, axis, Axis(unit, _scale(series)), series))
+            series.append(Series(name, [*values], [*values.values()], style, low=low, high=high, labels=labels))
+        made.append(Chart(title, Axis(axis), Axis(unit, _scale(series)), series))
     return made
 
 

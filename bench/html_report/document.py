@@ -5,27 +5,19 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from string import Template
 from typing import Any
 
-from diffdrive_mpc.bench.html_report.page import Page
+from diffdrive_mpc.bench.chart_look import DASHES, PALETTE
+from diffdrive_mpc.bench.html_report.page import Chart, EmbeddedPicture, Page, RunViews, View
+from diffdrive_mpc.bench.html_report.plotly_figures import chart_figure, map_figure, run_figures
 from diffdrive_mpc.bench.plain_values import plain
 
 _TEMPLATE = Path(__file__).parent / "template"
-_SCRIPTS = ("text.js", "toggles.js", "charts.js", "runs.js", "start.js")
-_DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot")
-"""As those of figures, and two more: with seven colours none comes again with the same line before 42."""
-_MARKERS = {
-    "o": "circle",
-    "s": "square",
-    "^": "triangle-up",
-    "D": "diamond",
-    "v": "triangle-down",
-    "P": "cross",
-    "X": "x",
-}
+_SCRIPTS = ("text.js", "views.js")
 
 
 def write_page(page: Page, path: Path) -> None:
@@ -47,7 +39,7 @@ def page_text(page: Page) -> str:
 
 def content(page: Page) -> dict[str, Any]:
     """What the script gets: everything of a page as plain values, and the look that all figures share."""
-    shown: dict[str, Any] = plain(page.shown)
+    shown: dict[str, Any] = plain(replace(page.shown, views=[_view(view) for view in page.shown.views]))
     tables = [
         {
             "title": table.title,
@@ -58,8 +50,9 @@ def content(page: Page) -> dict[str, Any]:
         }
         for table in page.tables
     ]
+    look = {"colours": PALETTE, "dashes": DASHES}
     whole: dict[str, Any] = plain(
-        {"command": page.command, "title": page.title, "tables": tables, "origin": page.origin, "look": _look()}
+        {"command": page.command, "title": page.title, "tables": tables, "origin": page.origin, "look": look}
     )
     return shown | whole
 
@@ -79,14 +72,13 @@ def _escaped_title(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
-def _look() -> dict[str, list[str]]:
-    from diffdrive_mpc.bench.figure_style import MARKERS, PALETTE  # noqa: PLC0415 - matplotlib loads slowly
-
-    return {
-        "colours": list(PALETTE),
-        "dashes": list(_DASHES),
-        "markers": [_MARKERS[marker] for marker in MARKERS],
-    }
+def _view(view: View) -> Any:  # noqa: ANN401 - a picture as it is, others as plain values
+    if isinstance(view, EmbeddedPicture):
+        return view
+    if isinstance(view, RunViews):
+        return {"kind": view.kind, "note": view.note, **run_figures(view)}
+    figure = chart_figure(view) if isinstance(view, Chart) else map_figure(view)
+    return {"kind": view.kind, "title": view.title, "note": view.note, "broad": view.broad, "figure": figure}
 
 
 @cache

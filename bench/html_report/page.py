@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -83,24 +83,27 @@ class Series:
     style
         Number of its colour, line and marker.
     kind
-        How it is drawn; rows are bars that lie, whose names are their y.
+        How it is drawn; rows are horizontal bars, whose names are their y; steps hold each y until the next x.
     low, high
         Ends of an interval about each y; empty for none.
     text
         What the pointer shows at each point; empty for its coordinates.
     labels
         Toggles that hide it.
+    group
+        Name of a run; series of one group have their points at the same ticks.
     """
 
     name: str
     x: Sequence[float | str | None]
     y: Sequence[float | str | None]
     style: int = 0
-    kind: Literal["both", "line", "points", "bars", "rows"] = "both"
+    kind: Literal["both", "line", "points", "bars", "rows", "steps", "reference"] = "both"
     low: Sequence[float] = ()
     high: Sequence[float] = ()
     text: Sequence[str] = ()
     labels: Labels = field(default_factory=dict)
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Chart:
-    """Series over two axes; `broad` over the whole width of the page, `height` in pixels."""
+    """Series over two axes; `broad` over the whole width of the page, `height` in pixels, `equal` scales of x and y."""
 
     title: str
     x: Axis
@@ -124,6 +127,7 @@ class Chart:
     marks: Sequence[Mark] = ()
     broad: bool = False
     height: int = 340
+    equal: bool = False
     kind: Literal["chart"] = "chart"
 
 
@@ -163,12 +167,52 @@ class EmbeddedPicture:
 
 
 @dataclass(frozen=True)
-class RunViews:
-    """Linked views of closed-loop runs; each is what `run_series.run_series` gives."""
+class RunSeries:
+    """Series of a closed-loop run: in the plane, and by the title of each pane over time."""
 
-    runs: Sequence[Mapping[str, object]]
+    name: str
+    plane: Sequence[Series]
+    panes: Mapping[str, Sequence[Series]]
+    marks: Mapping[str, Sequence[Mark]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RunViews:
+    """Linked charts of closed-loop runs, see `run_series.run_series`."""
+
+    runs: Sequence[RunSeries]
     note: str = ""
     kind: Literal["runs"] = "runs"
+
+    @property
+    def plane(self) -> Chart:
+        """Paths in the plane."""
+        series = _references_once(entry for run in self.runs for entry in run.plane)
+        return Chart("Path in the plane", Axis("x [m]"), Axis("y [m]"), series, height=460, equal=True)
+
+    @property
+    def panes(self) -> list[Chart]:
+        """Charts over time, to be drawn below each other."""
+        titles = dict.fromkeys(title for run in self.runs for title in run.panes)
+        return [
+            Chart(
+                title,
+                Axis("time [s]"),
+                Axis(title),
+                _references_once(entry for run in self.runs for entry in run.panes.get(title, ())),
+                marks=self.runs[0].marks.get(title, ()),
+            )
+            for title in titles
+        ]
+
+
+def _references_once(series: Iterable[Series]) -> list[Series]:
+    """Drop references that equal an earlier one in name and labels: runs on one path share theirs."""
+    entries: dict[object, Series] = {}
+    for entry in series:
+        is_reference = entry.kind == "reference"
+        entries.setdefault((entry.name, *entry.labels.items()) if is_reference else id(entry), entry)
+    return list(entries.values())
 
 
 View = Chart | GridMap | EmbeddedPicture | RunViews

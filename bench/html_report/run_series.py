@@ -1,28 +1,25 @@
-"""A closed-loop run as the page shows it: columns rounded and thinned, and spans of time for modes and solver paths."""
+"""Charts of a closed-loop run: path, errors, commands, step time, and the methods and modes over time."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from itertools import groupby
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffdrive_mpc.bench.html_report.page import Labels
+from diffdrive_mpc.bench.html_report.page import Labels, Mark, RunSeries, Series
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES
 
-HOW_TO_READ = (
-    "Point at either view, or move the slider: the other shows the same time, the readout what happened then. "
-    "Thick in the strip: more trouble"
-)
+HOW_TO_READ = "Point at either view: the other marks the same time"
 PEAKS = "Of neighbouring ticks the one with the largest position error is drawn"
-_PLAN_POINTS, _MESSAGES = 12, 40
-# Steps of the last digit that is kept, in the units that the page shows.
-_POSITION, _ANGLE, _ERROR, _TWIST, _TIME, _STEP = 1e-3, 1e-2, 1e-1, 1e-3, 1e-3, 1e-3
+ERROR, HEADING, STEP, METHOD = "error [mm]", "heading error [mrad]", "step time [ms]", "solver or mode"
+TWIST = ("v [m/s]", "omega [rad/s]")
+_NEAR_LIMIT = 0.1
+"""Share of a limit that a command must exceed for the limit to be drawn: else it would press the curves flat."""
 
 
 def run_series(
@@ -33,52 +30,79 @@ def run_series(
     labels: Labels | None = None,
     style: int = 0,
     config: ControllerConfig | None = None,
-    every_layer: bool = True,
-) -> dict[str, object]:
-    """Everything that the page shows of a run.
+) -> RunSeries:
+    """Return the series of a run.
 
     Parameters
     ----------
     run
         The run.
     name
-        In the readout.
+        In legends, if the run is compared.
     points
-        How many ticks are kept at most.
+        Maximum number of ticks.
     labels
-        Toggles that hide it; the value of "path" says which runs share a reference.
+        Toggles of a run that is compared with others; the value of "path" names the shared reference. None for a single
+        run, which also shows estimate, poses, true twist, the error along the path, and the limits of `config`.
     style
-        Number of its colour and line.
+        Number of colour and line of a compared run.
     config
-        Of its controller, for the limits of the commands; None for a peer.
-    every_layer
-        Whether estimate, poses and true twist are kept, which comparisons do without.
+        Configuration of the controller; None for a peer.
     """
-    kept = kept_ticks(run, points)
-    columns = _columns(run, kept) | (_more_columns(run, kept, points) if every_layer else {})
-    layers = ["reference", "along", *(["twist"] if every_layer else [])]
-    layers += [layer for layer, column in (("estimate", "estimate_x"), ("poses", "pose_x")) if column in columns]
-    limits = {} if config is None else {"limit_v": config.limits.v, "limit_omega": config.limits.omega}
-    plans = _plans(run, kept) if every_layer and len(run.plans) else None
-    labels = labels or {}
-    return {
-        "name": name,
-        "labels": labels,
-        "path": labels.get("path", ""),
-        "style": style,
-        "columns": columns,
-        "layers": [*layers, *(["limits"] if limits else []), *(["plan"] if plans else [])],
-        "strip": spans(run, _troubles(run)),
-        "paths": spans(run, run.solver_methods),
-        "modes": spans(run, run.modes),
-        "messages": _messages(run),
-        "plans": plans,
-        **limits,
+    single, labels, kept = labels is None, labels or {}, kept_ticks(run, points)
+    of_path = {"path": labels["path"]} if "path" in labels else {}
+    time = rounded_list(run.time[kept], 3)
+
+    def line(what: str, x: Sequence[float | None], values: FloatArray, digits: int, number: int = 0) -> Series:
+        shown = (what, number) if single else (name, style)
+        return Series(shown[0], x, rounded_list(values, digits), shown[1], "line", labels=labels, group=name)
+
+    def reference(x: Sequence[float | None], values: FloatArray) -> Series:
+        return Series("reference", x, rounded_list(values, 3), kind="reference", labels=of_path)
+
+    def in_plane(what: str, xy: FloatArray, number: int = 0) -> Series:
+        return line(what, rounded_list(xy[:, 0], 3), xy[:, 1], 3, number)
+
+    errors, pose = run.errors, run.reference_pose[kept]
+    plane = [reference(rounded_list(pose[:, 0], 3), pose[:, 1]), in_plane("driven", run.true_pose[kept])]
+    panes = {
+        ERROR: [line("lateral", time, 1e3 * errors.lateral[kept], 1)],
+        HEADING: [line("heading", time, 1e3 * errors.heading[kept], 1)],
+        **{
+            title: [
+                reference(time, run.reference_twist[kept, channel]),
+                line("command", time, run.command[kept, channel], 3, 1),
+            ]
+            for channel, title in enumerate(TWIST)
+        },
+        STEP: [line("step time", time, 1e3 * run.step_time[kept], 3, 1)],
+        METHOD: [_words(run, name, labels, 1 if single else style)],
     }
+    marks = {}
+    if single:
+        plane += [in_plane("estimate", run.estimates[kept], 2)] if np.isfinite(run.estimates[:, 0]).any() else []
+        poses = run.measured_pose[np.isfinite(run.measured_pose[:, 0])][:: max(1, len(run.time) // points)]
+        xy = (rounded_list(poses[:, 0], 3), rounded_list(poses[:, 1], 3))
+        plane = [*([Series("poses that arrived", *xy, 3, "points")] if len(poses) else []), *plane]
+        panes[ERROR] += [line("along", time, 1e3 * along_error(run)[kept], 1, 4)]
+        for channel, title in enumerate(TWIST):
+            panes[title] += [line("true", time, run.true_twist[kept, (0, 2)[channel]], 3)]
+        marks = {} if config is None else _limits(run, config)
+    return RunSeries(name, plane, panes, marks)
+
+
+def restyled(series: RunSeries, style: int) -> RunSeries:
+    """Return the series of a compared run with another number of colour and line; the reference keeps its look."""
+
+    def with_style(entries: Sequence[Series]) -> list[Series]:
+        return [entry if entry.kind == "reference" else replace(entry, style=style) for entry in entries]
+
+    panes = {title: with_style(entries) for title, entries in series.panes.items()}
+    return replace(series, plane=with_style(series.plane), panes=panes)
 
 
 def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
-    """At most `points` ticks of a run: of neighbours the one with the largest position error, so that peaks stay."""
+    """Return at most `points` ticks of a run: of neighbours the one with the largest position error."""
     count = len(run.time)
     groups = np.array_split(np.arange(count), min(points, count))
     error = np.nan_to_num(run.errors.position)
@@ -86,79 +110,28 @@ def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
 
 
 def along_error(run: Run) -> FloatArray:
-    """(n,) how far the robot is ahead of its reference, along the reference's heading [m]."""
+    """Return (n,) the distance by which the robot is ahead of its reference, along the reference's heading [m]."""
     offset, heading = run.true_pose - run.reference_pose, run.reference_pose[:, 2]
     return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 
 
-def column(values: FloatArray, step: float) -> dict[str, object]:
-    """Numbers as whole multiples of `step`, which are short; what is not finite is null."""
-    whole = np.rint(np.asarray(values, dtype=float) / step)
-    return {"s": step, "v": [int(one) if math.isfinite(one) else None for one in whole]}
+def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
+    """Return numbers with decimal places; None if not finite."""
+    return [float(value) if np.isfinite(value) else None for value in np.round(values, digits)]
 
 
-def spans(run: Run, words: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
-    """By word, from when to when it stood [s]."""
-    stretches: dict[str, list[tuple[float, float]]] = {}
-    first = 0
-    for word, ticks in groupby(words):
-        last = first + len(list(ticks))
-        end = run.time[min(last, len(run.time) - 1)]
-        stretches.setdefault(word, []).append((round(float(run.time[first]), 3), round(float(end), 3)))
-        first = last
-    return stretches
-
-
-def _columns(run: Run, kept: NDArray[np.intp]) -> dict[str, object]:
-    errors, reference = run.errors, run.reference_pose
-    return {
-        "t": column(run.time[kept], _TIME),
-        "x": column(run.true_pose[kept, 0], _POSITION),
-        "y": column(run.true_pose[kept, 1], _POSITION),
-        "theta": column(run.true_pose[kept, 2], _ANGLE),
-        "reference_x": column(reference[kept, 0], _POSITION),
-        "reference_y": column(reference[kept, 1], _POSITION),
-        "reference_v": column(run.reference_twist[kept, 0], _TWIST),
-        "reference_omega": column(run.reference_twist[kept, 1], _TWIST),
-        "lateral": column(1e3 * errors.lateral[kept], _ERROR),
-        "along": column(1e3 * along_error(run)[kept], _ERROR),
-        "heading": column(1e3 * errors.heading[kept], _ERROR),
-        "v": column(run.command[kept, 0], _TWIST),
-        "omega": column(run.command[kept, 1], _TWIST),
-        "step": column(1e3 * run.step_time[kept], _STEP),
-    }
-
-
-def _more_columns(run: Run, kept: NDArray[np.intp], points: int) -> dict[str, object]:
-    more: dict[str, object] = {
-        "true_v": column(run.true_twist[kept, 0], _TWIST),
-        "true_omega": column(run.true_twist[kept, 2], _TWIST),
-    }
-    if np.isfinite(run.estimates[:, 0]).any():
-        more["estimate_x"] = column(run.estimates[kept, 0], _POSITION)
-        more["estimate_y"] = column(run.estimates[kept, 1], _POSITION)
-    poses = run.measured_pose[np.isfinite(run.measured_pose[:, 0])]
-    if len(poses):
-        poses = poses[:: math.ceil(len(poses) / points)]
-        more["pose_x"], more["pose_y"] = column(poses[:, 0], _POSITION), column(poses[:, 1], _POSITION)
-    return more
-
-
-def _troubles(run: Run) -> list[str]:
-    """At each tick the mode where the controller did without a fresh plan or had finished, else the solver's path."""
+def _words(run: Run, name: str, labels: Labels, style: int) -> Series:
+    """Return the mode at each tick without a fresh plan or after the end, else the method of the solver, as steps."""
     telling = {*FALLBACK_MODES, "FINISHED"}
-    return [mode if mode in telling else path for mode, path in zip(run.modes, run.solver_methods, strict=True)]
+    words = [mode if mode in telling else word for mode, word in zip(run.modes, run.solver_methods, strict=True)]
+    changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
+    time = rounded_list(run.time[[*changes, len(words) - 1]], 3)
+    return Series(name, time, [words[k] for k in (*changes, len(words) - 1)], style, "steps", labels=labels)
 
 
-def _messages(run: Run) -> list[tuple[float, str]]:
-    """When the controller began to say what."""
-    first = [k for k in range(len(run.messages)) if k == 0 or run.messages[k] != run.messages[k - 1]]
-    return [(round(float(run.time[k]), 3), run.messages[k]) for k in first[:_MESSAGES]]
-
-
-def _plans(run: Run, kept: NDArray[np.intp]) -> list[list[list[float]] | None]:
-    """X and y [m] of some points of the plan at each kept tick; None where there was none."""
-    length = run.plans.shape[1]
-    chosen = np.unique(np.linspace(0, length - 1, min(length, _PLAN_POINTS)).round().astype(int))
-    plans = run.plans[kept][:, chosen, :2]
-    return [plan.round(3).tolist() if np.isfinite(plan).all() else None for plan in plans]
+def _limits(run: Run, config: ControllerConfig) -> dict[str, list[Mark]]:
+    limits = zip(TWIST, run.command.T, (config.limits.v, config.limits.omega), strict=True)
+    return {
+        title: [Mark(sign * limit, "limit") for sign in (-1, 1) if (sign * command > _NEAR_LIMIT * limit).any()]
+        for title, command, limit in limits
+    }

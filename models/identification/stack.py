@@ -28,12 +28,15 @@ from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import joined
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _TRIED = ("clipped commands", "twist slew", "veer")
 """Effects of the base that change what is estimated here."""
 _ALSO = ("spread.v", "spread.omega")
 _UNITS = {"v": "m/s", "omega": "rad/s"}
+DIGITS = 4
+"""Significant digits of values and intervals."""
 
 
 @dataclass(frozen=True)
@@ -340,3 +343,27 @@ def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Qu
         "max_look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
         "controller_frequency": frequency,
     }
+
+
+def interval_words(quantity: Quantity) -> str:
+    """Return the interval with its unit, followed by a comma and a blank."""
+    low, high = quantity.interval
+    unit = f" {quantity.unit}" if quantity.unit else ""
+    return f"[{low:.{DIGITS}g}, {high:.{DIGITS}g}]{unit}, " if low < high else f"{quantity.unit}, "
+
+
+def quantity_table(quantities: Quantities) -> TextTable:
+    """Return a row for each quantity, known or not."""
+    rows = [
+        (
+            name,
+            "-" if part.value is None else f"{part.value:.{DIGITS}g}",
+            "not known" if part.value is None else interval_words(part).rstrip(", "),
+            part.reason,
+        )
+        for name, part in quantities.items()
+    ]
+    note = "Intervals of 95 %. The files say which parameter each is."
+    return TextTable(
+        "For other packages", ("what", "value", "interval", "reason"), tuple(rows), text_columns=4, note=note
+    )

@@ -12,8 +12,10 @@ import yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, parse_yaml, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.load import is_shipped, model_path
-from diffdrive_mpc.models.named_file import is_file, named_file
+from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
+from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
 from diffdrive_mpc.mpc.config.former_keys import with_present_names
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
@@ -58,12 +60,11 @@ def load_config(
             source,
             "a model goes beside it: Controller('ssm', model=model)",
         )
-    path = named_file("configuration", PARAMETERS, source)
+    path = config_path(source)
     data = read_yaml(path, file_limits().model_values)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
-    shipped = path.parent == PARAMETERS
-    where = path.stem if shipped else str(path)
+    where = path.stem if path.stem == str(source) else str(path)
     config = _checked(_replaced(side_by_side(data, where), overrides), where)
     beside = path.parent / config.model
     if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(beside):
@@ -72,6 +73,21 @@ def load_config(
     config = config.model_copy(update={"features": features})
     terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
+
+
+def config_path(name: str | Path) -> Path:
+    """Return the file of a configuration: one of this package, one of an installed package, or the user's own.
+
+    Raises ConfigError if there is none, and MissingPackageError if a package that is not installed ships it.
+    """
+    ours = shipped_names(PARAMETERS)
+    if str(name) in ours:
+        return PARAMETERS / f"{name}.yaml"
+    plugged = {one.name: one.config for one in function_structures().values() if one.config}
+    if str(name) in plugged:
+        return plugged[str(name)]
+    check_package("models", name)
+    return named_file("configuration", PARAMETERS, name, (*ours, *plugged))
 
 
 def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:

@@ -16,7 +16,10 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.documents import twelve_drives
 
 _NOT_RUN = "This part was not run."
-_OWN_TARGETS = {"bench": "bench-full", "edge": "edge", "robustness": "robustness", "market": "market", "prove": "prove"}
+_OWN_TARGETS = {
+    "bench": "bench-full",
+    **{name: name for name in ("edge", "robustness", "market", "prove", "tune")},
+}
 """Targets of make by the report that they write; `study` writes the others."""
 
 
@@ -81,43 +84,19 @@ MARKET = ShownReport("market", (), (), study="robustness")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
-TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tuning.md")
-LOOP_SPEED = ShownReport("loop-speed", (), ())
-TORQUE = ShownReport(
-    "torque",
-    ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
-    (),
-)
-SAVING = ShownReport(
-    "saving",
-    (
-        "saving.png",
-        "paths-default.png",
-        "prediction.png",
-        "scenario-1.png",
-        "scenario-2.png",
-        "scenario-3.png",
-        "scenario-4.png",
-    ),
-    (),
-)
-ENERGY_FRONT = ShownReport("energy-front", ("front.png",), ())
+TUNE = ShownReport("tune", ("search.png",), (), "tuning.md")
 PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
 SHOWN = (
     BENCH,
     TRACKING,
     REPRODUCE,
     SPEED,
-    LOOP_SPEED,
     PEERS,
     EDGE,
     ROBUSTNESS,
     MARKET,
     PROVE,
     TUNE,
-    TORQUE,
-    ENERGY_FRONT,
-    SAVING,
     PREDICTED_ERROR,
 )
 

@@ -1,7 +1,7 @@
 """P2's comparison: velocities by no model, by its two drive models and by SM, against what was measured.
 
 P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and largest error of a free run, on drives of the simulated
-robot with changes of direction, and on logs of real robots by the protocol of `studies.real_logs`.
+robot with changes of direction, and on logs of real robots by the protocol of `real_logs.yaml`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
 from diffdrive_mpc_extras.drives.drive_model import Kind
 from diffdrive_mpc_extras.drives.fitting import DriveFit, fit_drive
-from studies.real_logs.protocol import divide, load_protocol
 from studies.reproduce.drives import record_of
 from studies.reproduce.published import DriveStudy, PaperFinding, Published, PublishedDriveErrors
+from studies.reproduce.real_logs import divide, load_protocol
 
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}

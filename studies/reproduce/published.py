@@ -269,7 +269,7 @@ class DriveStudy(StrictModel):
     v: Positive = Field(description="largest set-point [m/s]")
     omega: Positive = Field(description="largest set-point [rad/s]")
     repetitions: Count = Field(description="how many of the repetitions")
-    logs: tuple[str, ...] = Field(description="of studies/real_logs/protocol.yaml")
+    logs: tuple[str, ...] = Field(description="of real_logs.yaml")
 
 
 class TrackStudy(StrictModel):

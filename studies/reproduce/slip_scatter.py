@@ -21,11 +21,11 @@ from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.estimation.estimate import Belief
 from diffdrive_mpc.mpc.problem.slip import PRIORS, Slip
-from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation
 from studies.reproduce.published import PaperFinding, Published, ScatterFloor, ScatterStudy
 
 _INSIDE = 0.95

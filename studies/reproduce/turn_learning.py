@@ -18,19 +18,19 @@ from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from diffdrive_mpc_extras.energy import predict_energy
 from diffdrive_mpc_extras.terrain import load_terrain
 from diffdrive_mpc_extras.torque import TorqueCurves, load_torque_settings
-from diffdrive_mpc_extras.turn_costs import LIMIT_SHARE
-from studies.reproduce.published import PaperFinding, Published, TurningStudy
-from studies.reproduce.turning import planning_times
-from studies.torque.measurements import (
+from diffdrive_mpc_extras.torque.measurements import (
+    Steady,
     diagnostic_drive,
+    load_turn_study,
     own_least_radius,
     plant_of,
     sides,
     steady_turns,
     unseen_commands,
 )
-from studies.torque.outcome import parts_of, reference_speed, rms_error, true_power
-from studies.torque.settings import load_study
+from diffdrive_mpc_extras.turn_costs import LIMIT_SHARE, DriveConstants
+from studies.reproduce.published import PaperFinding, Published, TurningStudy
+from studies.reproduce.turning import planning_times, robot_parts
 
 _RADII = np.geomspace(0.3, 300.0, 80)
 _CURVES = "P4, section 4.2, Figures 16 to 18"
@@ -118,9 +118,9 @@ class LearnedTurns:
 
 def learn_turns(study: TurningStudy, floor: str) -> LearnedTurns:
     """Drive, learn, and foresee drives that were not learned from."""
-    asked = load_study()
-    vehicle, constants = parts_of(asked)
-    speed, track = reference_speed(), vehicle.command_track or vehicle.track
+    asked = load_turn_study()
+    vehicle, constants = robot_parts(asked.robot)
+    speed, track = load_torque_settings().curves.speed, vehicle.command_track or vehicle.track
     measured = asked.measured.model_copy(update={"settling": study.settling, "hold": study.hold})
     still = plant_of(asked.robot, floor, sensors="perfect")
     drive = diagnostic_drive(plant_of(asked.robot, floor, seed=asked.seed), asked.diagnostic)
@@ -334,3 +334,15 @@ def turn_learning_findings(floors: Sequence[LearnedTurns], published: Published)
             tuple(learned < 0 for learned, _ in means),
         ),
     ]
+
+
+def rms_error(curves: TorqueCurves, steady: Steady, speed: float) -> tuple[float, float]:
+    """Return the RMSE of outer and inner side over the RMS of each measured curve [-]."""
+    pairs = ((curves.outer(steady.radius, speed), steady.outer), (curves.inner(steady.radius, speed), steady.inner))
+    outer, inner = (float(np.sqrt(np.mean((estimate - true) ** 2) / np.mean(true**2))) for estimate, true in pairs)
+    return outer, inner
+
+
+def true_power(drive: OpenLoopDrive, constants: DriveConstants) -> FloatArray:
+    """Return the power of the battery in each sample (K,) [W], from what each motor did."""
+    return np.asarray(constants.motor_power(drive.motor_power, drive.motor_square).sum(axis=1) + constants.idle_power)

@@ -1,7 +1,7 @@
 """P4's torques and powers of steady turns, by its shear law on vinyl and on the simulated robot's smoothest floor.
 
 P4: Ordonez et al., 2017, section 2.3, Figures 6 and 7. Its measured torques are in a figure only; beside the model
-with its printed parameters stands the simulated robot of `python -m studies torque`.
+with its printed parameters stands the simulated robot of `torque/turn_study.yaml`.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.energy.power_readings import robot_power
 from diffdrive_mpc_extras.planner import PlanError, plan
 from diffdrive_mpc_extras.terrain import load_terrain, side_torques
-from diffdrive_mpc_extras.turn_costs import load_turn_costs
+from diffdrive_mpc_extras.torque.measurements import load_turn_study, plant_of, steady_turns
+from diffdrive_mpc_extras.turn_costs import DriveConstants, Vehicle, load_turn_costs, load_vehicle
 from studies.reproduce.published import PaperFinding, Published, TurningStudy
-from studies.torque.measurements import plant_of, steady_turns
-from studies.torque.outcome import parts_of
-from studies.torque.settings import load_study
 
 _SHOWN = (0.5, 2.0, 20.0, 1000.0)
 _TORQUES = "P4, section 2.3, Figure 6"
@@ -98,8 +97,8 @@ LAW = "shear law"
 
 def turn_steadily(study: TurningStudy) -> TurningResult:
     """The paper's radii and speeds, by the law and driven."""
-    torque_study = load_study()
-    vehicle, constants = parts_of(torque_study)
+    torque_study = load_turn_study()
+    vehicle, constants = robot_parts(torque_study.robot)
     vinyl, radii = load_terrain(torque_study.prior), np.array(study.radii)
     asked = torque_study.measured.model_copy(update={"settling": study.settling, "hold": study.hold})
     plant = plant_of(torque_study.robot, study.smooth_floor, sensors="perfect")
@@ -233,3 +232,8 @@ def planning_times(costs: str, count: int, seed: int) -> tuple[float, ...]:
             plan(robot, [0.0, 0.0, 0.0], [*goal, heading], minimise="energy", speed=_SPEED)
         took.append(time.process_time() - begin)
     return tuple(took)
+
+
+def robot_parts(robot: str) -> tuple[Vehicle, DriveConstants]:
+    """Return vehicle and motors of a simulated robot; raises ConfigError where one does not exist."""
+    return load_vehicle(robot), robot_power(f"mujoco:{robot}").drive

@@ -11,8 +11,8 @@ from pandas import DataFrame
 from scipy.stats import binomtest, poisson
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cells import Cell, load_tables
 from diffdrive_mpc.bench.experiment import by, mean, total
+from diffdrive_mpc.bench.grouped_tables import Cell, load_tables
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig

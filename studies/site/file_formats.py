@@ -1,39 +1,60 @@
-"""The kinds of YAML files as a page, from their JSON Schemas."""
+"""A page of the kinds of YAML files, from the schemas of their readers."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from diffdrive_mpc.app.schemas.generate import schema_text
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
-from diffdrive_mpc.models.file_kind import FileKind
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
+from diffdrive_mpc.app.schemas import json_schema
+from diffdrive_mpc.bench.experiment_file import ExperimentFile
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.stated_robot import MakersRobot
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
+from diffdrive_mpc.sim.plants.surface import Surface
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
-_HEAD = """# What may stand in a file for a model, a path, a log, a floor, a campaign?
+Schema = dict[str, Any]
 
-The keys of this page, which is made from the JSON Schemas that ship. `diffdrive-mpc schema KIND --out FILE` writes one,
-so that an editor completes and checks such a file while you write ([how](../install.md#editors)). A key with a point
-lies in a group. The controller's configuration has [a page of its own](../parameters.md).
+_HEAD = """# What may stand in a file for a model, a path, a log, a floor?
+
+This page lists the keys of each kind of file, from the schemas of its readers. Models and trajectories have a JSON
+Schema, `diffdrive-mpc config schema KIND --json`, with which an editor completes and checks such a file
+([how](../install.md#editors)). A key with a point lies in a group. The controller's configuration has
+[a page of its own](../parameters.md). A scenario may draw a value: `[LOW, HIGH]` or `{one_of: [...]}`. A robot or a
+sensor set may leave out every key: the shipped `default` then counts.
 """
 _COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 # Groups inside groups that have keys of their own; what lies deeper is told by the schema only.
 _DEPTH = 2
-
-Schema = dict[str, Any]
+_FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
+    "trajectory": ("path to follow", "--trajectory", lambda: json.loads(json_schema("trajectory"))),
+    "model": ("velocity model", "--model", lambda: json.loads(json_schema("model"))),
+    "mapping": ("columns or topics of a log", "--mapping", LogMapping.model_json_schema),
+    "stated-robot": ("data sheet of a robot", "identify --robot", MakersRobot.model_json_schema),
+    "robot": ("simulated robot", "--plant mujoco:FILE", SimulatedRobot.model_json_schema),
+    "surface": ("floor", "--surface", Surface.model_json_schema),
+    "sensors": ("sensor set", "--sensors", SensorSet.model_json_schema),
+    "scenario": ("events and faults of a drive", "--scenario", Scenario.model_json_schema),
+    "experiment": ("varied values, parts and tables of a bench", "bench --spec", ExperimentFile.model_json_schema),
+}
+"""Title, option that takes such a file, and schema, by kind."""
 
 
 def file_formats_page() -> str:
-    """Every kind of file with its keys, as Markdown."""
-    return "\n\n".join([_HEAD, *(_section(kind) for name, kind in KINDS.items() if name != "controller")]) + "\n"
+    """Return the kinds of files with their keys as Markdown."""
+    return "\n\n".join([_HEAD, *map(_section, _FORMATS)]) + "\n"
 
 
-def _section(kind: FileKind) -> str:
-    schema: Schema = json.loads(schema_text(kind))
-    names = ", ".join(f"`{path.stem}`" for path in kind.files)
-    facts = f"For `{kind.given}`." + (f" Shipped: {names}." if names else "")
-    title = f"## {kind.name}: {kind.what} {{ #{kind.name} }}"
+def _section(kind: str) -> str:
+    about, option, read_schema = _FORMATS[kind]
+    schema = read_schema()
+    names = ", ".join(f"`{path.stem}`" for path in KINDS[kind].files) if kind in KINDS else ""
+    facts = f"For `{option}`." + (f" Shipped: {names}." if names else "")
+    title = f"## {kind}: {about} {{ #{kind} }}"
     return "\n\n".join([title, facts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])
 
 

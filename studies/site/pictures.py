@@ -1,4 +1,4 @@
-"""Pictures of the documents that no study leaves: drawn by commands that a reader can type.
+"""Pictures of the documents that no study draws: results of commands, and the poster.
 
 Run as ``python -m studies.site.pictures [NAME ...]``, from the top of the repository.
 """
@@ -11,13 +11,18 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from PIL import Image
 
+from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.sim.viewer import BLUE, GREY, ORANGE, RobotScene, draw_line
 
 FOLDER = Path("docs/pictures")
 # Figures have few colours; a palette takes a third of the room.
 _COLOURS = 64
+POSTER, _POSTER_TIME = "poster", 5.2
+"""Name of the picture of the robot, and its instant in the drive [s]."""
 
 
 class SitePicture(StrictModel):
@@ -57,9 +62,32 @@ def draw(picture: SitePicture, target: Path) -> None:
             drawn.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
+def draw_poster(target: Path) -> None:
+    """Drive an S, and render the robot, its path so far, the reference and the plan at one instant."""
+    import mujoco  # noqa: PLC0415 - takes the renderer of the environment when it loads
+
+    config = load_config("ssm")
+    reference = load_trajectory("s", config)
+    run = simulate(Controller(config), make_plant("mujoco"), reference, keep_plans=True)
+    tick = int(np.searchsorted(run.time, _POSTER_TIME))
+    scene, camera, pose = RobotScene("mujoco"), mujoco.MjvCamera(), run.true_pose[tick]
+    scene.place(pose, (0.3, 0.9, 0.6, 0.1))
+    camera.lookat[:], camera.distance = (*pose[:2], 0.05), 1.2
+    camera.azimuth, camera.elevation = np.degrees(pose[2]) + 32.0, -38.0
+    with mujoco.Renderer(scene.model, 720, 1280, max_geom=5000) as renderer:
+        renderer.update_scene(scene.data, camera)
+        samples = reference.sample(np.linspace(0.0, reference.duration, 1000)).pose
+        draw_line(renderer.scene, samples[:, :2], 0.004, GREY)
+        draw_line(renderer.scene, run.true_pose[: tick + 1, :2], 0.006, BLUE)
+        draw_line(renderer.scene, run.plans[tick][:, :2], scene.height, ORANGE)
+        Image.fromarray(renderer.render()).quantize(_COLOURS * 2).save(target, optimize=True)
+
+
 def main(names: list[str]) -> None:
     """Draw the pictures of these names, or all of them."""
     FOLDER.mkdir(exist_ok=True)
+    if not names or POSTER in names:
+        draw_poster(FOLDER / f"{POSTER}.png")
     for name, picture in listed().items():
         if not names or name in names:
             draw(picture, FOLDER / f"{name}.png")

@@ -130,7 +130,7 @@ def measure(
             for one in running:
                 one.guarded(one.drive.step)
             on_tick()
-        _replay([one for one in running if not one.lost], settings, core)
+        _replay([one for one in running if not one.lost], settings)
         converged = {
             problem.name: _build(
                 stack, settings, problem, settings.converged, None, folder / problem.name / "converged", core
@@ -146,10 +146,10 @@ def measure(
     return measured, missing
 
 
-def _replay(running: Sequence[_Running], settings: SpeedSettings, core: int | None) -> None:
+def _replay(running: Sequence[_Running], settings: SpeedSettings) -> None:
     """Time all of them; those too slow to be replayed have the times of their closed loop."""
     quick = [one for one in running if _typical(one) < settings.replayed_below]
-    (costs,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block, core=core)
+    (costs,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block)
     for one, times in zip(quick, costs, strict=True):
         one.times = times
     best = min([best, *(effort.pace for one in running for effort in one.drive.efforts)])

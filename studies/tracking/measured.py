@@ -13,6 +13,7 @@ from pandas import DataFrame
 from diffdrive_mpc.bench.case import NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import controller_config, load_reference, run_case
 from diffdrive_mpc.bench.experiment import by
+from diffdrive_mpc.bench.html_report.page import RunSeries
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
@@ -84,11 +85,11 @@ def is_plain(case: Case) -> bool:
     return case.controller != BOUND and (case.plant, case.sensors, case.scenario, case.overrides) == usual
 
 
-def _series(case: Case, run: Run) -> dict[str, object]:
+def _series(case: Case, run: Run) -> RunSeries:
     model, path = who_drives(case), case.labels["trajectory"]
     config = controller_config(case.model, case.config, case.overrides)
     labels = {"model": model, "path": path}
-    return run_series(run, f"{model}, {path}", points=_POINTS, labels=labels, config=config, every_layer=False)
+    return run_series(run, f"{model}, {path}", points=_POINTS, labels=labels, config=config)
 
 
 def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.cells import Cell, figure, load_tables
 from diffdrive_mpc.bench.experiment import by, mean, total
+from diffdrive_mpc.bench.grouped_tables import Cell, figure, load_tables
 from diffdrive_mpc.bench.html_report.origin import configuration
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
@@ -27,7 +27,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Warned,
     rounded,
 )
-from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, restyled
 from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import Report
 from diffdrive_mpc.bench.table import Table, millis, number
@@ -167,7 +167,7 @@ def shown(rows: DataFrame) -> Shown:
     driven = kept[kept["seed"] == kept["seed"].min()]
     models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
     series = [
-        {**one, "style": models.index(name)} for name, one in zip(driven["driver"], driven["series"], strict=True)
+        restyled(series, models.index(name)) for name, series in zip(driven["driver"], driven["series"], strict=True)
     ]
     runs = [RunViews(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]

@@ -22,7 +22,7 @@ from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from studies.real_logs.protocol import RealLog, load_protocol
+from studies.reproduce.real_logs import RealLog, load_protocol
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from commands import invoke
 from diffdrive_mpc import ControllerConfig, load_config, load_model
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.schemas.generate import json_schema
+from diffdrive_mpc.app.schemas import json_schema
 from diffdrive_mpc.bench.case import MOST_SEEDS, parse_seeds
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
@@ -66,7 +66,7 @@ def test_the_json_schema_is_written_to_a_file(tmp_path: Path) -> None:
     assert (result.exit_code, result.stdout) == (0, "")
     assert path.read_text() == json_schema("controller")
     refused = runner.invoke(app, ["config", "schema", "--out", str(tmp_path / "table.txt")])
-    assert (refused.exit_code, refused.stderr) == (2, "error: --out is for the JSON schema; give --json too\n")
+    assert (refused.exit_code, refused.stderr) == (2, "error: --out is for the JSON Schema; give --json too\n")
     assert [entry.name for entry in tmp_path.iterdir()] == ["new"]
 
 
@@ -143,7 +143,6 @@ def completed(words: str, shell: str = "bash") -> list[str]:
         ("identify drive.csv --mapping simu", {"simulate", "simulated_robot"}),
         ("simulate --set weights.acr", {"weights.across=700.0"}),
         ("simulate --set solver.method", {"solver.method=auto", "solver.method=osqp", "solver.method=daqp"}),
-        ("schema tra", {"trajectory"}),
         ("config sh", {"show"}),
         ("tun", {"tune"}),
     ],
@@ -223,7 +222,6 @@ def test_a_pipe_without_columns_is_wide(monkeypatch: pytest.MonkeyPatch, capsys:
         ("models", "show", "mbm"),
         ("models", "show", "lstm"),
         ("config", "schema"),
-        ("schema",),
     ],
 )
 def test_commands_keep_to_columns(width: int, words: tuple[str, ...]) -> None:

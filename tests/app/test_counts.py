@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.app.animation.film import Film
 from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.case import combinations, split_names
@@ -15,11 +14,6 @@ from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc_extras.campaign.conditions import load_conditions
-from diffdrive_mpc_extras.proof.boundaries import Boundary
-from diffdrive_mpc_extras.proof.proof_file import DEFAULT as PROOF
-from diffdrive_mpc_extras.proof.proof_file import BoundarySearch, load_proof
-from studies.robustness.study import RobustnessStudy
 
 
 def test_a_grid_is_counted_before_it_is_listed() -> None:
@@ -43,49 +37,11 @@ def test_a_bench_counts_its_controllers_and_settings_too() -> None:
         plan_cases(asked)
 
 
-def test_robustness_counts_its_runs() -> None:
-    """Conditions times everything else."""
-    loaded = load_conditions(None)
-    study = RobustnessStudy(
-        loaded.chosen(None),
-        loaded.settled,
-        controllers=["mpc"],
-        models=["ssm"],
-        trajectories=["circle", "s"],
-        seeds=range(10_000),
-    )
-    with pytest.raises(ValueError, match="runs are asked for"):
-        study.plan()
-
-
-def test_proofs_and_plans_count_what_they_multiply_to(tmp_path: Path) -> None:
-    """Maps of 100 by 100, many of them; points times runs."""
-    proof = read_yaml(PROOF)
-    axis = {"factor": "surface.slope", "low": 0.0, "high": 1.0, "steps": 100}
-    one = next(iter(proof["maps"].values()))
-    axis["factor"] = one["x"]["factor"]
-    letters = "abcdefghijklmnopqrstuvwxyz"
-    proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
-    file = tmp_path / "proof.yaml"
-    file.write_text(str(proof).replace("None", "null").replace("True", "true").replace("False", "false"))
-    with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are asked for, at most 1,000,000"):
-        load_proof(file)
+def test_plan_counts_points_times_runs() -> None:
     plan = read_yaml(PLAN) | {"points": 100_000}
-    plan["fidelities"] = [{"runs": 10_000}]
-    plan["verdict"] = {"draw_seed": 1, "first_seed": 1_000_000, "runs": 10}
-    with pytest.raises(ConfigError, match=r"1,000,\d\d\d,\d\d\d runs are asked for"):
+    plan["tuning_seeds"] = {"first": 0, "count": 10_000}
+    with pytest.raises(ConfigError, match=r"4,000,\d\d\d,\d\d\d runs are asked for"):
         check(type(load_plan()), plan, "plan.yaml")
-
-
-def test_a_search_for_a_boundary_ends_where_numbers_do() -> None:
-    """It is asked for more digits than there are: every bisection used to give the same value again."""
-    search = Boundary("f", BoundarySearch(holds=1.0, beyond=1.00001, within=1e-300))
-    tried = 0
-    while (value := search.next_value) is not None:
-        search.take(value, int(value < 1.000004), 1)
-        tried += 1
-        assert tried < 40
-    assert search.held == pytest.approx(1.000004, abs=1e-8)
 
 
 def test_names_given_twice_are_found_among_many() -> None:
@@ -94,16 +50,6 @@ def test_names_given_twice_are_found_among_many() -> None:
     assert split_names(",".join(names), "--models") == tuple(names)
     with pytest.raises(ValueError, match="'n7' is given twice"):
         split_names(",".join([*names, "n7", "n3"]), "--models")
-
-
-def test_a_film_of_too_many_pictures_is_refused() -> None:
-    """A day at a hundredth of its speed."""
-
-    class Day:
-        time = (0.0, 86_400.0)
-
-    with pytest.raises(ConfigError, match="pictures, at most 100,000"):
-        Film(speed=0.01).times(Day())  # type: ignore[arg-type]
 
 
 def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:

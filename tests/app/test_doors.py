@@ -26,15 +26,12 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.commission.ledger import FILE as LEDGER
-from diffdrive_mpc.app.commission.ledger import Ledger
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.table_file import read_table
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.log_csv import read_rows
-from diffdrive_mpc_extras.campaign.engine import Store
 from studies.site.notebooks import write_all
 
 ROOT = Path(__file__).parents[2]
@@ -107,15 +104,10 @@ YAML = {
     "surface": "simulate --surface FILE",
     "sensors": "simulate --sensors FILE",
     "scenario": "simulate --scenario FILE",
-    "world": "simulate --world FILE",
-    "run": "simulate --from-run FILE",
+    "world": "simulate --plant world:FILE",
     "mapping": "identify LOG --mapping FILE --out OUT",
-    "campaign": "campaign FILE --out OUT",
     "plan of a search": "tune ssm --plan FILE --out OUT",
-    "proof": "prove ssm --campaign FILE --out OUT",
     "rules": "monitor --rules FILE --export OUT",
-    "turn costs": "plan --from 0,0,0 --to 1,0,0 --costs FILE --out OUT",
-    "robot": "commission FILE --out OUT",
 }
 
 
@@ -167,8 +159,9 @@ def _bag(stranger, door):
         writer.add_attachment(0, 0, f"{stranger}/evil.pkl", "application/x-pickle", pickle.dumps(Reduced(stranger)))
         writer.add_metadata("configuration", {"yaml": f"model: {stranger}/model.yaml"})
         writer.finish()
-    for command in ("identify", "replay", "animate"):
+    for command in ("identify",):
         call(command, door / "bag.mcap", "--out", door / "out.png")
+    call("log", "replay", door / "bag.mcap")
 
 
 def _bag_folder(stranger, door):
@@ -202,8 +195,7 @@ def _drive_log(stranger, door):
             writer.add_metadata("configuration", {"yaml": text})
             writer.add_metadata("case", {"plant": f"mujoco:{stranger}/model.yaml"})
             writer.finish()
-        call("replay", door / "log.mcap", "--out", door / "out")
-        call("animate", door / "log.mcap", "--out", door / "film.png")
+        call("log", "replay", door / "log.mcap")
 
 
 def _ticks(stranger, _):
@@ -260,39 +252,6 @@ def _model(stranger, door):
         call("models", "show", door / "model.yaml")
 
 
-def _run(stranger, door):
-    factors = [
-        {"config": f"{stranger}/model.yaml"},
-        {"controller": "stranger_code:run"},
-        {"plant": f"model:{stranger}/code.so"},
-        {"config.model": f"{stranger}/term.py"},
-        {"config.terms": f"[{{file: {stranger}/term.py, function: run}}]"},
-        {"config.solver.method": f"{stranger}/code.so"},
-    ]
-    for values in factors:
-        path = door / "run.yaml"
-        stored = {"run": "0", "factors": {"plant": "model:ssm", **values}, "figures": {}, "environment": {}}
-        path.write_text(yaml.safe_dump(stored))
-        call("simulate", "--from-run", path)
-
-
-def _store(stranger, door):
-    """Rows of a campaign that somebody else put there count as runs that are not there."""
-    key = "0" * 64
-    store = Store(door)
-    place = door / "runs" / "00" / f"{key}.json"
-    place.parent.mkdir(parents=True)
-    hostile = {"row": {"py/reduce": ["os.mkdir", f"{stranger}/marker"]}}
-    for content in (json.dumps(hostile).encode(), pickle.dumps({"row": Reduced(stranger)}), b"[" * 100_000, b"[1]"):
-        place.write_bytes(content)
-        place.with_suffix(".pkl").write_bytes(content)
-        assert store.load(key) is None
-        (door / LEDGER).write_bytes(content)
-        if content != json.dumps(hostile).encode():
-            with pytest.raises(ValueError, match="not written by this command"):
-                Ledger(door)
-
-
 def _notebooks(stranger, door):
     """Notebooks are made of the pages; one that lies beside them is not run."""
     cell = {"cell_type": "code", "source": [TERM.replace("__file__", f"'{stranger}/x'")], "outputs": [], "metadata": {}}
@@ -315,8 +274,6 @@ DOORS = {
     "a definition of messages": _definition,
     "weights of a network": _weights,
     "a model file": _model,
-    "a run file": _run,
-    "stores of campaigns and commissions": _store,
     "notebooks of the site": _notebooks,
 }
 
@@ -341,22 +298,19 @@ EXECUTES = re.compile(
     r"|exec_module\(|CDLL\(|dlopen\(|\bexternal\(|\bjoblib\.load\(|\bshelve\.|run_path\(|allow_pickle=True"
 )
 WHERE = {
-    "app/doctor/machine.py": "the C library of this process",
-    "app/ros_types/build.py": "what was compiled of the project's own definitions",
     "models/checked_yaml.py": "safe loader, within bounds",
     "models/compiled/packaged.py": "compiled C of the package, or of the user's own cache",
     "models/logs/drive_log/recorder.py": "a socket between this process and the one that it began",
     "mpc/core/library.py": "likewise, with terms that the user's configuration names",
     "mpc/problem/terms.py": "the file of a term, where it is trusted",
     "sim/core/library.py": "compiled C of the package",
-    "sim/view/shots.py": "a file of this process for the one that paints; no objects",
 }
 
 
 def test_few_places_could_execute_a_file():
     places = {
         str(path.relative_to(ROOT))
-        for room in ("app", "bench", "extras", "models", "mpc", "sim", "src")
+        for room in ("app", "bench", "models", "mpc", "sim", "src")
         for path in (ROOT / room).rglob("*.py")
         if EXECUTES.search(path.read_text(encoding="utf-8"))
     }

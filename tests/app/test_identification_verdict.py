@@ -19,7 +19,7 @@ from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.deliver.trust import fit_interval, judge
-from studies.real_logs.protocol import load_protocol
+from studies.reproduce.real_logs import load_protocol
 
 TRACK = "wheels: {track: 0.5}\n"
 
@@ -155,6 +155,7 @@ def test_the_answers_fit_ten_lines_of_eighty_columns(sound):
 
 
 @pytest.mark.long
+@pytest.mark.real_logs
 def test_what_is_promised_of_the_husky_holds_in_variations_of_a_model_of_other_rows():
     """A few of the 300 of `.ci/long real`; what would be too small a promise is seen by the first of them."""
     kept = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)

@@ -1,7 +1,6 @@
-"""`simulate --laps` and `simulate --log`."""
+"""`simulate --log`."""
 
 import errno
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,68 +11,9 @@ from commands import invoke
 from diffdrive_mpc import ControllerConfig, identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.run_log import repeating
-from diffdrive_mpc.app.simulate.laps import drive_laps
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.sim import log_mcap
-from diffdrive_mpc.sim.laps import lap_parts
-
-PLAIN = Case(plant="model:sm", trajectory="cane")
-LEARNING = PLAIN.with_override("rehearsal.enabled", value=True)
-
-
-@pytest.fixture(scope="module")
-def plain():
-    return drive_laps(PLAIN, 2).runs
-
-
-def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
-    one, two = drive_laps(LEARNING, 2).runs, drive_laps(LEARNING, 2).runs
-    assert all(np.array_equal(a.true_pose, b.true_pose) for a, b in zip(one, two, strict=True))
-    assert np.array_equal(one[0].true_pose, plain[0].true_pose)
-    assert not np.array_equal(plain[0].measured_pose, plain[1].measured_pose)
-    assert not np.array_equal(one[1].command, plain[1].command)
-
-
-def test_the_parts_of_made_up_laps_are_those_that_were_put_in(plain):
-    run, rng = plain[0], np.random.default_rng(0)
-    laps = []
-    for _ in range(8):
-        pose = run.reference_pose + [0.003, 0.004, 0.0]
-        pose[:, :2] += 0.002 * rng.standard_normal(pose[:, :2].shape)
-        laps.append(replace(run, true_pose=pose))
-    parts = lap_parts(laps)
-    assert parts.repeating == pytest.approx(0.005, rel=0.02)
-    assert parts.other == pytest.approx(0.002 * np.sqrt(2), rel=0.05)
-
-
-def test_one_lap_has_no_parts(plain):
-    with pytest.raises(ValueError, match="two or more"):
-        lap_parts(plain[:1])
-
-
-def test_another_floor_is_driven_no_worse_than_without():
-    """Learned on one floor, then all slip is another: at most 10 % worse than without, in any lap."""
-    floors = ["default"] * 2 + ["slippery"] * 2
-    learned, without = (drive_laps(case, 4, surfaces=floors).runs for case in (LEARNING, PLAIN))
-    for ours, other in zip(learned[2:], without[2:], strict=True):
-        assert ours.metrics.position_rmse_m < 1.1 * other.metrics.position_rmse_m
-
-
-def test_the_command_prints_a_row_for_each_lap_and_draws(tmp_path):
-    words = ["simulate", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", str(tmp_path / "out")]
-    result = invoke(app, *words)
-    assert "learned from 1 laps" in result.output
-    assert "do not: the lower bound" in result.output.replace("\n", " ")
-    assert (tmp_path / "out" / "laps.png").exists()
-
-
-def test_by_the_floor_its_correction_is_drawn(tmp_path):
-    words = ["simulate", "--plant", "model:ssm", "--surface", "p4_concrete", "--trajectory", "square", "--laps", "2"]
-    result = invoke(app, *words, "--set", "rehearsal.by=floor", "--out", tmp_path / "out")
-    assert "slip learned from 1 laps" in result.output
-    assert (tmp_path / "out" / "laps.png").exists()
-
 
 WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
 
@@ -112,13 +52,12 @@ def test_identify_finds_the_same_in_both(logs):
     assert one.config == other.config
 
 
-@pytest.mark.parametrize("words", [["--laps", "2"], ["--controller", "pursuit"]])
-def test_laps_and_peers_are_logged_too(words, tmp_path):
-    plain = [word for word in WORDS if words[0] != "--controller" or word not in ("--set", "horizon=12")]
-    invoke(app, *plain, *words, "--log", tmp_path / "run.mcap")
+def test_drive_of_a_peer_is_logged_without_plans(tmp_path):
+    words = [word for word in WORDS if word not in ("--set", "horizon=12")]
+    invoke(app, *words, "--controller", "pursuit", "--log", tmp_path / "run.mcap")
     log = read_drive_log(tmp_path / "run.mcap", plans=True)
-    assert " ".join(words) in log.metadata["case"]["repeat"]
-    assert any(plan is not None for plan in log.plans) == (words[0] == "--laps")
+    assert "--controller pursuit" in log.metadata["case"]["repeat"]
+    assert all(plan is None for plan in log.plans)
 
 
 def test_the_line_of_a_case_names_what_is_not_usual():

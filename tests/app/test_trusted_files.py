@@ -1,4 +1,4 @@
-"""A log, a bag or a run file from a stranger: no file that it names is opened, and no code of it runs."""
+"""A log or a bag from a stranger: no file that it names is opened, and no code of it runs."""
 
 import json
 import sys
@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, load_config
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.replay.bag import LoggedConfigs, recorded_drive
+from diffdrive_mpc.app.replay.node_log import LoggedConfigs, recorded_drive
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.load import PARAMETERS as MODELS
@@ -97,10 +97,10 @@ def test_nothing_that_a_log_names_is_opened_or_run(name, run, stranger, tmp_path
     changes, model = NAMED[name]
     config = configuration(stranger, changes)
     log = mcap(run, tmp_path / "odd.mcap", config, model)
-    code, printed, files = call("replay", log, "--out", tmp_path / "out")
+    code, printed, files = call("log", "replay", log)
     assert code == 2 and f"--trust-terms {stranger}" in printed
     # With a configuration of the user's own the log's is not needed.
-    code, printed, more = call("replay", log, "--model", "ssm", "--out", tmp_path / "own")
+    code, printed, more = call("log", "replay", log, "--model", "ssm")
     assert code == 0, printed
     assert not [path for path in files + more if stranger in path.parents]
     assert not (stranger / "marker").exists()
@@ -108,14 +108,13 @@ def test_nothing_that_a_log_names_is_opened_or_run(name, run, stranger, tmp_path
     tick = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "TRACKING", "", "none", 0.0)
     drive = DriveRecord(1, True, True, 0.0, None, config, model)
     with pytest.raises(UntrustedFileError, match="odd.bag names"):
-        recorded_drive(
-            Path("odd.bag"), "bag", [tick.line()], [drive.line()], LoggedConfigs(Path("odd.bag"), tmp_path / "scratch")
-        )
+        configs = LoggedConfigs(Path("odd.bag"), tmp_path / "scratch")
+        recorded_drive(Path("odd.bag"), [tick.line()], [drive.line()], configs)
 
 
 def test_a_trusted_folder_may_be_named(run, stranger, tmp_path):
     log = mcap(run, tmp_path / "mine.mcap", configuration(stranger, NAMED["a term"][0]))
-    code, printed, _ = call("replay", log, "--trust-terms", stranger, "--out", tmp_path / "out")
+    code, printed, _ = call("log", "replay", log, "--trust-terms", stranger)
     assert code == 0, printed
     assert (stranger / "marker").exists()
     # A link out of it leads to another folder.
@@ -123,7 +122,7 @@ def test_a_trusted_folder_may_be_named(run, stranger, tmp_path):
     (stranger / "inside" / "term.py").symlink_to(stranger / "term.py")
     linked = configuration(stranger, {"terms": [{"file": "@/inside/term.py", "function": "slow"}]})
     log = mcap(run, tmp_path / "linked.mcap", linked)
-    code, printed, _ = call("replay", log, "--trust-terms", stranger / "inside", "--out", tmp_path / "linked")
+    code, printed, _ = call("log", "replay", log, "--trust-terms", stranger / "inside")
     assert code == 2 and "neither opened nor run" in printed
 
 
@@ -132,56 +131,9 @@ def test_the_text_of_a_model_in_a_log_leads_to_no_other_file(run, stranger, tmp_
     assert "weights: lstm.npz" not in text
     (stranger / "weights.npz").write_bytes(NETWORK.with_name("lstm.npz").read_bytes())
     log = mcap(run, tmp_path / "odd.mcap", configuration(stranger, {"model": "own"}), text)
-    code, printed, files = call("replay", log, "--out", tmp_path / "out")
+    code, printed, files = call("log", "replay", log)
     assert code == 2 and "without its folder" in printed
     assert not [path for path in files if stranger in path.parents]
-
-
-def test_the_robot_that_a_log_names_is_not_looked_for(run, stranger, tmp_path):
-    log = tmp_path / "odd.mcap"
-    write_log(run, log, {"case": {"plant": f"mujoco:{stranger}/short.yaml"}})
-    code, printed, files = call("animate", log, "--out", tmp_path / "film.png")
-    assert code == 0 and "its size is not known" in printed, printed
-    assert not [path for path in files if stranger in path.parents]
-
-
-FACTORS = {
-    "trajectory": {"trajectory": "@/short.yaml"},
-    "configuration": {"config": "@/config.yaml"},
-    "model": {"model": "@/model.yaml"},
-    "plant's model": {"plant": "model:@/model.yaml+0.02"},
-    "robot": {"plant": "mujoco:@/short.yaml"},
-    "surface": {"surface": "@/short.yaml"},
-    "sensors": {"sensors": "@/short.yaml"},
-    "scenario": {"scenario": "@/short.yaml"},
-    "world": {"world": "@/short.yaml", "plant": "mujoco"},
-    "value of the configuration": {"config.model": "@/model.yaml"},
-    "turn costs": {"config.energy.turn_costs": "@/costs.yaml", "config.energy.weight": 0.1},
-}
-
-
-@pytest.mark.parametrize("name", FACTORS)
-def test_nothing_that_a_run_file_names_is_opened_or_run(name, stranger, tmp_path):
-    factors = {"plant": "model:ssm"} | json.loads(json.dumps(FACTORS[name]).replace("@", str(stranger)))
-    path = tmp_path / "run.yaml"
-    path.write_text(yaml.safe_dump({"run": "0", "factors": factors, "figures": {}, "environment": {}}))
-    code, printed, files = call("simulate", "--from-run", path)
-    assert code == 2 and f"--trust-terms {stranger}" in printed, printed
-    assert not [path for path in files if stranger in path.parents]
-    assert not (stranger / "marker").exists()
-
-
-def test_a_run_file_may_name_files_of_a_trusted_folder(stranger, tmp_path):
-    factors = {
-        "plant": "model:ssm",
-        "trajectory": str(stranger / "short.yaml"),
-        "config": str(stranger / "config.yaml"),
-    }
-    path = tmp_path / "run.yaml"
-    path.write_text(yaml.safe_dump({"run": "0", "factors": factors, "figures": {}, "environment": {}}))
-    code, printed, _ = call("simulate", "--from-run", path, "--trust-terms", stranger)
-    assert code == 0, printed
-    assert (stranger / "marker").exists()
 
 
 @pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])

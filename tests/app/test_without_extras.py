@@ -1,17 +1,21 @@
-"""With `extras` taken out everything else works, without what it brings."""
+"""Without the other packages the root package works; a command of a missing package is one line."""
 
 import subprocess
 import sys
 
+import pytest
+
 WITHOUT = """
 import sys
+from importlib import metadata
 
 class Gone:
     def find_spec(self, name, path, target=None):
-        if name.startswith("diffdrive_mpc_extras"):
+        if name.startswith(("diffdrive_mpc_extras", "diffdrive_mpc_monitor", "diffdrive_mpc_lab")):
             raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
 sys.meta_path.insert(0, Gone())
+metadata.entry_points = lambda **chosen: ()
 from diffdrive_mpc.app.cli import main
 sys.argv[1:] = WORDS
 main()
@@ -29,15 +33,41 @@ def test_the_models_that_are_left_are_listed(tmp_path):
     assert "lstm" not in listed and "p2_physical" not in listed
 
 
-def test_a_command_that_is_gone_is_no_command(tmp_path):
-    said = run(tmp_path, "plan", "--from", "0,0,0", "--to", "1,0,0", "--out", "plan")
-    assert said.returncode == 2 and "No such command 'plan'" in said.stderr
-    assert "torque" not in run(tmp_path, "--help").stdout
+@pytest.mark.parametrize(
+    ("words", "package", "extra"),
+    [
+        (("plan", "--from", "0,0,0"), "diffdrive-mpc-extras", "extras"),
+        (("models", "compare", "drive.csv"), "diffdrive-mpc-extras", "extras"),
+        (("monitor", "--ros-args"), "diffdrive-mpc-monitor", "monitor"),
+    ],
+)
+def test_command_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words, package, extra):
+    done = run(tmp_path, *words)
+    name = " ".join(words[:2] if words[0] == "models" else words[:1])
+    line = f"error: command '{name}' is in the package {package}: pip install 'diffdrive-mpc[{extra}]'\n"
+    assert (done.returncode, done.stderr) == (1, line)
 
 
-def test_a_model_that_is_gone_is_one_line(tmp_path):
-    said = run(tmp_path, "simulate", "--model", "lstm")
-    assert said.returncode == 2 and "unknown model 'lstm'" in said.stderr and said.stderr.count("\n") == 1
+def test_overview_lists_no_command_of_a_missing_package(tmp_path):
+    listed = run(tmp_path, "--help").stdout
+    assert "simulate" in listed and "torque" not in listed
+
+
+def test_parameters_of_another_package_need_the_plug_in(tmp_path):
+    done = run(tmp_path, "identify", "drive.csv", "--for", "nav2")
+    line = (
+        "error: parameter writer 'nav2' is in the package diffdrive-mpc-extras: pip install 'diffdrive-mpc[extras]'\n"
+    )
+    assert (done.returncode, done.stderr) == (1, line)
+
+
+@pytest.mark.parametrize(
+    "words", [("simulate", "--model", "lstm"), ("config", "show", "lstm"), ("models", "show", "lstm")]
+)
+def test_model_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words):
+    done = run(tmp_path, *words)
+    line = "error: model 'lstm' is in the package diffdrive-mpc-extras: pip install 'diffdrive-mpc[extras]'\n"
+    assert (done.returncode, done.stderr) == (1, line)
 
 
 def test_a_drive_is_driven_and_identified(tmp_path):
@@ -53,6 +83,6 @@ def test_a_bench_needs_none(tmp_path):
     assert run(tmp_path, "bench", *words).returncode == 0
 
 
-def test_schemas_know_what_is_left(tmp_path):
-    kinds = run(tmp_path, "schema").stdout
-    assert "trajectory" in kinds and "terrain" not in kinds
+def test_json_schema_of_models_leaves_out_missing_structures(tmp_path):
+    schema = run(tmp_path, "config", "schema", "model", "--json").stdout
+    assert '"ssm"' in schema and '"lstm"' not in schema

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from bench_parts import quick_outcome
 from opened_report import check_page, check_report, content_of, opened
+from plotly.graph_objects import Figure
 
+from browser import opened_browser, screenshot
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
@@ -22,6 +24,7 @@ from diffdrive_mpc.bench.html_report.page import (
     GridAxis,
     GridMap,
     KeyFigure,
+    Mark,
     Origin,
     Page,
     RunViews,
@@ -30,19 +33,13 @@ from diffdrive_mpc.bench.html_report.page import (
     Toggle,
     Warned,
 )
-from diffdrive_mpc.bench.html_report.run_series import column, kept_ticks, run_series
+from diffdrive_mpc.bench.html_report.run_series import ERROR, METHOD, kept_ticks, rounded_list, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.documents.browser import opened_browser
-from studies.documents.screenshots import screenshot
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")
-READ = (
-    "Object.fromEntries([...document.querySelectorAll('#readout div')]"
-    ".map((one) => [one.dataset.name, one.lastChild.textContent]))"
-)
 HOSTILE = '<script>document.title = "taken"</script><b>&amp;'
 
 
@@ -74,59 +71,50 @@ def called(folder: Path, *words: str) -> Path:
     return folder / "report.html"
 
 
-def values(run: dict[str, Any], name: str) -> np.ndarray:
-    of = run["columns"][name]
-    return np.array([np.nan if one is None else one * of["s"] for one in of["v"]])
-
-
-def at(page: Any, plot: str, right: float, down: float) -> dict[str, str]:
-    """What the readout says with the pointer at a place of a plot, in shares of its size."""
-    box = page.locator(plot).bounding_box()
-    page.mouse.move(box["x"] + right * box["width"], box["y"] + down * box["height"])
-    read: dict[str, str] = page.evaluate(READ)
-    return read
-
-
 @pytest.mark.system("browser")
-def test_pointing_at_one_view_marks_the_same_time_in_the_other(single: Path) -> None:
+def test_pointing_at_one_view_marks_the_same_tick_in_the_other(single: Path) -> None:
     with opened(single) as page:
-        early, late = at(page, "#times", 0.3, 0.1), at(page, "#times", 0.7, 0.1)
-        assert float(early["time"].split()[0]) < float(late["time"].split()[0])
-        assert {"lateral", "v command", "solver path", "mode", "step time"} <= set(late)
-        run = content_of(single)["views"][0]["runs"][0]
-        k = int(np.argmin(np.abs(values(run, "t") - float(late["time"].split()[0]))))
-        assert float(late["lateral"].split()[0]) == pytest.approx(values(run, "lateral")[k], abs=0.051)
-        # The robot drawn in the plane stands where the run was at that time; pointing there gives that time again.
-        place = page.evaluate("document.querySelector('#plane .cursor path').getAttribute('transform')")
-        x, y = (float(one) for one in place.split("(")[1].split(")")[0].split())
-        box = page.locator("#plane").bounding_box()
-        again = at(page, "#plane", x / box["width"], y / box["height"])
-        assert float(again["time"].split()[0]) == pytest.approx(float(late["time"].split()[0]), abs=0.5)
-        marker = page.evaluate("Number(document.querySelector('#times .cursor line').getAttribute('x1'))")
-        assert marker == pytest.approx(0.7 * page.locator("#times").bounding_box()["width"], abs=25)
-        assert page.locator("#plane .cursor polyline").count() == 1  # the plan
-        page.locator("#time").fill("0")
-        assert page.evaluate(READ)["time"] == "0.00 s"
+        box = page.locator("#times").bounding_box()
+        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.1 * box["height"])
+        page.wait_for_selector("#plane .hoverlayer .hovertext", state="attached")
         check_page(page)
 
 
 @pytest.mark.system("browser")
-def test_toggles_hide_a_controller_and_its_seeds_in_all_views_at_once(compared: Path) -> None:
-    drawn = "(id) => document.querySelector(id).data.length"
-    shown_bars = "[...document.querySelectorAll('.charts .plot')].map((one) => one.data.map((trace) => trace.name))"
+def test_toggles_hide_a_controller_and_its_seeds_in_all_views(compared: Path) -> None:
+    count = "(id) => document.querySelector(id).data.filter((trace) => trace.visible).length"
+    names = (
+        "[...document.querySelectorAll('.charts .plot')]"
+        ".map((plot) => plot.data.filter((trace) => trace.visible).map((trace) => trace.name))"
+    )
     with opened(compared) as page:
-        assert all("SM" in names for names in page.evaluate(shown_bars))
-        before = [page.evaluate(drawn, one) for one in ("#plane", "#times")]
+        assert all("SM" in shown for shown in page.evaluate(names))
+        before = [page.evaluate(count, plot) for plot in ("#plane", "#times")]
         page.locator("input[data-value='SM']").uncheck()
-        assert all(page.evaluate(drawn, one) < count for one, count in zip(("#plane", "#times"), before, strict=True))
-        assert not any("SM" in names for names in page.evaluate(shown_bars))
+        after = [page.evaluate(count, plot) for plot in ("#plane", "#times")]
+        assert all(fewer < more for fewer, more in zip(after, before, strict=True))
+        assert not any("SM" in shown for shown in page.evaluate(names))
         page.locator("input[data-value='SM']").check()
         page.locator("input[data-toggle='seed'][data-value='1']").focus()
         page.keyboard.press("Space")
-        assert page.evaluate(drawn, "#plane") > before[0]
-        run = at(page, "#times", 0.5, 0.1)["run"]
-        assert run.split(", ")[0] in ("SSM", "SM")
+        assert page.evaluate(count, "#plane") > before[0]
         check_page(page)
+
+
+def test_plotly_accepts_every_figure(single: Path, compared: Path, tmp_path: Path, outcome: RunOutcome) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(page_text(every_kind("a", outcome)), encoding="utf-8")
+    for report in (single, compared, path):
+        views = content_of(report)["views"]
+        figures = [view.get(name) for view in views for name in ("figure", "plane", "times")]
+        shown = [Figure(figure) for figure in figures if figure]
+        assert len(shown) == len(views) + 1  # the view of runs has two
+        assert all({"labels", "group"} == set(trace.meta) for figure in shown for trace in figure.data)
+    plane, times = (Figure(content_of(single)["views"][0][name]) for name in ("plane", "times"))
+    driven = next(trace for trace in plane.data if trace.name == "driven")
+    lateral = times.data[0]
+    assert driven.meta == lateral.meta
+    assert len(driven.x) == len(lateral.x)
 
 
 def test_a_page_says_how_to_repeat_it_and_with_which_configuration(single: Path) -> None:
@@ -146,16 +134,17 @@ def test_the_same_run_gives_the_same_page_but_for_times(outcome: RunOutcome) -> 
     assert text() == text()
 
 
-@pytest.mark.system("browser")
-def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: RunOutcome) -> None:
-    name = HOSTILE
+def every_kind(name: str, outcome: RunOutcome) -> Page:
+    """A page with every kind of view, in which all that a file may name is `name`."""
     labels = {"controller": name, "path": "p"}
     series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
-    series += [Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars")]
+    series += [Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars", low=[1.0, 2.0], high=[3.0, 4.0])]
+    series += [Series(f"{name}3", [1.0, 2.0], [2.0, 3.0], 1, low=[1.0, 2.0], high=[3.0, 4.0])]
     axis = GridAxis(name, [1.0, 2.0])
+    marks = [Mark(1.5, name), Mark(1.5, name, upright=True)]
     views = [
         RunViews([run_series(outcome.run, name, points=50, labels=labels)], name),
-        Chart(name, Axis(name), Axis(name, "log"), series, name),
+        Chart(name, Axis(name), Axis(name, "log", (0.0, 1.0)), series, name, marks),
         GridMap(name, axis, axis, [[1.0, None], [2.0, 3.0]], name, [[True, False], [False, False]]),
     ]
     shown = Shown(
@@ -163,8 +152,14 @@ def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Pat
         [Warned(name, name)], [ConfigurationView(name, name)],
     )  # fmt: skip
     table = Table(name, (name, "b [m]"), ((name, "1"),), note=name)
+    return Page(name, name, shown, [table], Origin(name, [(name, name)]))
+
+
+@pytest.mark.system("browser")
+def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: RunOutcome) -> None:
+    name = HOSTILE
     path = tmp_path / "report.html"
-    path.write_text(page_text(Page(name, name, shown, [table], Origin(name, [(name, name)]))), encoding="utf-8")
+    path.write_text(page_text(every_kind(name, outcome)), encoding="utf-8")
     check_report(path)
     with opened(path) as page:
         assert page.title() == name
@@ -185,34 +180,39 @@ def test_a_report_of_tables_alone_needs_no_views(tmp_path: Path) -> None:
         assert "None" in page.locator("#warnings").inner_text()
 
 
-def test_laps_are_toggles(tmp_path: Path) -> None:
-    content = content_of(called(tmp_path, "simulate", *QUICK, "--laps", "2"))
-    assert [toggle["name"] for toggle in content["toggles"]] == ["controller", "lap"]
-    assert len(content["views"][0]["runs"]) == 4
-
-
 def test_content_cannot_end_its_script() -> None:
     assert "<" not in json_text({"a": "</script><!--"})
 
 
-def test_thinned_runs_keep_their_peaks_and_rounded_columns_their_values(outcome: RunOutcome) -> None:
+def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutcome) -> None:
     run = outcome.run
     kept = kept_ticks(run, 60)
     assert len(kept) == 60
     assert (np.diff(kept) > 0).all()
     assert run.errors.position[kept].max() == run.errors.position.max()
     series = run_series(run, "a", points=60)
-    assert values(series, "x") == pytest.approx(run.true_pose[kept, 0], abs=5.1e-4)
-    assert values(series, "lateral") == pytest.approx(1e3 * run.errors.lateral[kept], abs=0.051)
-    assert np.isnan(values({"columns": {"a": column(np.array([np.nan, 1.0]), 0.1)}}, "a")[0])
-    offset = np.hypot(values(series, "along"), 1e3 * 0.0)
-    assert (offset <= 1e3 * run.errors.position[kept] + 0.1).all()
+    driven = next(entry for entry in series.plane if entry.name == "driven")
+    assert np.array(driven.x, float) == pytest.approx(run.true_pose[kept, 0], abs=5.1e-4)
+    lateral, along = (np.array(entry.y, float) for entry in series.panes[ERROR])
+    assert lateral == pytest.approx(1e3 * run.errors.lateral[kept], abs=0.051)
+    assert (np.abs(along) <= 1e3 * run.errors.position[kept] + 0.1).all()
+    assert rounded_list(np.array([np.nan, 1.26]), 1) == [None, 1.3]
 
 
-def test_spans_of_modes_cover_the_run(outcome: RunOutcome) -> None:
-    spans: dict[str, list[tuple[float, float]]] = run_series(outcome.run, "a", points=60)["modes"]  # type: ignore[assignment]
-    covered = sum(end - begin for times in spans.values() for begin, end in times)
-    assert covered == pytest.approx(outcome.run.time[-1], abs=0.01)
+def test_methods_and_modes_are_steps_over_the_whole_run(outcome: RunOutcome) -> None:
+    run = replace(outcome.run, modes=("BRAKING", *outcome.run.modes[1:]))
+    (steps,) = run_series(run, "a", points=60).panes[METHOD]
+    assert steps.y[0] == "BRAKING"
+    assert (steps.x[0], steps.x[-1]) == (run.time[0], pytest.approx(run.time[-1], abs=1e-3))
+    assert all(first != second for first, second in itertools.pairwise(steps.y[:-1]))
+
+
+def test_runs_on_one_path_share_their_reference(outcome: RunOutcome) -> None:
+    runs = [
+        run_series(outcome.run, name, points=50, labels={"controller": name, "path": "cane"}, style=style)
+        for style, name in enumerate(("SSM", "SM"))
+    ]
+    assert [entry.name for entry in RunViews(runs).plane.series] == ["reference", "SSM", "SM"]
 
 
 def test_a_sound_run_is_not_warned_of(outcome: RunOutcome) -> None:

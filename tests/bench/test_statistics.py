@@ -1,59 +1,36 @@
-"""Conformal quantiles: coverage on exchangeable data is what the theorem says. Exact bounds of a share."""
+"""Bootstrap intervals and tails of the statistics of runs."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
-from diffdrive_mpc.bench.statistics import Rate, conformal_quantile
-
-TRIALS = 1500
-UNLIKELY = 1e-4
-"""A right product fails a test with this probability on another seed."""
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, cvar, mean, median
 
 
-@pytest.mark.parametrize(("count", "level"), [(19, 0.95), (59, 0.95), (40, 0.8)])
-def test_one_score_a_group_covers_with_the_exact_probability(count, level):
-    """Split conformal: the k-th of n scores, k = ceil(level (n + 1)), covers with probability k / (n + 1)."""
-    stream = np.random.default_rng(1)
-    covered = 0
-    for scores in stream.lognormal(size=(TRIALS, count + 1)):
-        covered += scores[0] <= conformal_quantile(list(scores[1:, None]), level)
-    exact = math.ceil(round(level * (count + 1), 9)) / (count + 1)
-    low, high = binom.interval(1.0 - UNLIKELY, TRIALS, exact)
-    assert low <= covered <= high
+def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
+    values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
+    assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
+    # A twentieth of 30 runs is one and a half of them.
+    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
+    assert cvar(np.arange(1.0, 11.0)) == 10.0
+    assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
+    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
+    assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
 
 
-def test_groups_of_dependent_scores_cover_at_least_the_level():
-    """Places of a drive are nearly the same, drives differ, and some have many more places."""
-    stream, level, covered = np.random.default_rng(2), 0.9, 0
-    for _ in range(TRIALS):
-        groups = [stream.lognormal(sigma=1.0) * stream.uniform(0.8, 1.2, stream.integers(1, 30)) for _ in range(40)]
-        covered += stream.choice(groups[0]) <= conformal_quantile(groups[1:], level)
-    assert covered >= binom.ppf(UNLIKELY, TRIALS, level)
-    # No more than a group beyond it.
-    assert covered <= binom.ppf(1.0 - UNLIKELY, TRIALS, level + 1 / 40 + 0.01)
+def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
+    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
+    found = BootstrapEstimate.of_runs(values, mean)
+    half = 1.96 * np.std(values) / math.sqrt(400)
+    assert found.value == pytest.approx(np.mean(values))
+    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
+    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
+    assert BootstrapEstimate.of_runs(values, mean) == found
 
 
-def test_a_group_counts_as_one_however_many_scores_it_has():
-    rare = [np.full(1000, 9.0)] + [np.array([float(k)]) for k in range(1, 9)]
-    assert conformal_quantile(rare, 0.8) == 8.0
-
-
-def test_too_few_groups_and_lost_drives_give_no_bound():
-    assert conformal_quantile([np.array([1.0])] * 18, 0.95) == math.inf
-    assert conformal_quantile([np.array([1.0])] * 19, 0.95) == 1.0
-    assert conformal_quantile([np.array([1.0])] * 18 + [np.array([math.nan])], 0.95) == math.inf
-
-
-@pytest.mark.parametrize(("count", "of"), [(0, 9), (59, 59), (117, 119), (20, 40)])
-def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, of):
-    bound = Rate.of_runs(count, of).at_least(0.95)
-    assert 0.0 <= bound < count / of or count == bound == 0
-    # With the bound as the true share so many or more happen with the probability that is left.
-    assert count == 0 or binom.sf(count - 1, of, bound) == pytest.approx(0.05)
-
-
-def test_59_of_59_show_95_percent_and_58_do_not():
-    assert Rate.of_runs(59, 59).at_least(0.95) > 0.95 > Rate.of_runs(58, 58).at_least(0.95)
+def test_few_runs_have_no_interval() -> None:
+    assert math.isnan(BootstrapEstimate.of_runs([], mean).value)
+    one = BootstrapEstimate.of_runs([3.0], cvar)
+    assert (one.value, math.isnan(one.low)) == (3.0, True)
+    assert BootstrapEstimate.of_runs([3.0, 3.0], cvar) == BootstrapEstimate(3.0, 3.0, 3.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.bench import turns
-from diffdrive_mpc.bench.counters import SLOWER, CoreCounters, Effort, watched
+from diffdrive_mpc.bench.counters import SLOWER, Effort, busy_time, watched
 from diffdrive_mpc.bench.turns import AGAIN, take_turns
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -104,19 +104,6 @@ def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
     assert times.times[0, 1::2, 0].tolist() == [2, 1]
 
 
-@pytest.mark.parametrize("counted", [{"stolen": 0.01}, {"throttled": 1}])
-def test_what_the_core_counts_disturbs_the_whole_turn(
-    counted: dict[str, float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The counters of the system are read before and after each turn; here they move in the first."""
-    readings = iter([CoreCounters(), CoreCounters(**counted)])  # type: ignore[arg-type]
-    monkeypatch.setattr(CoreCounters, "read", lambda core: next(readings, CoreCounters(**counted)))  # type: ignore[arg-type]
-    a, b = Scripted("a", 4, said := []), Scripted("b", 4, said)
-    take_turns([[a, b]], block=2)
-    assert (a.passes, b.passes) == (2, 2)
-    assert said[4:] == ["a0", "b0"]
-
-
 def test_a_replay_that_fails_takes_no_more_turns() -> None:
     class Failing(Scripted):
         def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
@@ -153,9 +140,8 @@ def test_an_idle_stretch_counts_as_time_without_the_core() -> None:
     assert 0 < effort.own <= effort.elapsed + 1e-5
 
 
-def test_counters_of_a_core_only_grow() -> None:
-    before = CoreCounters.read(0)
+def test_busy_time_of_a_core_only_grows() -> None:
+    before = busy_time(0)
     sum(range(200_000))
-    gone = CoreCounters.read(0).since(before)
-    assert min(gone) >= 0
-    assert CoreCounters.read(None) == CoreCounters()
+    assert busy_time(0) >= before >= 0.0
+    assert busy_time(None) == 0.0

@@ -15,10 +15,8 @@ from fuzz.case import Case, FaultError, HangError
 
 # They run for minutes, on processes of their own, or until interrupted: only their words are tried, with one too many.
 _LONG = {
-    "animate",
     "bench",
     "campaign",
-    "commission",
     "doctor",
     "export",
     "node",

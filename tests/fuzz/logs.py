@@ -13,9 +13,11 @@ from random import Random
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.reading import read_recording
-from diffdrive_mpc.app.replay.study import ReplayRequest, ReplayStudy
+from diffdrive_mpc.app.replay.node_log import LoggedConfigs
+from diffdrive_mpc.app.replay.own_log import read_recording
+from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.models.logs.reading import read_log
+from diffdrive_mpc.mpc import load_config
 from fuzz import mutation, shrink
 from fuzz.case import Case, FaultError
 from fuzz.promises import refused_or
@@ -49,7 +51,7 @@ class LogFuzzer:
 
 
 class ReplayFuzzer:
-    """The same files, as `replay` takes them."""
+    """The same files, as `log replay` reads them."""
 
     name, longest, count = "replay", 30.0, 80
 
@@ -57,29 +59,17 @@ class ReplayFuzzer:
     simpler = LogFuzzer.simpler
 
     def check(self, case: Case) -> None:
-        """Read it as ticks; every third one is replayed, too."""
+        """Read it as ticks; replay it after a single change."""
         with tempfile.TemporaryDirectory() as folder:
-            path, mapping = changed_file(case, Path(folder))
+            path, _ = changed_file(case, Path(folder))
             scratch = Path(folder, "scratch")
             scratch.mkdir()
-            refused_or(lambda: read_recording(path, None if mapping is None else str(mapping), 0.0202, scratch))
-            if len(case["edits"]) == 1:
-                refused_or(
-                    lambda: _replayed(ReplayRequest(path, mapping=None if mapping is None else str(mapping)), scratch)
-                )
-
-
-class _NoBar:
-    def advance(self, *_: object) -> None:
-        """Nobody looks."""
-
-    def __getattr__(self, name: str) -> object:
-        return self.advance
-
-
-def _replayed(asked: ReplayRequest, scratch: Path) -> None:
-    study = ReplayStudy(asked, scratch)
-    study.run(study.plan(), 1, _NoBar())  # type: ignore[arg-type]
+            recording = refused_or(lambda: read_recording(path, LoggedConfigs(path, scratch)))
+            if recording is not None and len(case["edits"]) == 1:
+                config = recording.config or load_config("ssm")
+                references = recording.references
+                if len(references) == len(recording.starts):
+                    refused_or(lambda: replay(recording, config, references, as_recorded=True))
 
 
 def draw_messages(random: Random) -> list[list[object]]:

@@ -14,8 +14,8 @@ import numpy as np
 import yaml
 
 from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.file_kind import PACKAGE
@@ -38,6 +38,17 @@ from fuzz.controller import Life, checked_reference
 from fuzz.promises import refused_or
 
 _TESTS = Path(__file__).parents[1]
+_SEEDS = {
+    "base": "sim/ros/base.yaml",
+    "campaign": "app/proof/default.yaml",
+    "conditions": "bench/conditions.yaml",
+    "experiment": "app/proof/default.yaml",
+    "monitor": "mpc/monitor/rules/*.yaml",
+    "proof": "app/proof/*.yaml",
+    "terrain": "extras/terrain/terrains/*.yaml",
+    "tune": "app/tune/default.yaml",
+}
+"""Shipped files of kinds that no shell completes, as patterns in the package."""
 
 
 class YamlFuzzer:
@@ -90,12 +101,7 @@ def doors() -> list[str]:
 @cache
 def seeds(kind: str) -> list[str]:
     """Files of a kind, as paths in the package."""
-    if kind == "base":
-        found = [PACKAGE / "sim" / "ros" / "base.yaml"]
-    elif kind == "campaign":
-        found = [PACKAGE / "app" / "proof" / "default.yaml"]
-    else:
-        found = KINDS[kind].files or [PACKAGE / "app" / "proof" / "default.yaml"]
+    found = KINDS[kind].files if kind in KINDS else sorted(PACKAGE.glob(_SEEDS[kind]))
     return [str(path.relative_to(PACKAGE)) for path in found]
 
 

@@ -8,7 +8,6 @@ DIFFDRIVE_MPC_DATA says.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -19,6 +18,7 @@ from typer.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from baseline_parts import CUTS, baseline_fit, cut_records
+from real_log_files import FOLDERS, log_path
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.logs import read_log
@@ -27,19 +27,13 @@ from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import IdentificationConditions
 
-REAL = {
-    "husky_tile": "norlab_husky_tile",
-    "warthog_asphalt": "norlab_warthog_terrains",
-    "warthog_gravel": "norlab_warthog_terrains",
-}
 PLANTS = ("mujoco", "mujoco:short_of_speed", "model:mbm")
 ALLOWED = 1.0
 
 
 def real_logs():
     """Records by name of the log."""
-    folder = Path(os.environ["DIFFDRIVE_MPC_DATA"])
-    return {name: read_log(folder / place / f"{name}.csv", name).records for name, place in REAL.items()}
+    return {name: read_log(log_path(name), name).records for name in FOLDERS}
 
 
 def simulated_logs():

@@ -1,11 +1,10 @@
 """Sound logs, made worse elsewhere: a small simulated robot, and slices of the logs of a Husky and two Warthogs."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from real_log_files import log_path
 
 from diffdrive_mpc.models.pose import integrate_pose
 
@@ -183,15 +182,13 @@ BASES = {
     "small": Base(lambda: robot(**SMALL), SIMULATED.replace(WHEELS, "wheels: {radius: 0.05, track: 0.3}\n"), *_OWN),
     "heavy": Base(lambda: robot(**HEAVY), SIMULATED.replace(WHEELS, "wheels: {radius: 0.25, track: 0.8}\n"), *_OWN),
 }
-if "DIFFDRIVE_MPC_DATA" in os.environ:
-    _DATA = Path(os.environ["DIFFDRIVE_MPC_DATA"])
-    _NAMES = (("cmd_left", "cmd_right"), ("wheel_left", "wheel_right"), "gyro_z", "yaw", 0.05)
-    _TERRAINS = _DATA / "norlab_warthog_terrains"
-    BASES |= {
-        "husky": Base(lambda: real(_DATA / "norlab_husky_tile" / "husky_tile.csv", range(1000, 5000)), HUSKY, *_NAMES),
-        "asphalt": Base(lambda: real(_TERRAINS / "warthog_asphalt.csv", range(4800)), WARTHOG, *_NAMES),
-        "gravel": Base(lambda: real(_TERRAINS / "warthog_gravel.csv", range(4800)), GRAVEL, *_NAMES),
-    }
+REAL_NAMES = (("cmd_left", "cmd_right"), ("wheel_left", "wheel_right"), "gyro_z", "yaw", 0.05)
+REAL_BASES = {
+    "husky": Base(lambda: real(log_path("husky_tile"), range(1000, 5000)), HUSKY, *REAL_NAMES),
+    "asphalt": Base(lambda: real(log_path("warthog_asphalt"), range(4800)), WARTHOG, *REAL_NAMES),
+    "gravel": Base(lambda: real(log_path("warthog_gravel"), range(4800)), GRAVEL, *REAL_NAMES),
+}
+BASES |= REAL_BASES
 
 
 def in_step():

@@ -12,9 +12,9 @@ import os
 import sys
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
+from real_log_files import FOLDERS, log_path
 from scipy import signal
 
 from diffdrive_mpc.models.logs import read_log
@@ -23,11 +23,6 @@ from diffdrive_mpc.models.output_error.validation import simulate_records
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-REAL = {
-    "husky_tile": "norlab_husky_tile",
-    "warthog_asphalt": "norlab_warthog_terrains",
-    "warthog_gravel": "norlab_warthog_terrains",
-}
 OWN = {"warthog_asphalt": (3.7, 4.4), "warthog_gravel": (3.7, 4.4)}
 """Limits of v that the robots themselves have [m/s]: found there, one is not false."""
 TOLERANCE = 0.05
@@ -130,8 +125,7 @@ def _slewed(values, most):
 
 @cache
 def _real(name):
-    path = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / REAL[name] / f"{name}.csv"
-    return read_log(path, name).records
+    return read_log(log_path(name), name).records
 
 
 def real_case(name: str, seed: int) -> LimitCase:
@@ -176,7 +170,7 @@ def population(seed: int, count: int) -> list[LimitCase]:
     """`count` drawn robots, and a third as many stretches of real logs where these are at hand."""
     cases = [drawn_case(1000 * seed + i) for i in range(count)]
     if "DIFFDRIVE_MPC_DATA" in os.environ:
-        cases += [real_case(list(REAL)[i % len(REAL)], 1000 * seed + i) for i in range(count // 3)]
+        cases += [real_case(list(FOLDERS)[i % len(FOLDERS)], 1000 * seed + i) for i in range(count // 3)]
     return cases
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from degraded_bases import SIMULATED, robot
+from degraded_bases import REAL_BASES, SIMULATED, robot
 from degraded_changes import Case, held, put, replaced, rounded, scaled, shifted, swapped
 from degraded_logs import CASES, FIRST_TEN, logs_of, verdict
 from scipy.signal import lfilter
@@ -166,7 +166,13 @@ def judged(case, folder):
     return [*(finding for log in logs for finding in log.findings), *compare_logs(logs)], None
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=case.name, marks=[pytest.mark.real_logs] if case.base in REAL_BASES else [])
+        for case in CASES
+    ],
+)
 def test_the_cause_is_named_and_no_other(case, tmp_path):
     findings, raised = judged(case, tmp_path)
     said = [f"{finding.severity}: {finding}" for finding in findings] + [raised]

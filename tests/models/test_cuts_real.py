@@ -1,17 +1,14 @@
-"""How the log of a real robot is cut decides nothing, and a plain fit never does better.
-
-Logs lie where DIFFDRIVE_MPC_DATA says.
-"""
+"""Fits of logs of real robots: cuts of the log cost little, and a plain fit predicts no better."""
 
 import os
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise, product
-from pathlib import Path
 
 import numpy as np
 import pytest
 from baseline_parts import baseline_fit
+from real_log_files import FOLDERS, log_path
 
 from diffdrive_mpc.models.identification.log_data import divide
 from diffdrive_mpc.models.identification.settings import identification_settings
@@ -19,16 +16,12 @@ from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.sm import identify_sm
 
-LOGS = {
-    "husky_tile": "norlab_husky_tile",
-    "warthog_asphalt": "norlab_warthog_terrains",
-    "warthog_gravel": "norlab_warthog_terrains",
-}
+pytestmark = pytest.mark.real_logs
 FEWEST = identification_settings().fewest_readings
 CUTS = ("at the step", "60 rows before", "anywhere")
 # Each log, and each way to cut, once; DIFFDRIVE_MPC_ALL=1 takes every log in every way.
-EACH_ONCE = tuple(zip(LOGS, CUTS, strict=True))
-CASES = tuple(product(LOGS, CUTS)) if "DIFFDRIVE_MPC_ALL" in os.environ else EACH_ONCE
+EACH_ONCE = tuple(zip(FOLDERS, CUTS, strict=True))
+CASES = tuple(product(FOLDERS, CUTS)) if "DIFFDRIVE_MPC_ALL" in os.environ else EACH_ONCE
 
 
 def stretches(records, cut, past):
@@ -49,36 +42,36 @@ def stretches(records, cut, past):
     return pieces if past else [replace(piece, start=3600.0 * i) for i, piece in enumerate(pieces)]
 
 
-# The data are not part of this project, so a checkout without them has no tests of them. CI always has them.
-if "DIFFDRIVE_MPC_DATA" in os.environ:
+@cache
+def halves(log):
+    """Records to identify from and records held out, divided as `identify` does."""
+    records = read_log(log_path(log), log).records
+    if len(records) < 10:  # seven minutes in one piece says it as well as all of it
+        records = (records[0].part(0, 8400),)
+    return divide(records, 0.6)
 
-    @cache
-    def halves(log):
-        """Records to identify from and records held out, divided as `identify` does."""
-        path = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / LOGS[log] / f"{log}.csv"
-        records = read_log(path, log).records
-        if len(records) < 10:  # seven minutes in one piece says it as well as all of it
-            records = (records[0].part(0, 8400),)
-        return divide(records, 0.6)
 
-    @cache
-    def as_shipped(log):
-        train, held_out = halves(log)
-        return validate(identify_sm(train, limits=False).system, held_out).fit_percent
+@cache
+def as_shipped(log):
+    train, held_out = halves(log)
+    return validate(identify_sm(train, limits=False).system, held_out).fit_percent
 
-    @pytest.mark.parametrize(("log", "cut"), CASES)
-    def test_a_cut_costs_less_than_three_points(log, cut):
-        train, held_out = halves(log)
-        found = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
-        assert (found > as_shipped(log) - 3.0).all(), found
 
-    @pytest.mark.parametrize("log", LOGS)
-    def test_a_plain_fit_is_no_better(log):
-        assert (as_shipped(log) > baseline_fit(*halves(log)) - 0.5).all()
+@pytest.mark.parametrize(("log", "cut"), CASES)
+def test_a_cut_costs_less_than_three_points(log, cut):
+    train, held_out = halves(log)
+    found = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
+    assert (found > as_shipped(log) - 3.0).all(), found
 
-    @pytest.mark.parametrize(("log", "cut"), CASES)
-    def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
-        train, held_out = halves(log)
-        train = stretches(train, cut, past=False)
-        found = validate(identify_sm(train, limits=False).system, held_out).fit_percent
-        assert (found > baseline_fit(train, held_out) - 0.5).all(), found
+
+@pytest.mark.parametrize("log", FOLDERS)
+def test_a_plain_fit_is_no_better(log):
+    assert (as_shipped(log) > baseline_fit(*halves(log)) - 0.5).all()
+
+
+@pytest.mark.parametrize(("log", "cut"), CASES)
+def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
+    train, held_out = halves(log)
+    train = stretches(train, cut, past=False)
+    found = validate(identify_sm(train, limits=False).system, held_out).fit_percent
+    assert (found > baseline_fit(train, held_out) - 0.5).all(), found

@@ -6,8 +6,6 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
 from diffdrive_mpc.models.table import plain_line
-from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc_extras.export.generated_c import trajectory_texts
 
 HOSTILE = "a\nlimits: {max_position_error: 99}\r\x1b[2J\u202e\x85\u2028b"
 
@@ -39,14 +37,3 @@ def test_no_name_puts_keys_into_a_configuration(name):
 def test_a_name_with_lines_puts_nothing_into_a_configuration():
     found = IdentifiedConfiguration(HOSTILE, (Setting("sample_time", 0.02, HOSTILE),), (), ())
     assert yaml.safe_load(found.text()) == {"sample_time": 0.02, "limits": None}
-
-
-def test_no_name_of_a_trajectory_is_code_in_the_export():
-    for name in ("x *\\\n/ int hidden = 1; /*", "x */ int hidden = 1; /*", "x ??/\n */ int hidden;", HOSTILE):
-        reference = load_trajectory("circle")
-        object.__setattr__(reference, "name", name)
-        header = trajectory_texts(reference, 0.02)["trajectory.h"]
-        (comment,) = [line for line in header.splitlines() if line.startswith("/*")]
-        assert comment.endswith(" */")
-        assert not set("*/\\?") & set(comment[2:-2])
-        assert header.count("/*") == header.count("*/") == 1

@@ -10,7 +10,6 @@ second drives in real time, and says how regular the node's commands are while p
 import argparse
 import json
 import math
-import os
 import subprocess
 import sys
 import time
@@ -18,13 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.app.ros_types.build import built_types, search_path
-
 # What the interpreter may take more, after it has settled [MB].
 _GROWTH = 4.0
 FOLDER = Path(__file__).parent
-TYPES = built_types()
-os.environ["PYTHONPATH"] = search_path(TYPES, os.environ.get("PYTHONPATH", ""))
 NODE = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "node", "--autostart", "--ros-args")
 
 
@@ -175,5 +170,8 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--gaps", action="store_true")
     given = parser.parse_args()
-    sys.path[:0] = [str(FOLDER), str(TYPES)]
+    sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
+    from ros_types.build import add_types
+
+    add_types()
     gaps() if given.gaps else run(given.goals, given.seed)

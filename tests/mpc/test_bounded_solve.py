@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
-from diffdrive_mpc.app.replay.bag import LoggedConfigs, recorded_drive
-from diffdrive_mpc.app.replay.open_loop import replay
+from diffdrive_mpc.app.replay.node_log import LoggedConfigs, recorded_drive
+from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
 from diffdrive_mpc.mpc.ros.recording import TickRecords
@@ -130,7 +130,7 @@ def test_the_node_bounds_its_solves_by_the_clock_and_its_replay_is_exact(time_li
     assert late > 20 if time_limit else late < len(results)
     ticks, drives = ([line for topic, line in lines if topic.endswith(kind)] for kind in ("tick", "drive"))
     log = Path("drive.bag")
-    recording = recorded_drive(log, "bag of the node", ticks, drives, LoggedConfigs(log, tmp_path))
+    recording = recorded_drive(log, ticks, drives, LoggedConfigs(log, tmp_path))
     again = replay(recording, driven.config, (reference,), as_recorded=True)
     assert [tuple(command) for command in again.command] == [tuple(result.command) for result in results]
 

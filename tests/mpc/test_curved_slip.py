@@ -23,8 +23,8 @@ from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc.problem.formulas import body_twist
 from diffdrive_mpc.mpc.problem.prediction import build_prediction
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, SLIPS, Slip
-from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments
 from diffdrive_mpc.sim.plants.surface import load_surface
 
@@ -112,7 +112,7 @@ def learned(surface, seed):
         | {"crab_uncertainty": 0.03, "veer_uncertainty": 0.02, "forward_coupling_uncertainty": 0.03}
         | {"yaw_coupling_uncertainty": 0.1, "longitudinal_gain_uncertainty": 0.02, "side_slip_uncertainty": 0.1}
     )
-    reference = lay_segments(slip_excitation(6.0, 90.0, 0.6, 1.0), TrajectoryLimits.of_robot(), name="excitation")
+    reference = lay_segments(load_segments("excitation"), TrajectoryLimits.of_robot(), name="excitation")
     controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", surface, seed=seed)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, 0.0)

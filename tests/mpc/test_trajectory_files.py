@@ -17,7 +17,6 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.arcs import chained
-from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
@@ -337,12 +336,6 @@ def test_waypoints_that_are_as_good_as_one_are_named() -> None:
     """A chord so short that its square is nothing."""
     with pytest.raises(ConfigError, match=r"waypoints.0 and waypoints.1 coincide"):
         lay_waypoints([(0.0, 0.0), (1e-300, 0.0), (1.0, 0.0)], _LIMITS, name="x")
-
-
-def test_a_drive_that_is_searched_for_has_a_longest_time() -> None:
-    """A thousand million seconds of twists would be looked for, one by one."""
-    with pytest.raises(ValueError, match="at most 1800 s"):
-        slip_excitation(6.0, 1e9, 0.6, 1.0)
 
 
 def test_a_way_of_two_millimetres_is_driven_from_rest_to_rest() -> None:

@@ -105,7 +105,7 @@ def test_built_in_trajectories_end_where_exact_arcs_say(
 
 def test_the_built_in_trajectories_are_known() -> None:
     edge = {"fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "tight"}
-    assert set(BUILT_IN) == {"circle", "square", "s", "cane"} | edge
+    assert set(BUILT_IN) == {"circle", "square", "s", "cane", "excitation"} | edge
 
 
 def test_circle_keeps_its_radius() -> None:

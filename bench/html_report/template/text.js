@@ -10,9 +10,6 @@ function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-// Plotly reads a few tags in its texts; names come from files.
-const escaped = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
-
 // Words between backticks are code.
 const words = (text) => text.split("`").map((part, i) => (i % 2 ? element("code", {}, part) : part));
 const sentence = (text) => words(/[.!?]$/.test(text) ? text : `${text}.`);

@@ -11,8 +11,8 @@ import numpy as np
 
 from diffdrive_mpc import Controller, Measurement, load_config, load_trajectory, make_plant
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc_extras.export import Precision, export_controller
 from diffdrive_mpc_extras.export.emulation import REPLY_BYTES, Reply, read_reply, request_bytes
+from diffdrive_mpc_extras.export.library import Precision, export_controller
 
 HOST = Path(__file__).with_name("export_host.c")
 # Some parts ask a controller for sizes that are macros in an export.

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from scipy import stats
 
-from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_extras.campaign.campaign_file import load_campaign, spread_points
@@ -60,14 +58,6 @@ def test_more_runs_contain_those_of_fewer(tmp_path: Path) -> None:
     assert [one.case.seed for one in campaign.definitions(3)] == [0, 1, 2]
 
 
-def test_another_draw_seed_gives_other_runs(tmp_path: Path) -> None:
-    lines = "surface.friction: {uniform: [0.3, 1.0]}\nseed: {each: 500}"
-    first = load_campaign(written(tmp_path, lines)).definitions()
-    other = load_campaign(written(tmp_path, lines, HEAD + "draw_seed: 1\n")).definitions()
-    assert {one.case.seed for one in first} == {one.case.seed for one in other} == set(range(500, 516))
-    assert not {one.surface for one in first} & {one.surface for one in other}
-
-
 def test_a_condition_stands_for_plant_floor_and_settings(tmp_path: Path) -> None:
     (one,) = load_campaign(written(tmp_path, "condition: long\nconfig.horizon: 20")).definitions(1)
     assert one.case.plant == "mujoco:long"
@@ -92,11 +82,6 @@ def test_a_definition_is_its_factors() -> None:
     assert one.with_seed(4).case.seed == 4
 
 
-def test_a_peer_has_no_configuration() -> None:
-    one = Definition.of({"controller": "kanayama", "model": "sm", "config.weights.across": 500.0})
-    assert one.case == Case(controller="kanayama", model="none")
-
-
 @pytest.mark.parametrize(
     ("lines", "line"),
     [
@@ -118,16 +103,3 @@ def test_a_mistake_is_one_line(lines: str, line: str, tmp_path: Path) -> None:
         load_campaign(written(tmp_path, lines)).definitions()
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_points_do_not_touch_the_ends() -> None:
-    points = spread_points("sobol", 4096, 3, 0)
-    assert 0.0 < points.min() < 0.001
-    assert 0.999 < points.max() < 1.0
-    assert spread_points("sobol", 5, 0, 0).shape == (5, 0)
-    assert np.array_equal(spread_points("latin_hypercube", 9, 2, 5), spread_points("latin_hypercube", 9, 2, 5))
-    # Independent points: more of them begin with the same, and none is balanced against another.
-    random = spread_points("random", 4096, 3, 0)
-    assert np.array_equal(random[:9], spread_points("random", 9, 3, 0))
-    halves = (random[:, 0].reshape(-1, 64) < 0.5).sum(axis=1)
-    assert 3.0 < halves.std() < 5.0  # 4 of 64 by the binomial distribution

@@ -7,10 +7,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import duckdb
 import numpy as np
-import pandas as pd
-import polars as pl
 import pytest
 import yaml
 from bench_parts import quick_case
@@ -20,11 +17,10 @@ from commands import call
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.config.config_file import PARAMETERS
 from diffdrive_mpc_extras.campaign import drive as drive_module
 from diffdrive_mpc_extras.campaign import identity
 from diffdrive_mpc_extras.campaign.definition import Definition
-from diffdrive_mpc_extras.campaign.drive import TIME, built, drive, drive_whole
+from diffdrive_mpc_extras.campaign.drive import built, drive, drive_whole
 from diffdrive_mpc_extras.campaign.engine import (
     CampaignPlace,
     CampaignTask,
@@ -101,24 +97,6 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
 
-def test_pandas_polars_and_duckdb_read_the_table(campaign: Path, tmp_path: Path) -> None:
-    call("campaign", campaign, "--out", tmp_path / "out", "--jobs", "1")
-    path = tmp_path / "out" / "results.parquet"
-    frame = pd.read_parquet(path)
-    assert len(frame) == frame["run"].nunique() == 6
-    assert frame["completed"].dtype == bool
-    assert frame["sensors.pose.latency"].between(0.0, 0.1).all()
-    assert (frame["unsafe_slew"] == 0).all()
-    assert (frame["ticks_tracking"] + frame["ticks_finished"] > 0).all()
-    counted, worst = duckdb.sql(
-        f"select count(*), max(position_rmse_m) from '{path}' where completed and \"sensors.pose.latency\" < 0.05"
-    ).fetchall()[0]
-    chosen = frame[frame["completed"] & (frame["sensors.pose.latency"] < 0.05)]
-    assert (counted, worst) == (len(chosen), chosen["position_rmse_m"].max())
-    few = pl.scan_parquet(path).filter(pl.col("completed") & (pl.col("sensors.pose.latency") < 0.05)).collect()
-    assert (few.height, few["position_rmse_m"].max()) == (counted, worst)
-
-
 def test_what_a_run_gives_is_what_simulate_gives() -> None:
     case = quick_case(sensors="default")
     row = drive(Definition(case))
@@ -128,15 +106,6 @@ def test_what_a_run_gives_is_what_simulate_gives() -> None:
     assert (row["position_rmse_m"], row["steps"]) == (metrics.position_rmse_m, metrics.steps)
     assert row["ticks_tracking"] == run.modes.count("TRACKING")
     assert sum(value for name, value in row.items() if name.startswith("ticks_")) == len(run.time)  # type: ignore[misc]
-
-
-def test_a_shipped_configuration_goes_by_its_name_as_by_its_file() -> None:
-    case = quick_case()
-    rows = [drive(Definition(replace(case, config=config))) for config in ("ssm", str(PARAMETERS / "ssm.yaml"))]
-    first, second = ({name: value for name, value in row.items() if not name.startswith(TIME)} for row in rows)
-    assert first == second
-    assert first["error"] == ""
-    assert first["unsafe_slew"] == 0
 
 
 def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,32 +161,6 @@ def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkey
     assert len(driven) == 1
     assert driven[0].row["completed"] is False
     assert failed(driven).endswith("ZeroDivisionError: of a test")
-
-
-def test_values_of_robot_floor_and_sensors_reach_the_plant() -> None:
-    def first_half_second(**factors: float) -> list[float]:
-        """Speed [m/s] at each sample after a command to spin the wheels, and how late the first pose is [s]."""
-        named = {name.replace("__", "."): value for name, value in factors.items()}
-        with built(Definition.of(named)) as (_, plant, _):
-            pass
-        plant.reset([0.0, 0.0, 0.0])
-        late = plant.measure().pose
-        assert late is not None
-        speeds = []
-        while plant.time < 0.5:
-            plant.advance([1.5, 0.0])
-            speeds.append(float(plant.true_twist[0]))
-        return [-late.time, *speeds]
-
-    usual = first_half_second()
-    late = first_half_second(robot__twin__link__dead_time=0.202)
-    icy = first_half_second(surface__friction=0.05)
-    assert first_half_second(sensors__pose__latency=0.1)[0] - usual[0] == pytest.approx(0.08, abs=0.0202)
-    # Eight samples of 20.2 ms later the same happens, to the coupling of dead time with the steps of the physics.
-    assert late[1 + 8 : 1 + 16] == pytest.approx(usual[1:9], abs=0.01)
-    # Coulomb: on ice it gains no more than friction times gravity, and a quick motor gains more elsewhere.
-    assert max(icy[1:]) < 0.05 * 9.81 * 0.5 * 1.1
-    assert max(usual[1:]) > 0.8
 
 
 def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) -> None:
@@ -282,7 +225,7 @@ def test_a_row_says_all_that_it_is_the_hash_of(campaign: Path, tmp_path: Path) -
 def test_a_mistake_on_the_command_line_is_one_line(
     words: list[str], line: str, campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("diffdrive_mpc_extras.campaign.dask_pool._CONNECT", 0.5)
+    monkeypatch.setattr("diffdrive_mpc.bench.runner._CONNECT", 0.5)
     result = CliRunner().invoke(app, ["campaign", str(campaign), "--out", str(tmp_path / "out"), *words])
     assert result.exit_code in (1, 2)
     assert line in result.output

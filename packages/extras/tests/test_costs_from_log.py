@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log, settled
+from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log
+from diffdrive_mpc_extras.torque.measurements import write_diagnostic_log
 from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs
-from studies.torque.measurements import write_diagnostic_log
 
 SLIPPERY = load_turn_costs("fsu_bot-slippery")
 
@@ -124,12 +124,3 @@ def test_a_log_without_motors_or_without_turns_is_refused(log: Path, tmp_path: P
         learn_log(columns(log, tmp_path / "a.csv", "motor"), None, "fsu_bot", "fsu_bot")
     with pytest.raises(ConfigError, match="steady turns, radii of"):
         learn_log(columns(log, tmp_path / "b.csv", rows=slice(0, 330)), None, "fsu_bot", "fsu_bot")
-
-
-def test_a_command_that_jitters_is_held_and_one_that_turns_is_not() -> None:
-    rng = np.random.default_rng(1)
-    commands = np.tile([0.4, 0.2], (300, 1)) + 0.002 * rng.normal(size=(300, 2))
-    assert settled(commands, 0.02, 0.5)[25:].all() and not settled(commands, 0.02, 0.5)[:25].any()
-    commands[150:, 1] = 0.5
-    held = settled(commands, 0.02, 0.5)
-    assert held[149] and not held[150:175].any() and held[176:].all()

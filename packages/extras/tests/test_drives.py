@@ -72,13 +72,6 @@ def test_after_a_change_of_direction_the_robot_stands_and_then_follows():
     assert speeds[330] < -0.3
 
 
-def test_rounding_moves_the_speed_little():
-    """Less than a tenth of the largest speed at any time, and less than one per cent in the mean."""
-    difference = np.abs(run(sharp=False) - run(sharp=True))
-    assert difference.max() < 0.066
-    assert difference.mean() < 0.0066
-
-
 @pytest.mark.parametrize("name", DRIVES)
 def test_gradients_are_those_of_finite_differences(name):
     model = load_model(name)

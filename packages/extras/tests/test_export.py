@@ -20,8 +20,8 @@ from diffdrive_mpc.mpc.core.sources import CORE
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc_extras.export import Precision, export_controller
 from diffdrive_mpc_extras.export.generated_c import sizes_text, trajectory_texts
+from diffdrive_mpc_extras.export.library import Precision, export_controller
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
 # Limits that the square's corners lean on.
@@ -341,3 +341,22 @@ def test_any_other_reference_is_fitted():
     # The constant coefficients: the poses where the pieces begin.
     assert np.allclose(table[12:15].T, reference.sample(breaks[:-1]).pose)
     assert ".cubic = 1" in source
+
+
+HOSTILE_NAMES = (
+    "x *\\\n/ int hidden = 1; /*",
+    "x */ int hidden = 1; /*",
+    "x ??/\n */ int hidden;",
+    "a\nlimits: 99\r\x1b[2J\u202e\x85\u2028b",
+)
+
+
+def test_name_of_a_trajectory_is_never_code_in_the_export():
+    for name in HOSTILE_NAMES:
+        reference = load_trajectory("circle")
+        object.__setattr__(reference, "name", name)
+        header = trajectory_texts(reference, 0.02)["trajectory.h"]
+        (comment,) = [line for line in header.splitlines() if line.startswith("/*")]
+        assert comment.endswith(" */")
+        assert not set("*/\\?") & set(comment[2:-2])
+        assert header.count("/*") == header.count("*/") == 1

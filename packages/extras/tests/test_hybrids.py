@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 from hybrid_parts import DT, random_correction, random_hybrid
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from log_parts import drive, write_csv, write_mapping
+from log_parts import write_csv, write_mapping
 
 from diffdrive_mpc import ConfigError, Controller, MissingPackageError, ModelError, identify, load_config, load_model
 from diffdrive_mpc.models.identification.log_data import LogData
@@ -25,7 +25,7 @@ from diffdrive_mpc_extras.hybrids.hybrid_model import (
     hybrid_model,
     write_hybrid,
 )
-from diffdrive_mpc_extras.hybrids.training import hybrid_settings, runs_of, segments, trained
+from diffdrive_mpc_extras.hybrids.training import hybrid_settings, runs_of, trained
 from diffdrive_mpc_extras.model_comparison.model_comparison import compare_models
 
 MODEL = random_hybrid()
@@ -116,22 +116,6 @@ def test_what_the_network_adds_is_bounded_and_whole_among_the_data(z):
     assert (np.abs(adds) <= np.abs(c.outward).sum(axis=0) + 1e-9).all()
     if distance(z) <= c.full:
         assert adds == pytest.approx(c.outward.T @ np.tanh(c.inward.T @ z), abs=1e-9)
-
-
-@settings(max_examples=20)
-@given(st.integers(0, 1000))
-def test_it_answers_backwards_as_forwards_and_rests(seed):
-    commands = np.repeat(np.random.default_rng(seed).uniform(-1.5, 1.5, (4, 2)), 10, axis=0)
-    assert MODEL.simulate(-commands) == pytest.approx(-MODEL.simulate(commands), abs=1e-12)
-    assert (MODEL.simulate(0 * commands) == 0).all()
-
-
-def test_a_run_beyond_the_data_is_that_of_the_linear_model():
-    """A robot that is asked for ten times what the log has, from where that settles."""
-    commands = np.tile([8.0, 12.0], (40, 1)) + np.random.default_rng(2).uniform(-1, 1, (40, 2))
-    start = LINEAR.settled_state([8.0, 12.0])
-    past = np.tile([8.0, 12.0], (MODEL.memory, 1))
-    assert MODEL.simulate(commands, start, past) == pytest.approx(LINEAR.simulate(commands, start, past), abs=1e-12)
 
 
 def content(**changes):
@@ -243,20 +227,6 @@ def twice_lagging(count=1500, dt=0.04):
     )
 
 
-def test_runs_and_segments_are_those_of_the_linear_model():
-    linear, system, experiment = twice_lagging()
-    (run,) = runs_of(linear, system, [experiment])
-    assert run.states @ linear.C.T == pytest.approx(experiment.outputs, abs=1e-12)
-    cut = segments(linear, [run._replace(outputs=run.outputs + 0.1)])
-    assert 0.1**2 * cut.weights.sum() == pytest.approx(1.0), "what the linear model leaves costs 1"
-    # The linear model goes through every segment as through the whole run.
-    x = cut.starts
-    for k in range(cut.commands.shape[1]):
-        counts = cut.weights[:, k].any(axis=1)
-        assert x[counts] @ linear.C.T + 0.1 == pytest.approx(cut.outputs[counts, k], abs=1e-9)
-        x = x @ linear.A.T + cut.drives[:, k]
-
-
 def test_a_seed_gives_the_same_weights_and_a_penalty_shrinks_them():
     linear, system, experiment = twice_lagging(600)
     bent = SampledExperiment("bent", experiment.dt, experiment.inputs, np.tanh(experiment.outputs), experiment.counts)
@@ -268,18 +238,6 @@ def test_a_seed_gives_the_same_weights_and_a_penalty_shrinks_them():
     )
     strong, weak = (np.sum(found.inward**2) + np.sum(found.outward**2) for found in one)
     assert strong < 0.5 * weak
-
-
-def test_from_a_log_of_a_linear_robot_the_network_is_left_out(quick, tmp_path):
-    """Lags of first order, and a gyro: nothing is left that depends on commands."""
-    write_mapping(tmp_path / "map.yaml")
-    log = write_csv(tmp_path / "drive.csv", drive(seconds=40.0, dt=0.04))
-    found = identify(log, tmp_path / "map.yaml", "hybrid")
-    assert any("no network predicts held-out blocks better" in warning for warning in found.report.warnings)
-    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
-    linear = found.report.fitted.identified.model.discretise(0.04)
-    assert found.model.simulate(commands) == pytest.approx(linear.simulate(commands), abs=1e-6)
-    assert found.report.fitted.predictor.refitted(found.report.data.validation, "gyro") is None
 
 
 def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):

@@ -72,22 +72,6 @@ def test_it_stops_where_validation_does_not_improve():
     assert lost.steps < 3 * len(training) // SHORT.batch
 
 
-def test_dropout_and_decay_shrink_what_is_learned():
-    plain, decayed, dropped = (
-        trained(most_epochs=1, **change).network.weights for change in ({}, {"decay": 0.3}, {"dropout": 0.2})
-    )
-    assert np.linalg.norm(decayed["recurrent_0"]) < 0.7 * np.linalg.norm(plain["recurrent_0"])
-    assert not np.array_equal(dropped["dense"], plain["dense"])
-
-
-def test_too_few_windows_are_refused():
-    windows = windows_of([saturating_drive(0, count=100)], SMALL.window)
-    with pytest.raises(ValueError, match="92 windows to train with and 92 to validate; a network needs 320"):
-        train(SMALL, windows, windows)
-    with pytest.raises(ValueError, match="longer than the window of 8 samples"):
-        windows_of([saturating_drive(0, count=20).channel(0, 0)][:0], 8)
-
-
 def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):
     write_mapping(tmp_path / "map.yaml")
     log = write_csv(tmp_path / "drive.csv", drive(seconds=120.0))

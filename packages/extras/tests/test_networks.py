@@ -68,16 +68,6 @@ def test_the_model_rests_and_its_gain_is_that_of_small_commands():
     assert model.dc_gain == pytest.approx(network_gain(model.network).T, abs=1e-6)
 
 
-def test_a_free_run_is_what_its_steps_give():
-    model, random = random_model(), np.random.default_rng(3)
-    commands, past, state = random.normal(size=(30, 2)), random.normal(size=(model.memory, 2)), random.normal(size=2)
-    line, x, outputs = np.vstack([past, commands]), state, []
-    for k in range(30):
-        outputs.append(x)
-        x = model.step(x, line[k : k + model.memory + 1].ravel()).full().ravel()
-    assert model.simulate(commands, state, past) == pytest.approx(np.array(outputs), abs=1e-12)
-
-
 def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
     network = random_network()
     for name in ("one", "other"):

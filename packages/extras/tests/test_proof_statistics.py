@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
+from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.stats import binom
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, cvar, mean, median
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.proof.boundaries import Boundary, drawn_map, find_boundaries, map_runs
-from diffdrive_mpc_extras.proof.proof_file import BoundarySearch, Map, MapAxis
+from diffdrive_mpc_extras.proof.proof_file import DEFAULT as PROOF
+from diffdrive_mpc_extras.proof.proof_file import BoundarySearch, Map, MapAxis, load_proof
 from diffdrive_mpc_extras.proof.report import Outcomes, facts, is_unsafe, tables, worst
 
 PROBE = Definition(Case())
@@ -34,51 +33,6 @@ def driven(definition: Definition = PROBE, **row: object) -> CampaignRun:
         **{f"unsafe_{kind}": 0 for kind in ("not_finite", "limit", "slew", "motion", "turn")},
     }
     return CampaignRun(definition, f"{definition.case.seed:064d}", usual | row)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("count", "of"), [(3, 40), (39, 40), (20, 40), (1, 300)])
-def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, of: int) -> None:
-    rate = Rate.of_runs(count, of)
-    assert binom.sf(count - 1, of, rate.low) == pytest.approx(0.025)
-    assert binom.cdf(count, of, rate.high) == pytest.approx(0.025)
-    assert binom.cdf(count, of, rate.bound) == pytest.approx(0.05)
-
-
-def test_none_of_many_is_stated_as_what_it_is() -> None:
-    rate = Rate.of_runs(0, 10_000)
-    assert rate.low == rate.share == 0.0
-    # If the share were the bound, none of 10,000 would be seen once in twenty.
-    assert (1.0 - rate.bound) ** 10_000 == pytest.approx(0.05)
-    assert 2.9e-4 < rate.bound < 3.0e-4
-    assert Rate.of_runs(40, 40).high == 1.0
-
-
-def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
-    values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
-    assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
-    # A twentieth of 30 runs is one and a half of them.
-    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
-    assert cvar(np.arange(1.0, 11.0)) == 10.0
-    assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
-    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
-    assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
-
-
-def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
-    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
-    found = BootstrapEstimate.of_runs(values, mean)
-    half = 1.96 * np.std(values) / math.sqrt(400)
-    assert found.value == pytest.approx(np.mean(values))
-    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
-    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
-    assert BootstrapEstimate.of_runs(values, mean) == found
-
-
-def test_few_runs_have_no_interval() -> None:
-    assert math.isnan(BootstrapEstimate.of_runs([], mean).value)
-    one = BootstrapEstimate.of_runs([3.0], cvar)
-    assert (one.value, math.isnan(one.low)) == (3.0, True)
-    assert BootstrapEstimate.of_runs([3.0, 3.0], cvar) == BootstrapEstimate(3.0, 3.0, 3.0)
 
 
 class Robot:
@@ -124,17 +78,6 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
     assert latency.held <= 0.19 < latency.failed
     # 32 kg to 0.5 kg are six halvings after the two ends; both factors were searched in the same rounds.
     assert (len(mass.values), robot.rounds) == (8, 8)
-
-
-def test_a_boundary_may_lie_below() -> None:
-    robot = Robot(downwards=True, surface__friction=0.23)
-    (found,) = find_boundaries(
-        {"surface.friction": search(holds=0.8, beyond=0.0, within=0.05)}, PROBE, (1,), robot.drive, BAND
-    )
-    assert found.held is not None
-    assert found.failed is not None
-    assert found.failed < 0.23 <= found.held
-    assert found.held - found.failed <= 0.05
 
 
 def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None:
@@ -190,6 +133,24 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     assert {row[0]: row[1:3] for row in unsafe.rows}["beyond the slew or the braking limit"] == ("3", "1 of 20")
 
 
-def test_a_search_that_can_find_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="no further apart than within"):
-        search(holds=0.1, beyond=0.15, within=0.1)
+def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
+    proof = read_yaml(PROOF)
+    axis = {"factor": "surface.slope", "low": 0.0, "high": 1.0, "steps": 100}
+    one = next(iter(proof["maps"].values()))
+    axis["factor"] = one["x"]["factor"]
+    letters = "abcdefghijklmnopqrstuvwxyz"
+    proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
+    file = tmp_path / "proof.yaml"
+    file.write_text(str(proof).replace("None", "null").replace("True", "true").replace("False", "false"))
+    with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are asked for, at most 1,000,000"):
+        load_proof(file)
+
+
+def test_search_for_a_boundary_ends_at_the_resolution_of_floats() -> None:
+    search = Boundary("f", BoundarySearch(holds=1.0, beyond=1.00001, within=1e-300))
+    tried = 0
+    while (value := search.next_value) is not None:
+        search.take(value, int(value < 1.000004), 1)
+        tried += 1
+        assert tried < 40
+    assert search.held == pytest.approx(1.000004, abs=1e-8)

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc prove` and `simulate --from-run`, from the command line."""
+"""`diffdrive-mpc prove` and `repeat`, from the command line."""
 
 from __future__ import annotations
 
@@ -67,7 +67,6 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     assert {path.name for path in (out / "figures").iterdir()} == {"errors.png", "map-latency-and-noise.png"}
     page = content_of(out / "report.html")
     assert {view["kind"] for view in page["views"]} == {"chart", "map"}
-    assert page["toggles"][0]["values"] in (["none", "start_offset"], ["start_offset", "none"])
     table = read_table(out / "prove.parquet").to_pydict()
     assert (len(table["run"]), set(table["model"])) == (20, {"sm"})
     found = json.loads((out / "prove.json").read_text(encoding="utf-8"))
@@ -79,7 +78,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     errors = sorted((error for error in table["position_rmse_m"]), reverse=True)
     kept = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
     assert kept == errors[:3]
-    said = call("simulate", "--from-run", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
+    said = call("repeat", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
     assert "figures are those of the file, to the last bit" in " ".join(said.split())
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof drives nothing, and says the same.
@@ -99,7 +98,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     told["figures"]["position_rmse_m"] *= 1.0 + 1e-12
     told["environment"]["numpy"] = "1.0"
     path.write_text(yaml.safe_dump(told), encoding="utf-8")
-    said = " ".join(call("simulate", "--from-run", path, "--trust-terms", tmp_path, code=1).split())
+    said = " ".join(call("repeat", path, "--trust-terms", tmp_path, code=1).split())
     assert "1 of " in said
     assert "figures are other ones: position_rmse_m is" in said
     assert "other than then: numpy (1.0, now" in said

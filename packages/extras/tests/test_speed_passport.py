@@ -14,12 +14,12 @@ from scipy.stats import norm
 
 from commands import call
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories import load_segments
 from diffdrive_mpc.mpc.trajectories.random_spline import random_splines
 from diffdrive_mpc_extras.campaign.campaign_file import Campaign
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, drive_all
+from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.proof.passport import PASSPORT, Key, SpeedSearch, largest_lateral, measure, members
 from diffdrive_mpc_extras.proof.proof_file import PassportPlan, load_proof
 

@@ -64,12 +64,6 @@ def test_what_the_motors_give_becomes_heat(terrain, speed):
     assert (found.forces.loss >= 0).all()
 
 
-def test_with_a_measured_yaw_rate_what_is_missing_is_the_moment_s_power():
-    found = side_torques(CENTRED, ASPHALT, RADII, 0.4)
-    missing = np.sum(found.forces.wrench * found.twist, axis=1)
-    assert found.power == pytest.approx(found.forces.loss + found.rolling_loss + missing, abs=1e-6)
-
-
 def test_the_floor_gives_what_the_turn_takes():
     found = side_torques(CENTRED, VINYL, RADII, 0.6)
     u, w, omega = found.twist.T
@@ -94,25 +88,6 @@ def test_a_centre_of_mass_to_the_left_loads_the_left():
     # Turning left presses on the right wheels.
     turning = aside.loads(np.array([[0.0, 1.0]]))[0]
     assert turning[[1, 3]].sum() - rest[[1, 3]].sum() == pytest.approx(aside.mass * 1.0 * 0.1 / aside.track)
-
-
-def test_a_wheel_that_would_lift_carries_nothing():
-    tall = BOT.model_copy(update={"centre_of_mass": (0.0, 0.0, 1.0)})
-    loads = tall.loads(np.array([[0.0, 5.0]]))[0]
-    assert (loads >= 0).all()
-    assert loads[[0, 2]].sum() == 0.0
-
-
-def test_torque_grows_with_friction_and_falls_with_the_modulus():
-    by_mu = np.array([side_torques(CENTRED, ground(mu), RADII, 0.2).outer for mu in (0.2, 0.4, 0.8, 1.2)])
-    assert (np.diff(by_mu, axis=0) > 0).all()
-    by_modulus = np.array([side_torques(CENTRED, ground(0.6, k), RADII, 0.2).outer for k in (1e-4, 4e-4, 1.6e-3, 6e-3)])
-    assert (np.diff(by_modulus, axis=0) < 0).all()
-
-
-def test_sharper_turns_take_more_until_inertia_counts():
-    outer = side_torques(BOT, ASPHALT, RADII, 0.2).outer
-    assert (np.diff(outer) < 0).all()
 
 
 @pytest.mark.parametrize("modulus", [1e-4, 4e-4, 1.6e-3])
@@ -148,12 +123,6 @@ def test_the_inner_side_turns_backward_below_half_the_track_and_drives_beyond_20
     assert (found.outer > 0).all()
 
 
-def test_half_the_track_is_where_the_inner_torque_jumps_by_twice_the_drag():
-    # Resistance turns round with the wheels; traction does not jump.
-    found = side_torques(BOT, VINYL, [0.1949, 0.1951], 0.2)
-    assert found.inner[1] - found.inner[0] == pytest.approx(2 * BOT.drag_torque, rel=0.02)
-
-
 def test_no_least_radius_on_vinyl_and_one_on_asphalt():
     found = [
         least_radius(lambda r, on=on: side_torques(BOT, on, r, 0.4).outer, BOT.torque_limit) for on in (VINYL, ASPHALT)
@@ -168,16 +137,6 @@ def test_no_least_radius_on_vinyl_and_one_on_asphalt():
     )
 
 
-def test_least_radius_of_a_known_curve():
-    assert least_radius(lambda r: 2.0 / r, 4.0) == pytest.approx(2.0 / 3.8, rel=1e-6)
-    assert least_radius(lambda r: np.full_like(r, 5.0), 4.0) == np.inf
-    assert least_radius(lambda r: -2.0 / r, 4.0) == pytest.approx(2.0 / 3.8, rel=1e-6)
-    with pytest.raises(ConfigError, match="torque limit"):
-        least_radius(lambda r: r, float("nan"))
-    with pytest.raises(ConfigError, match="not finite"):
-        least_radius(lambda r: r * np.nan, 1.0)
-
-
 def test_a_terrain_is_found_again_from_its_torques_and_carries_over_to_a_payload():
     rng, on = np.random.default_rng(4), ASPHALT
     radii = np.geomspace(0.5, 60.0, 12) * np.tile([1, -1], 6)
@@ -190,13 +149,6 @@ def test_a_terrain_is_found_again_from_its_torques_and_carries_over_to_a_payload
     expected, predicted = side_torques(loaded, on, radii, 0.4), side_torques(loaded, found.on(on), radii, 0.4)
     assert predicted.outer == pytest.approx(expected.outer, abs=0.1)
     assert np.abs(side_torques(BOT, on, radii, 0.4).outer - expected.outer).max() > 1.0
-
-
-def test_the_drag_is_found_with_it():
-    true = side_torques(BOT, VINYL, [0.5, 1.0, 4.0, 20.0, 200.0], 0.4)
-    without = BOT.model_copy(update={"drag_torque": 0.0})
-    found = fit_shear(without, VINYL, [0.5, 1.0, 4.0, 20.0, 200.0], 0.4, true.outer, true.inner, with_drag=True)
-    assert found.drag_torque == pytest.approx(BOT.drag_torque, rel=0.01)
 
 
 def test_what_torques_do_not_tell_is_named():
@@ -224,22 +176,3 @@ def test_bad_input_gets_a_sentence(call, words):
     with pytest.raises(ConfigError, match=words) as raised:
         call()
     assert "\n" not in str(raised.value)
-
-
-def test_one_coefficient_for_both_sides_is_found_on_a_floor_that_has_one():
-    floor = ground(0.45, 8e-4)
-    radii = np.geomspace(0.5, 60.0, 10)
-    true = side_torques(BOT, floor, radii, 0.4)
-    found = fit_shear(BOT, ground(), radii, 0.4, true.outer, true.inner, one_friction=True)
-    assert found.shear.mu_outer == found.shear.mu_inner == pytest.approx(0.45, rel=0.02)
-    assert found.shear.modulus == pytest.approx(8e-4, rel=0.03)
-    assert not found.untold
-
-
-def test_where_nothing_slides_friction_and_modulus_are_told_as_a_ratio_alone():
-    rng, radii = np.random.default_rng(0), np.geomspace(20.0, 80.0, 10)
-    true = side_torques(BOT, ground(0.45, 8e-4), radii, 0.4)
-    outer, inner = (one + 0.01 * rng.normal(size=10) for one in (true.outer, true.inner))
-    found = fit_shear(BOT, ground(), radii, 0.4, outer, inner, one_friction=True)
-    assert {"mu", "modulus"} <= {*found.untold}
-    assert found.shear.mu_outer / found.shear.modulus == pytest.approx(0.45 / 8e-4, rel=0.1)

@@ -31,11 +31,6 @@ def with_exponent(value):
     return SETTINGS.model_copy(update={"curves": SETTINGS.curves.model_copy(update={"speed_exponent": value})})
 
 
-def test_it_begins_empty_and_says_nothing():
-    assert len(network().units) == 0
-    assert network()(np.zeros(3)).tolist() == [0.0, 0.0, 0.0]
-
-
 def test_the_first_unit_makes_up_for_the_error_that_called_it():
     found = network(window=1, distance=(0.3, 0.3))
     error = found.learn(2.0, 0.5)
@@ -53,24 +48,6 @@ def test_no_unit_is_added_unless_all_criteria_are_met(changes):
         found.learn(2.0, 0.5)
     assert len(found.units) == 0
     assert found(2.0) == pytest.approx(0.5, abs=0.05), "it adapts what it has"
-
-
-def test_no_unit_is_added_beside_another():
-    found = network(window=1, distance=(0.3, 0.3))
-    found.learn(2.0, 0.5)
-    found.learn(2.2, -0.5)
-    assert len(found.units) == 1
-    found.learn(2.9, 0.9)
-    assert len(found.units) == 2
-    assert found.units[1, 2] == pytest.approx(SETTINGS.network.overlap * abs(2.9 - found.units[0, 1]), rel=0.05)
-
-
-def test_there_are_never_more_units_than_the_most():
-    rng = np.random.default_rng(0)
-    found = network(most_units=5, distance=(0.05, 0.05), window=1)
-    for _ in range(500):
-        found.learn(*rng.uniform(-3, 3, 2))
-    assert 1 <= len(found.units) <= 5
 
 
 def test_it_learns_a_smooth_curve_from_noise():
@@ -93,19 +70,6 @@ def test_one_update_of_the_offset_alone_is_kalman_s():
         found.learn(0.0, 1.0)
     # After n equal samples: the prior counts as noise^2 / doubt samples of zero.
     assert found.offset == pytest.approx(100 / (100 + settings.noise**2 / settings.doubt))
-
-
-def test_a_unit_that_says_nothing_for_long_goes():
-    found = network(window=1, distance=(0.3, 0.3), prune_after=40, prune_below=0.05)
-    found.learn(0.0, 0.8)
-    found.learn(5.0, 0.5)
-    assert len(found.units) == 2
-    # The second bump vanishes; samples near it say so.
-    for _ in range(1500):
-        found.learn(5.0, found.offset)
-        found.learn(0.0, 0.8)
-    assert len(found.units) == 1
-    assert found(0.0) == pytest.approx(0.8, abs=0.1)
 
 
 def test_nonsense_is_left_out():
@@ -178,27 +142,6 @@ def test_torques_that_build_up_late_are_learned_as_they_are_in_the_end():
     assert off(with_exponent(0.0)) < 0.07 < off(hasty)
 
 
-@pytest.mark.parametrize("radius", [0.0, 1e-9, 1e9, np.inf, -0.5, -np.inf])
-def test_what_it_says_is_finite_and_within_the_limit(radius):
-    curves = TorqueCurves(2.0)
-    for r in (0.5, 1.0, 2.0, 4.0):
-        for _ in range(50):
-            curves.learn(r, 0.4, 50.0, -50.0)
-    for side in (curves.outer, curves.inner):
-        said = side(np.array([radius]))
-        assert np.isfinite(said).all() and (np.abs(said) <= 2.0).all()
-
-
-def test_beyond_what_was_shown_it_holds():
-    curves = TorqueCurves(4.0)
-    for _ in range(60):
-        for r in (0.8, 1.0, 1.5, 2.0):
-            curves.learn(r, 0.4, 3.0 / r, -1.0 / r)
-    assert curves.shown == pytest.approx((0.8, 2.0))
-    assert curves.outer(50.0) == curves.outer(2.0)
-    assert curves.outer(0.2) == curves.outer(0.8)
-
-
 def test_left_right_forward_and_backward_are_one_turn():
     curves = TorqueCurves.from_prior(BOT, ASPHALT.model_copy(update={"slip": None}))
     left, right = curves.torques([[0.4, 0.4]])[0], curves.torques([[0.4, -0.4]])[0]
@@ -211,24 +154,6 @@ def test_left_right_forward_and_backward_are_one_turn():
     assert spin[1] > 0 > spin[0]
     assert curves.torques([[0.0, 0.0]]).tolist() == [[0.0, 0.0]]
     assert np.isfinite(curves.torques([[0.4, 0.0]])).all()
-
-
-def test_a_backward_drive_teaches_the_same():
-    commands, left, right, dt = drive(ASPHALT, hold=2.0)
-    forward, backward = TorqueCurves(4.6), TorqueCurves(4.6)
-    forward.learn_drive(commands, left, right, dt)
-    # Commands with both signs changed: the same circle, gone through the other way.
-    backward.learn_drive(-commands, -left, -right, dt)
-    assert backward.outer(RADII) == pytest.approx(forward.outer(RADII))
-
-
-def test_samples_that_are_nothing_change_nothing():
-    curves = TorqueCurves.from_prior(BOT, VINYL)
-    before = curves.outer(RADII)
-    curves.learn(np.nan, 0.4, 1.0, 1.0)
-    curves.learn(1.0, 0.0, 1.0, 1.0)
-    curves.learn(1.0, 0.4, np.inf, 1.0)
-    assert np.array_equal(curves.outer(RADII), before)
 
 
 def test_bad_settings_get_a_sentence(tmp_path):

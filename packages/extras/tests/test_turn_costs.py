@@ -4,19 +4,15 @@ import casadi as ca
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from diffdrive_mpc import ConfigError, integrate_pose
+from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc_extras.energy import predict_energy
 from diffdrive_mpc_extras.terrain import load_terrain
 from diffdrive_mpc_extras.torque import TorqueCurves
 from diffdrive_mpc_extras.torque.torque_curves import costs_of_curves
 from diffdrive_mpc_extras.turn_costs import (
-    SlipCoefficients,
     identify_slip,
-    identify_slip_from_poses,
     load_drive_constants,
     load_turn_costs,
     load_vehicle,
@@ -56,28 +52,6 @@ def test_a_slip_law_is_found_again_within_its_doubt():
         off.append((found.coefficients - TRUE) / found.deviations)
     # Normal errors: their spread over the stated deviation is one.
     assert np.std(off) == pytest.approx(1.0, abs=0.15)
-
-
-def test_noise_that_hangs_together_makes_the_law_less_certain():
-    rng = np.random.default_rng(4)
-    commands = drive(rng)
-    slow = np.repeat(rng.normal(0, [0.01, 0.01, 0.03], (len(commands) // 25, 3)), 25, axis=0)
-    white = rng.normal(0, [0.01, 0.01, 0.03], slow.shape)
-    clean = polynomial_twist(TRUE, commands)
-    assert (
-        identify_slip(commands, clean + slow).deviations > 3 * identify_slip(commands, clean + white).deviations
-    ).all()
-
-
-def test_poses_tell_the_law_as_twists_do():
-    commands, dt = drive(np.random.default_rng(5)), 0.05
-    law = TRUE.copy()
-    law[1] = 0.0  # integrate_pose knows no lateral speed
-    poses = [np.array([1.0, -2.0, 0.4])]
-    for v, _, omega in polynomial_twist(law, commands):
-        poses.append(integrate_pose(poses[-1], v, omega, dt))
-    found = identify_slip_from_poses(commands, np.array(poses[:-1]), dt)
-    assert found.coefficients == pytest.approx(law, abs=1e-9)
 
 
 def test_what_settles_and_what_is_not_finite_is_left_out():
@@ -143,24 +117,6 @@ def test_the_expression_is_the_power_and_smooth(name, symbol):
     assert all(np.isfinite(np.array(one)).all() for row in GRID for one in said(*row))
 
 
-@given(v=st.floats(0.1, 0.6), omega=st.floats(-1.0, 1.0))
-@settings(max_examples=40, deadline=None)
-def test_the_gradient_of_the_expression_is_that_of_its_values(v, omega):
-    said = _gradient()
-    step = 1e-5
-    for k, (dv, dw) in enumerate(((step, 0.0), (0.0, step))):
-        slope = (float(said(v + dv, omega + dw)[0]) - float(said(v - dv, omega - dw)[0])) / (2 * step)
-        assert float(said(v, omega)[1][k]) == pytest.approx(slope, rel=1e-3, abs=1e-2)
-
-
-def _gradient(kept=[]):  # noqa: B006 - made once
-    if not kept:
-        v, omega = ca.SX.sym("v"), ca.SX.sym("w")
-        power = load_turn_costs("fsu_bot-slippery").symbolic_power(v, omega)
-        kept.append(ca.Function("power", [v, omega], [power, ca.gradient(power, ca.vertcat(v, omega))]))
-    return kept[0]
-
-
 def test_without_regeneration_a_side_that_brakes_gives_nothing():
     costs = load_turn_costs("fsu_bot-grippy")
     kept = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
@@ -170,13 +126,6 @@ def test_without_regeneration_a_side_that_brakes_gives_nothing():
     v, omega = ca.SX.sym("v"), ca.SX.sym("w")
     said = ca.Function("power", [v, omega], [kept.symbolic_power(v, omega)])
     assert float(said(0.4, 0.1)) == pytest.approx(kept.power(turn)[0], rel=0.02)
-
-
-@given(v=st.floats(-0.6, 0.6), omega=st.floats(-0.5, 0.5))
-@settings(max_examples=60, deadline=None)
-def test_commands_give_the_twist_that_is_asked(v, omega):
-    costs = load_turn_costs("fsu_bot-default")
-    assert costs.twist(costs.command(v, omega))[[0, 2]] == pytest.approx([v, omega], abs=1e-9)
 
 
 def test_least_radii_are_those_of_the_curves_and_go_with_speed():
@@ -219,19 +168,3 @@ def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change, words):
     with pytest.raises(ConfigError, match=words) as error:
         load_turn_costs(path)
     assert "\n" not in str(error.value)
-
-
-def test_curves_that_were_shown_nothing_give_no_table():
-    with pytest.raises(ConfigError, match="learn a drive first"):
-        costs_of_curves(TorqueCurves(4.6), np.zeros(9), name="none", vehicle=BOT, drive=MOTORS, provenance="nothing")
-    with pytest.raises(ConfigError, match="nine finite numbers"):
-        SlipCoefficients.of(np.zeros(8))
-
-
-def test_power_at_rest_adds_to_that_of_every_command() -> None:
-    own = load_turn_costs("fsu_bot-default")
-    fed = own.with_idle_power(own.drive.idle_power + 7.0)
-    commands = np.array([[0.4, 0.0], [0.4, 0.15], [0.0, 0.0], [-0.2, 0.3]])
-    np.testing.assert_allclose(fed.power(commands) - own.power(commands), 7.0)
-    with pytest.raises(ConfigError, match="idle power -1"):
-        own.with_idle_power(-1.0)

@@ -43,7 +43,7 @@ def test_a_log_becomes_a_plant(log):
     assert found["gain_v"]["low"] <= 1.0 <= found["gain_v"]["high"]
     stated = yaml.safe_load((out / "plant.yaml").read_text())["firmware"]["provenance"]["parameters"]
     assert {name: one["told"] for name, one in stated.items()} == {name: one["told"] for name, one in found.items()}
-    report = (out / "report.md").read_text()
+    report = (out / "twin.md").read_text()
     assert all(f"| {name} |" in report for name in found)
     assert (out / "figures" / "held_out.png").stat().st_size > 0
     make_plant(f"mujoco:{out / 'plant.yaml'}").advance((0.2, 0.0))

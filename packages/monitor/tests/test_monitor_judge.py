@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from oracle.judge import OracleJudge
+from judge_oracle import OracleJudge
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_monitor.judge import Judge, load_judge, rule_names

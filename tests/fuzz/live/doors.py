@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
 from random import Random
 from typing import Any
 
@@ -18,14 +16,12 @@ from fuzz.live import references
 
 def let_types_be_found() -> str:
     """Build the types, for this process and its children; returns why that cannot be, empty where it can."""
-    from diffdrive_mpc.app.ros_types.build import built_types, search_path
+    from ros_types.build import add_types
 
     try:
-        folder = built_types()
+        add_types()
     except (ImportError, ValueError, OSError, RuntimeError) as error:
         return f"{type(error).__name__}: {error}"
-    sys.path.insert(0, str(folder))
-    os.environ["PYTHONPATH"] = search_path(folder, os.environ.get("PYTHONPATH", ""))
     return ""
 
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import yaml
 from studies.predicted_error.calibrate import DIRECTIONS, calibrated, coverage, oracle_widths
 from studies.predicted_error.drives import (
@@ -27,15 +24,13 @@ from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import Controller, Trajectory
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, ErrorPopulation
-from diffdrive_mpc_extras.predicted_error.predicted_error import predict_tubes
 
 CALIBRATION = "calibration.yaml"
 Driven = Mapping[str, Sequence[DrivenPath]]
 _HEAD = """\
-# Written by `make study NAME=predicted-error`; which drives, with their seeds: studies/predicted_error/study.yaml.
-# A scale of |error| is the sum of features (mpc/predicted_error/features.py) with these coefficients [m for each unit],
+# Written by `make study NAME=predicted-error`; its drives and seeds stand in study.yaml of that study.
+# A scale of |error| is the sum of features (features.py) with these coefficients [m for each unit],
 # fitted as the quantile `level`; a tube is a multiple of it. Multiples are conformal quantiles on robots, paths and
 # seeds that played no part in the fit: at_each_place weighs drives alike, everywhere counts whole drives.
 # `calibrated` says for which paths and models: top speed v [m/s] and yaw rate omega [rad/s] of a path, as the study
@@ -51,8 +46,6 @@ _COLUMNS = (
     "width [mm]",
     "width everywhere [mm]",
 )
-_TIMED = 60.0
-_REPEATS = 20
 
 
 class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
@@ -130,7 +123,6 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
                 "Coefficients, quantiles and test come from robots, paths and seeds apart from each other.",
                 "At each place: mean over drives of the share of places inside. Everywhere: drives that are inside all "
                 "the way, with the exact interval. Widths are to either side.",
-                f"A path of a minute is predicted in {1e3 * _seconds(calibration):.2f} ms, the median of {_REPEATS}.",
             ],
             tables=[table for table in tables if table.rows],
             files={CALIBRATION: text},
@@ -195,18 +187,3 @@ def _rows(
         interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
         rows.append((words, direction, str(rate.of), *shares, interval, millis(of.width), millis(of.width_everywhere)))
     return rows
-
-
-def _seconds(calibration: ErrorCalibration) -> float:
-    """How long a prediction of a path of a minute takes [s]."""
-    angle = np.linspace(0.0, 4.0 * math.pi, 120)
-    path = Trajectory.from_arrays(
-        np.linspace(0.0, _TIMED, 120), 2.0 * np.sin(angle), np.sin(2.0 * angle), name="minute"
-    )
-    controller = Controller("ssm")
-    times = []
-    for _ in range(_REPEATS):
-        began = time.perf_counter()
-        predict_tubes(path, controller.config, controller.model.lag, next(iter(calibration.populations)), calibration)
-        times.append(time.perf_counter() - began)
-    return float(np.median(times))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,41 +10,33 @@ from pandas import DataFrame
 from studies.worlds.settings import stop_was_possible
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cells import Cell, grouped_table, load_tables
 from diffdrive_mpc.bench.experiment import by, total
+from diffdrive_mpc.bench.grouped_tables import Cell, load_tables
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
-
-_KEPT = 10
-"""Every so many ticks the place is kept, for pictures."""
-_HARDEST = 12
+from diffdrive_mpc_extras.campaign.rates import Rate
+from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
 
 
 def measured(case: Case, run: Run) -> dict[str, object]:
     """Columns of a run through a world.
 
-    `stop_possible` says, where persons walk, whether a stop in time was physically possible. `path` (m, 2) are places
-    of the robot [m], for pictures. `planned_s` is the duration of the way as it was planned, `arrival_s` that of a run
-    that arrived. `step_p99_s` is of the controller's step, `last_message` what it said last.
+    `stop_possible`: whether a stop before persons who walk was physically possible. `planned_s`: duration of the
+    planned path [s]; `arrival_s`: time of a run that arrived [s]; `step_p99_s`: of the controller's step [s].
     """
-    passage = run.passage
-    assert passage is not None and run.world is not None
+    passed, name = passage(run), split(case.plant)[1]
     steps = run.step_time[np.isfinite(run.step_time)]
-    labels = case.labels
-    place = [labels[name] for name in ("plant", "surface", "sensors") if labels[name] not in ("mujoco", "default")]
     return {
         "driver": case.controller if case.controller in PEERS else f"mpc, {case.model}",
-        "planned_way": "posts on it" if case.world.endswith(":through") else "free",
-        "place": ", ".join(place) or "as tuned",
-        "collided": passage.contacts > 0,
-        "stood_still": not passage.arrived and not passage.contacts,
-        "was_walked_into": passage.walked_into > 0,
-        "stop_possible": bool(run.world.movers) and stop_was_possible(case, run) is True,
-        "path": run.true_pose[::_KEPT, :2].copy(),
+        "planned_way": "posts on it" if name.endswith(":through") else "free",
+        "collided": passed.contacts > 0,
+        "stood_still": not passed.arrived and not passed.contacts,
+        "was_walked_into": passed.walked_into > 0,
+        "stop_possible": bool(world_record(run).world.movers) and stop_was_possible(case, run) is True,
         "planned_s": run.reference.duration,
-        "arrival_s": passage.time_s if passage.arrived else np.nan,
+        "arrival_s": passed.time_s if passed.arrived else np.nan,
         "last_message": next((message for message in reversed(run.messages) if message), ""),
         "step_p99_s": float(np.percentile(steps, 99)) if steps.size else np.nan,
     }
@@ -89,47 +81,12 @@ def study_tables(rows: DataFrame) -> list[Table]:
     made = []
     if "drawn" in parts:
         drawn = parts["drawn"].sort_values("planned_way", kind="stable")
-        made += [specs["drawn"].table(drawn, CELLS), _conditions(drawn)]
+        made.append(specs["drawn"].table(drawn, CELLS))
     if "crossing" in parts:
         made.append(specs["crossing"].table(parts["crossing"], CELLS))
     if len(named := rows[rows["part"].isin(("doorway", "named"))]):
         made.append(specs["named"].table(named))
-    return [*made, _contacts(rows), specs["cost"].table(rows)]
-
-
-def _conditions(rows: DataFrame) -> Table:
-    columns: dict[str, Cell] = {}
-    for name in by(rows, "driver"):
-        columns[f"{name}: arrived"] = _share_of(name, "passage_arrived")
-        columns[f"{name}: collided"] = _share_of(name, "collided")
-    note = "Drawn worlds of both kinds."
-    return grouped_table("Robots, floors and sensors", rows, {"condition": "place"}, columns, note)
-
-
-def _share_of(driver: str, column: str) -> Cell:
-    def made(rows: DataFrame) -> str:
-        own = rows[rows["driver"] == driver]
-        return f"{total(own, column)}/{len(own)}"
-
-    return made
-
-
-def _contacts(rows: DataFrame) -> Table:
-    hit = rows[rows["collided"].astype(bool)].sort_values("passage_contact_speed_m_s", ascending=False, kind="stable")
-    shown = list(hit.head(_HARDEST).itertuples())
-    columns: dict[str, Callable[[object], str]] = {
-        "seed": lambda row: str(row.seed),  # type: ignore[attr-defined]
-        "speed [m/s]": lambda row: number(row.passage_contact_speed_m_s, 2),  # type: ignore[attr-defined]
-    }
-    entries = [((one.driver, one.world, one.surface, one.plant, one.ended), one) for one in shown]
-    note = f"The hardest {len(shown)} of {len(hit)}."
-    return Table.of("Contacts", ("controller", "world", "surface", "plant", "what"), columns, entries, note)
-
-
-def last_messages(rows: DataFrame, most: int = 3) -> list[str]:
-    """What a controller said most often at the end of runs in which it did not arrive."""
-    lost = rows[~rows["passage_arrived"].astype(bool) & (rows["last_message"] != "")]
-    return [str(message) for message in lost["last_message"].value_counts().head(most).index]
+    return [*made, specs["cost"].table(rows)]
 
 
 def interval(of: Rate) -> str:

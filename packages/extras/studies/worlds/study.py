@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from pandas import DataFrame
-from studies.worlds.results import last_messages, measured, study_tables
+from studies.worlds.results import measured, study_tables
 from studies.worlds.settings import WorldsSettings, cases
 
 from diffdrive_mpc.bench.case import Case
@@ -71,16 +71,9 @@ class WorldsStudy(Study[Plan, DataFrame]):
         return drive_all([ExperimentRun(case, {"part": part}) for part, case in plan], jobs, bar.advance, measured)
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Tables and figures."""
-        from studies.worlds.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
-
+        """Return the tables."""
         parts = ", ".join(f"{len(rows)} of “{name}”" for name, rows in by(results, "part").items())
         drivers = by(results, "driver")
-        words = [
-            f"{name} did not arrive and said: {message}."
-            for name, rows in drivers.items()
-            for message in last_messages(rows)
-        ]
         touched = total(results, "collided")
         return Report(
             counted=f"{len(results)} runs",
@@ -90,7 +83,5 @@ class WorldsStudy(Study[Plan, DataFrame]):
                 f"{len(results)} runs in {seconds} s: {parts}, by {', '.join(drivers)}, from seed {self._first} on.",
                 f"In {touched} of them MuJoCo found a contact of the robot's hull while the robot moved.",
             ],
-            notes=words,
             tables=study_tables(results),
-            figures=drawings(results),
         )

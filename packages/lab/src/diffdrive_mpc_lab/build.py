@@ -1,6 +1,6 @@
-"""Build the laboratory: one page that holds the controller as WebAssembly, its data and everything else.
+"""Build the laboratory: one page that holds the controller as WebAssembly and its data.
 
-Run as ``python -m diffdrive_mpc_lab.build PAGE.html``. The compiler is Zig's, from the package index (extra `lab`).
+The compiler is the one of Zig, which the package index has as `ziglang`.
 """
 
 from __future__ import annotations
@@ -11,15 +11,11 @@ import importlib.util
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.core_sources import core_texts, require
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
-from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc_lab.formulas import generate_plant
 from diffdrive_mpc_lab.numbers import generated_texts, report_fields
 from diffdrive_mpc_lab.pool import page_data
@@ -59,7 +55,7 @@ def compile_module() -> bytes:
         If there is no compiler, or it does not take the sources.
     """
     if not has_compiler():
-        raise NotCompiledError("the laboratory needs Zig's C compiler: pip install ziglang, or make lab")
+        raise NotCompiledError("the laboratory needs Zig's C compiler: pip install ziglang")
     with TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for name, text in texts().items():
@@ -87,22 +83,3 @@ def page_text() -> str:
     for mark, text in (("STYLE", style), ("HELD", held_text), ("SCRIPT", script)):
         page = page.replace(f"<!--{mark}-->", text)
     return page
-
-
-def main(words: Sequence[str]) -> int:
-    """Write the page that `words` name, by default out/lab.html; a failure is one line on stderr, and 1."""
-    try:
-        page = Path(words[0] if words else "out/lab.html")
-        text = page_text()
-        page.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(page) as draft:
-            draft.write_text(text, encoding="utf-8")
-    except (NotCompiledError, ConfigError, OSError) as error:
-        echo(f"error: {error}", err=True)
-        return 1
-    echo(f"{page}: {len(text.encode()) / 1e6:.2f} MB")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -16,7 +16,7 @@ FLOOR = ("longitudinal_gain", "yaw_gain", "wheel_yaw_gain", "side_slip")
 
 def generate_plant() -> GeneratedC:
     """C of the functions `lab_f_floor` and `lab_f_move`."""
-    return generate(plant_functions(), "lab_plant", "app/lab/formulas.py")
+    return generate(plant_functions(), "lab_plant", "diffdrive_mpc_lab/formulas.py")
 
 
 def plant_functions() -> tuple[ca.Function, ca.Function]:

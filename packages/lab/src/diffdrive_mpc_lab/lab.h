@@ -1,5 +1,5 @@
 /* The laboratory: two robots with sensors, the controller that drives one of them, and regulated pure pursuit, which
- * drives the other. All numbers come from Python (app/lab/numbers.py); lab_numbers.[ch] and lab_plant.[ch] are
+ * drives the other. All numbers come from Python (numbers.py); lab_numbers.[ch] and lab_plant.[ch] are
  * generated. */
 #ifndef LAB_H
 #define LAB_H

@@ -217,7 +217,7 @@ def structs() -> dict[str, Struct]:
 
 
 _HEADER = """\
-/* Generated from app/lab/numbers.py; do not edit. */
+/* Generated from diffdrive_mpc_lab/numbers.py; do not edit. */
 #ifndef LAB_NUMBERS_H
 #define LAB_NUMBERS_H
 
@@ -229,7 +229,7 @@ void lab_read_controller(const double *at, ddmpc_sizes *sizes, ddmpc_constants *
 #endif
 """
 _SOURCE = """\
-/* Generated from app/lab/numbers.py; do not edit. */
+/* Generated from diffdrive_mpc_lab/numbers.py; do not edit. */
 #include "lab_numbers.h"
 
 void lab_read_controller(const double *at, ddmpc_sizes *sizes, ddmpc_constants *constants)

@@ -11,9 +11,6 @@ from diffdrive_mpc_monitor.judge import source_texts
 from diffdrive_mpc_monitor.rules import Rules
 
 _SOURCES = Path(__file__).parent / "sources"
-_BOARD = Path(__file__).parents[1] / "export" / "sources" / "project" / "stm32f4"
-"""Start-up, memory and serial line of the board are the same for every program."""
-_BOARD_FILES = ("board.h", "startup.c", "stm32f4.ld", "toolchain.cmake")
 
 
 def export_judge(rules: Rules, folder: Path) -> list[Path]:
@@ -29,8 +26,6 @@ def export_judge(rules: Rules, folder: Path) -> list[Path]:
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--export {folder}: it is no folder")
     shutil.copytree(_SOURCES, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in _BOARD_FILES:
-        shutil.copyfile(_BOARD / name, folder / "stm32f4" / name)
     ours = folder / "ddmon"
     ours.mkdir(exist_ok=True)
     for name, text in (source_texts() | rules_texts(rules)).items():

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.compiled.compiler import digest_of
 from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc_monitor.rules import Rules
 
-# The judge through cffi; `mpc/monitor/core/judge.h` says what is in it.
+# The judge through cffi; `core/judge.h` says what is in it.
 
 
 CORE = Path(__file__).parent / "core"

@@ -1,82 +1,61 @@
-"""`diffdrive-mpc campaign`: draw the runs of a file, drive them, and write their table."""
+"""Commands of campaigns: `diffdrive-mpc campaign` drives many runs, `diffdrive-mpc repeat` drives one of them again."""
 
 from __future__ import annotations
 
-import shutil
-import statistics
-import time
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc_extras.campaign.campaign_file import load_campaign
-from diffdrive_mpc_extras.campaign.drive import TIME
-from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all, failed
-from diffdrive_mpc_extras.campaign.parquet import needs_arrow, write_table
+import typer
 
-RESULTS, CAMPAIGN = "results.parquet", "campaign.yaml"
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
+from diffdrive_mpc.app.commands.options import Scheduler, TrustedFolders
 
-
-@dataclass(frozen=True)
-class Part:
-    """The `number`-th of `of` parts of a campaign, counted from 1: every `of`-th run."""
-
-    number: int = 1
-    of: int = 1
-
-    @classmethod
-    def read(cls, text: str) -> Part:
-        """Read `2/8`; raises ConfigError on anything else."""
-        number, slash, of = text.partition("/")
-        if not (slash and number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
-            raise ConfigError(f"--part {text}: give the number of the part and of how many, such as 2/8")
-        return cls(int(number), int(of))
+Runs = Annotated[int | None, typer.Option(min=1, help="Number of runs.", show_default="that of the file")]
 
 
-def run_campaign(
-    file: Path, place: CampaignPlace, runs: int | None = None, part: Part | None = None
-) -> list[CampaignRun]:
-    """Drive a campaign, print what it came to, and write the table of its runs into the folder of `place`.
+def campaign(
+    file: Annotated[Path, typer.Argument(help="Campaign (YAML).", show_default=False)],
+    *,
+    out: Annotated[Path, out_option("results.parquet and the rows of the runs")],
+    runs: Runs = None,
+    part: Annotated[
+        str | None, typer.Option(metavar="K/N", help="Every N-th run from the K-th on.", show_default="all runs")
+    ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
+) -> None:
+    """Drive many runs that a file draws; a run that was driven before is not driven again.
 
-    Parameters
-    ----------
-    file
-        The campaign.
-    place
-        Where its runs are driven and kept.
-    runs
-        How many of them, in place of what the file says.
-    part
-        Which of them; None for all.
-
-    Raises ConfigError or ValueError if the file has a mistake, and MissingPackageError without pyarrow, before anything
-    is driven; StudyFailedError if runs could not be driven.
+    The exit code is 1 if a run ended in an error; its row names the error.
     """
-    needs_arrow()
-    chosen = part or Part()
-    campaign = load_campaign(file)
-    definitions = campaign.definitions(runs)[chosen.number - 1 :: chosen.of]
-    if not definitions:
-        raise ConfigError(f"--part {chosen.number}/{chosen.of}: the campaign has no run for it; give fewer parts")
-    began = time.perf_counter()
-    with ProgressBar("preparing") as bar:
-        driven = drive_all(definitions, place, bar)
-    write_table([run.columns for run in driven], place.folder / RESULTS, {"description": campaign.description})
-    kept = place.folder / CAMPAIGN
-    if not (kept.exists() and kept.samefile(file)):
-        with whole_file(kept) as draft:
-            shutil.copyfile(file, draft)
-    console = output_console()
-    console.print(_sentence(driven, time.perf_counter() - began), highlight=False, markup=False)
-    console.print(f"table in {place.folder / RESULTS}", highlight=False, markup=False)
+    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does not need it
+    from diffdrive_mpc_extras.campaign.run import Part, run_campaign  # noqa: PLC0415
+
+    driven = run_campaign(file, CampaignPlace(out, jobs, scheduler), runs, None if part is None else Part.read(part))
     if failed(driven):
-        console.print(failed(driven), highlight=False, markup=False)
-    return driven
+        raise typer.Exit(FAILED)
 
 
-def _sentence(driven: list[CampaignRun], seconds: float) -> str:
-    done = sum(run.row["completed"] is True for run in driven)
-    each = statistics.fmean(run.number(f"{TIME}processor_s") for run in driven)
-    return f"{len(driven)} runs, {done} completed; {each:.2f} s of one core for each; {seconds:.0f} s this time"
+def repeat(
+    file: Annotated[Path, typer.Argument(metavar="RUN", help="Run that `prove` wrote (YAML).", show_default=False)],
+    *,
+    out: Annotated[Path | None, out_option("report.html and figures")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
+    ] = None,
+    trust_terms: TrustedFolders = None,
+    details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
+) -> None:
+    """Drive the run of a file again and compare its figures with those of the file.
+
+    The exit code is 1 if a figure differs.
+    """
+    from diffdrive_mpc_extras.campaign.repeat import repeat_run  # noqa: PLC0415 - --help does not need it
+
+    if not repeat_run(file, out, log, trust_terms or (), details=details):
+        raise typer.Exit(FAILED)
+
+
+CAMPAIGN = PluggedCommand("Drive", campaign, "Example: diffdrive-mpc campaign floors.yaml --out floors --runs 64")
+REPEAT = PluggedCommand("Drive", repeat, "Example: diffdrive-mpc repeat proof/worst/01.yaml --out worst-run")

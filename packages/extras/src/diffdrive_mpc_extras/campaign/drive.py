@@ -16,7 +16,6 @@ import yaml
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.case import Overrides
-from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
@@ -26,13 +25,14 @@ from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, 
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
-from diffdrive_mpc.mpc.config.config_file import PARAMETERS
+from diffdrive_mpc.mpc.config.config_file import config_path
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.sim import Plant, Run, simulate
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import SURFACES
 from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
+from diffdrive_mpc_extras.campaign.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc_extras.campaign.definition import Definition
 
 # The row of a run: metrics, completion, counts of what the controller did, unsafe commands, and times.
@@ -106,7 +106,7 @@ class RecordedController:
         if case.controller in PEERS or not self.times:
             return None
         named = case.config or (case.model if is_shipped(case.model) else "ssm")
-        limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(settings_of(case)))
+        limits = stated_limits(config_path(named), dict(settings_of(case)))
         return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
 
 

@@ -23,6 +23,8 @@ from diffdrive_mpc.bench.runner import (
     StudyFailedError,
     WorkerDiedError,
     available_cores,
+    cluster,
+    finished_tasks,
     processes_last,
     run_tasks,
 )
@@ -198,14 +200,11 @@ class CampaignPlace:
         Processes on this machine; None for one for each core.
     scheduler
         Address of a Dask scheduler, "tcp://..."; empty to drive here.
-    patience
-        How long to wait for a scheduler that is gone, or for a worker [s].
     """
 
     folder: Path
     jobs: int | None = None
     scheduler: str = ""
-    patience: float = 600.0
 
 
 def drive_all(
@@ -239,13 +238,10 @@ def drive_all(
     jobs = place.jobs or available_cores()
     bar.begin(f"{text}, {place.scheduler or f'{jobs} at a time'}", len(missing))
     if missing and place.scheduler:
-        from diffdrive_mpc_extras.campaign.dask_pool import drive_there  # noqa: PLC0415 - needs Dask
-
-        def keep(task: CampaignTask, row: Row) -> None:
-            store.save(task.key, task.identity, row)
-            bar.advance()
-
-        drive_there(missing, place.scheduler, keep, place.patience)
+        with cluster(place.scheduler):
+            for number, figures in finished_tasks([partial(do, task) for task in missing], jobs):
+                store.save(missing[number].key, missing[number].identity, figures)
+                bar.advance()
     elif missing:
         drive_here(missing, place.folder, jobs, bar.advance)
     driven = []

@@ -9,8 +9,9 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 
+import diffdrive_mpc_extras
 from diffdrive_mpc import models, mpc, sim
-from diffdrive_mpc.bench import case, command_check, controllers, peers, run_row
+from diffdrive_mpc.bench import case, controllers, peers, run_row
 from diffdrive_mpc.bench.machine import package_version
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.compiled.cache import content_digest
@@ -20,7 +21,6 @@ from diffdrive_mpc_extras.campaign.definition import Definition
 LIBRARIES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control")
 """Packages whose version can change a number of a run."""
 _KINDS = frozenset({".py", ".c", ".h", ".yaml", ".csv", ".npz", ".xml"})
-_HERE = ("definition.py", "drive.py", "identity.py")
 
 
 @lru_cache(maxsize=1)
@@ -30,9 +30,8 @@ def product_hash() -> str:
     The content counts, not the revision: two states of a checkout in which files were changed are told apart, and a
     wheel has the hash of the checkout that it was built from.
     """
-    rooms = [_folder(room) for room in (models, mpc, sim, peers)]
-    single = [Path(str(one.__file__)) for one in (case, controllers, command_check, run_row)]
-    single += [command_check.STATED, *(Path(__file__).with_name(name) for name in _HERE)]
+    rooms = [_folder(room) for room in (models, mpc, sim, peers, diffdrive_mpc_extras)]
+    single = [Path(str(one.__file__)) for one in (case, controllers, run_row)]
     sources = [(path.relative_to(room.parent), path) for room in rooms for path in room.rglob("*")]
     named = {str(name): path for name, path in sources if path.suffix in _KINDS and path.is_file()}
     named |= {path.name: path for path in single}

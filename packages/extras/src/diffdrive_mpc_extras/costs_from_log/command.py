@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.options import PluggedCommand, out_option
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 
 
 def torque(
@@ -46,7 +46,6 @@ def torque(
 
 TORQUE = PluggedCommand(
     "Your robot",
-    "torque",
     torque,
     "Example: diffdrive-mpc torque --log drive.csv --vehicle fsu_bot --out from-log",
 )

@@ -14,6 +14,7 @@ PHYSICAL = FunctionStructure(
     file="drive_model:PhysicalFile",
     finder_function="finding:find_physical",
     shipped=Path(__file__).with_name("p2_physical.yaml"),
+    config=Path(__file__).parent / "configurations" / "p2_physical.yaml",
 )
 EXPERIMENTAL = FunctionStructure(
     structure="drive_experimental",
@@ -25,4 +26,5 @@ EXPERIMENTAL = FunctionStructure(
     file="drive_model:ExperimentalFile",
     finder_function="finding:find_experimental",
     shipped=Path(__file__).with_name("p2_experimental.yaml"),
+    config=Path(__file__).parent / "configurations" / "p2_experimental.yaml",
 )

@@ -84,6 +84,16 @@ class Room:
                 f"{least:g} m each way"
             )
 
+    @classmethod
+    def read(cls, text: str) -> Room:
+        """Read `4x3`, length and width [m]; raises ValueError for anything else."""
+        length, _, width = text.replace(",", "x").partition("x")
+        try:
+            numbers = float(length), float(width)
+        except ValueError:
+            raise ValueError(f"--inside '{text}': give length and width in metres, such as 4x3") from None
+        return cls(*numbers)
+
     @property
     def reach(self) -> FloatArray:
         """(2,) how far the path may go from the middle, along and across [m]."""

@@ -15,5 +15,6 @@ LSTM = FunctionStructure(
     finder_function="finding:find_network",
     check="training:check_installed",
     shipped=Path(__file__).with_name("lstm.yaml"),
+    config=Path(__file__).parent / "configurations" / "lstm.yaml",
     slow=True,
 )

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.options import PluggedCommand, file_option, out_option
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.options import PluggedCommand, file_option, out_option
 
 
 def plan(
@@ -94,7 +94,6 @@ def plan(
 
 PLAN = PluggedCommand(
     "Files",
-    "plan",
     plan,
     "Example: diffdrive-mpc plan --costs fsu_bot-default --from 0,0,0 --to 8,5,0 --minimise energy --out plan",
 )

@@ -1,92 +1,41 @@
-"""`diffdrive-mpc predict-error`: the tracking error of a trajectory before it is driven, in numbers and a figure."""
+"""`diffdrive-mpc predict-error`: the tracking error of a trajectory before it is driven."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
-import numpy as np
+import typer
 
-from diffdrive_mpc.bench.progress import output_console
-from diffdrive_mpc.bench.table import Table, millis
-from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc_extras.predicted_error.calibration import Direction
-from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
-
-FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
-_DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
-_GREYS = ("0.85", "0.6")
-"""Of both tubes: told apart in print."""
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 
 
-def predict_into(
-    config: str, trajectory: str, population: str, out: Path, calibration: Path | None = None
-) -> PredictedError:
-    """Predict, print the widths and where they are largest, and write figure and rows into `out`.
+def predict_error(
+    *,
+    config: Annotated[
+        str,
+        typer.Option(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+    ] = "ssm",
+    trajectory: Annotated[
+        str, typer.Option(help="Name or path of the trajectory.", autocompletion=choices("trajectory"))
+    ],
+    population: Annotated[
+        str, typer.Option(metavar="drawn|own", help="Any robot of the market, or the configuration's own.")
+    ] = "drawn",
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Calibration of your own robot's twin; else the shipped one.")
+    ] = None,
+    out: Annotated[Path, out_option("predicted-error.png and predicted-error.csv")],
+) -> None:
+    """Predict the tracking error of a trajectory before it is driven: tubes in which 95 % of drives stay, and why."""
+    from diffdrive_mpc_extras.predicted_error.report import predict_into  # noqa: PLC0415 - --help does without it
 
-    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, the trajectory cannot be driven with
-    the configuration, or tubes were not calibrated for its model; OSError if `out` cannot be written to.
-    """
-    loaded = load_config(config)
-    controller = Controller(loaded)
-    predicted = predict_error(controller, load_trajectory(trajectory, loaded), population, calibration)
-    out.mkdir(parents=True, exist_ok=True)
-    with whole_file(out / ROWS) as draft:
-        write_rows(predicted, draft)
-    draw(predicted, out / FIGURE)
-    console = output_console()
-    console.print(table(predicted).rich())
-    for direction in _DIRECTIONS:
-        console.print(predicted.widest(direction).sentence, highlight=False, markup=False, soft_wrap=True)
-    if predicted.warnings:
-        console.print(f"warning: {'; '.join(predicted.warnings)}", highlight=False, markup=False, soft_wrap=True)
-    console.print(f"figure: {out / FIGURE}; rows: {out / ROWS}", highlight=False, markup=False, soft_wrap=True)
-    return predicted
+    predict_into(config, trajectory, population, out, calibration)
 
 
-def table(predicted: PredictedError) -> Table:
-    """Mean and largest half width of each tube."""
-    rows = []
-    for direction in _DIRECTIONS:
-        tube = getattr(predicted, direction)
-        widths = (tube.at_each_place, tube.everywhere)
-        rows.append((direction, *(millis(figure(width)) for width in widths for figure in (np.mean, np.max))))
-    columns = ("direction", "at each place, mean [mm]", "largest [mm]", "everywhere, mean [mm]", "largest [mm]")
-    share = f"{100 * predicted.level:g} %"
-    note = f"{share} of drives are inside, to either side: at each place, or all the way. Drives: {predicted.drives}."
-    return Table(f"Predicted error of '{predicted.reference}'", columns, tuple(rows), text_columns=1, note=note)
-
-
-def write_rows(predicted: PredictedError, path: Path) -> None:
-    """Write a row for each place, in SI units."""
-    head = "t,s,x,y,theta,v,omega,lateral,lateral_everywhere,along,along_everywhere"
-    tubes = [width for of in (predicted.lateral, predicted.along) for width in (of.at_each_place, of.everywhere)]
-    columns = [predicted.time, predicted.arc_length, predicted.pose, predicted.twist, *tubes]
-    np.savetxt(path, np.column_stack(columns), fmt="%.6g", delimiter=",", header=head, comments="")
-
-
-def draw(predicted: PredictedError, path: Path) -> None:
-    """Draw the path with its worst places, both tubes along it, and speed and curvature below."""
-    from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, new_figure  # noqa: PLC0415 - loads slowly
-
-    s = predicted.arc_length
-    with new_figure(path, 9.0, 6.0) as figure:
-        panels = figure.subplot_mosaic([["path", "lateral"], ["path", "along"], ["path", "twist"]])
-        panels["path"].plot(*predicted.pose[:, :2].T, color="black")
-        panels["path"].set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        figure.suptitle(f"Predicted error of {predicted.reference}: {100 * predicted.level:g} % of drives are inside")
-        for direction, marker in zip(_DIRECTIONS, MARKERS, strict=False):
-            axes, tube, widest = panels[direction], getattr(predicted, direction), predicted.widest(direction).index
-            for width, grey, words in zip(
-                (tube.everywhere, tube.at_each_place), _GREYS, ("everywhere", "at each place"), strict=True
-            ):
-                axes.fill_between(s, -1e3 * width, 1e3 * width, color=grey, label=words, linewidth=0.0)
-            axes.plot(s[widest], 1e3 * tube.everywhere[widest], marker, color="black", label="worst")
-            axes.set(ylabel=f"{direction} [mm]")
-            panels["path"].plot(*predicted.pose[widest, :2], marker, color="black", label=f"worst {direction}")
-        panels["lateral"].legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        panels["path"].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        panels["twist"].plot(s, predicted.twist[:, 0], color="black", label="v [m/s]")
-        panels["twist"].plot(s, predicted.twist[:, 1], "--", color=REFERENCE_COLOUR, label="omega [rad/s]")
-        panels["twist"].set(xlabel="distance along the path [m]")
-        panels["twist"].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+PREDICT_ERROR = PluggedCommand(
+    "Your robot",
+    predict_error,
+    "Example: diffdrive-mpc predict-error --config ssm --trajectory s --out predicted",
+)

@@ -19,7 +19,6 @@ from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView,
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import lasting_processes
-from diffdrive_mpc.bench.statistics import Rate
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray
@@ -29,6 +28,7 @@ from diffdrive_mpc.mpc.trajectories.speed_passport import PassportRow, SpeedPass
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import TIME
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
+from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.proof.proof_file import PassportPlan, Proof
 from diffdrive_mpc_extras.proof.study import told_of
 

@@ -18,13 +18,12 @@ from diffdrive_mpc.bench.html_report.page import (
     Mark,
     Series,
     Shown,
-    Toggle,
     Warned,
     rounded,
     tail,
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
-from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, BootstrapEstimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, BootstrapEstimate, cvar, mean, median
 from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_config
@@ -32,11 +31,12 @@ from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import TIME
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
+from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.proof.boundaries import Boundary, DrivenMap, holds
 
 CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
-"""Kinds of unsafe commands, as `bench.command_check.Unsafe` names them."""
+"""Kinds of unsafe commands, as `bench.campaign.command_check.Unsafe` names them."""
 _BY_FACTOR = (
     "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time behind: largest "
     "of a run, mean. Rates: RMS of the commands' change, means."
@@ -249,7 +249,7 @@ def _worst(files: Mapping[str, CampaignRun]) -> Table:
             "what was said most": words,
         },
         [((name, _brief(file.definition)), file) for name, file in files.items()],
-        "Each is a file: `diffdrive-mpc simulate --from-run FILE` drives it again; where it names files of yours, with "
+        "Each is a file: `diffdrive-mpc repeat FILE` drives it again; where it names files of yours, with "
         "`--trust-terms FOLDER`.",
     )
 
@@ -285,36 +285,18 @@ def _or_nan(figure: object, values: FloatArray) -> float:
 # What the page of a proof shows: how often it went how, errors of all runs, maps, and where factors stop to hold.
 
 
-_MOST_POINTS = 4000
-_WORDS_AGAIN = "drive the worst again with `simulate --from-run worst/01.yaml --out worst/01`, and read its report"
+_WORDS_AGAIN = "drive the worst again with `repeat worst/01.yaml --out worst/01`, and read its report"
 
 
-def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], seeds: int, band: float) -> Shown:
-    """Everything that the page shows beside tables, tail and maps.
-
-    Parameters
-    ----------
-    config
-        The controller's configuration.
-    driven, boundaries
-        What was found.
-    seeds
-        How many seeds a boundary was tried with.
-    band
-        That of `boundaries.holds` [m].
-    """
-    scenarios = tuple(dict.fromkeys(str(run.definition.columns["scenario"]) for run in driven))
+def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], band: float) -> Shown:
+    """Return summary, key figures and warnings of the page; `band` [m] as in `boundaries.holds`."""
     of = Outcomes.of(driven, band)
-    toggles = [Toggle("scenario", scenarios, scenarios, styled=True)] if len(scenarios) > 1 else []
-    views = [_by_path(driven, scenarios), *(_boundary(boundary, seeds) for boundary in boundaries)]
     return Shown(
         summary=[
             f"{of.completed.count} of {of.completed.of} runs came to their end, {of.in_band.count} of them never "
             f"outside the band; {of.unsafe.count or 'none'} had an unsafe command."
         ],
         key_figures=_key_figures(driven, of),
-        toggles=toggles,
-        views=views,
         warnings=_warnings(driven, of, boundaries, band),
         configurations=[ConfigurationView("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
     )
@@ -348,22 +330,6 @@ def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
     return [Chart("How large the error is", *axes, [series], marks=marks)]
 
 
-def _by_path(driven: Sequence[CampaignRun], scenarios: Sequence[str]) -> Chart:
-    """A point for each run; where there are too many, the worst."""
-    ordered = sorted(driven, key=lambda row: -np.nan_to_num(row.number("position_rmse_m")))[:_MOST_POINTS]
-    series = []
-    for i, name in enumerate(scenarios):
-        own = [one for one in ordered if str(one.definition.columns["scenario"]) == name]
-        rmse = [rounded(1e3 * one.number("position_rmse_m")) for one in own]
-        paths = [str(one.definition.columns["trajectory"]) for one in own]
-        labels = {"scenario": name} if len(scenarios) > 1 else {}
-        text = [f"{path}, {name}: {value} mm" for path, value in zip(paths, rmse, strict=True)]
-        series.append(Series(name, paths, rmse, i, "points", text=text, labels=labels))
-    left_out = f"The {_MOST_POINTS} worst runs." if len(driven) > _MOST_POINTS else "All runs."
-    axes = Axis("path", "category"), Axis("position RMSE [mm]", "log")
-    return Chart("Every run, by path and scenario", *axes, series, left_out)
-
-
 def map_chart(drawn: DrivenMap) -> GridMap:
     """Position error by two factors."""
     x, y = drawn.of.x, drawn.of.y
@@ -377,16 +343,6 @@ def map_chart(drawn: DrivenMap) -> GridMap:
         (drawn.completed == 0.0).tolist(),
         "Colours are logarithmic; ×: the run did not come to its end.",
     )
-
-
-def _boundary(boundary: Boundary, seeds: int) -> Chart:
-    tried = sorted(boundary.values.items())
-    series = Series("seeds", [value for value, _ in tried], [float(count) for _, count in tried], 0)
-    unit = f" [{boundary.search.unit}]" if boundary.search.unit else ""
-    held = "-" if boundary.held is None else f"{boundary.held:.4g}"
-    note = f"It holds up to {held}{unit}; each value was tried with {seeds} seeds."
-    axes = Axis(f"{boundary.factor}{unit}"), Axis("seeds with which it holds", range=(-0.1 * seeds, 1.1 * seeds))
-    return Chart(f"Where it stops to hold: {boundary.factor}", *axes, [series], note, height=280)
 
 
 def _warnings(driven: Sequence[CampaignRun], of: Outcomes, boundaries: Sequence[Boundary], band: float) -> list[Warned]:

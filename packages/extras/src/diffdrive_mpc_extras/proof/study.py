@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from diffdrive_mpc.app.run_file import write_run
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -19,6 +18,7 @@ from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.draws import Value
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
 from diffdrive_mpc_extras.campaign.parquet import needs_arrow, write_table
+from diffdrive_mpc_extras.campaign.run_file import write_run
 from diffdrive_mpc_extras.proof.boundaries import Boundary, DrivenMap, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc_extras.proof.proof_file import Proof
 from diffdrive_mpc_extras.proof.report import (
@@ -148,7 +148,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(results.driven, results.boundaries, results.worst, seeds, band),
             figures=figures,
-            shown=shown(self._config, results.driven, results.boundaries, seeds, band),
+            shown=shown(self._config, results.driven, results.boundaries, band),
         )
 
 

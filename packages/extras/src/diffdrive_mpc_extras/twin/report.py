@@ -1,4 +1,4 @@
-"""What a twin's folder holds: the plant file, its report, the numbers as data."""
+"""Plant file, tables, numbers and figure of a twin."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffdrive_mpc.app.identification.figures import busiest, figure_settings
+from diffdrive_mpc.app.identification.figures import WINDOW
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.html_report.page import from_zero
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.structures.identified import rounded
-from diffdrive_mpc_extras.twin.fitting import FittedParameter
 from diffdrive_mpc_extras.twin.from_log import FittedTwin
+from diffdrive_mpc_extras.twin.held_out import HeldOutScore
 from diffdrive_mpc_extras.twin.settings import twin_settings
 
-PLANT, REPORT, NUMBERS = "plant.yaml", "report.md", "twin.json"
+PLANT = "plant.yaml"
 _HEAD = """\
 # A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
 # models/parameters/robot.yaml. `friction` and `sensors` are the floor and the sensors that `default` means with this
@@ -100,46 +101,18 @@ def parameter_table(twin: FittedTwin) -> Table:
     return Table("Parameters", columns, rows, text_columns=3, note=note)
 
 
-def report_text(twin: FittedTwin, figures: Mapping[str, str]) -> str:
-    """The report in Markdown."""
-    untold = [parameter.name for parameter in twin.fit.told if not parameter.told]
-    left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
-    parts = [
-        f"# {twin.name}",
-        f"Fitted to {twin.fit.seconds:.0f} s of {', '.join(twin.data.logs)}, the parts in which the commands change "
-        f"most, by {twin.fit.drives} drives of the plant. {left}",
-        fit_table(twin).markdown(),
-        *(f"![{title}]({path})" for title, path in figures.items()),
-        parameter_table(twin).markdown(),
-        *(["Notes:\n\n" + "\n".join(f"* {note}" for note in twin.notes)] if twin.notes else []),
-        f"```sh\ndiffdrive-mpc simulate --plant mujoco:{PLANT} --trajectory square\n```",
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
 def numbers(twin: FittedTwin) -> dict[str, Any]:
-    """The report as data."""
+    """Return scores and parameters as plain data."""
     keys = ("horizon", "position_rmse", "heading_rmse")
 
-    def held(one: Any) -> dict[str, Any]:  # noqa: ANN401 - Held
+    def held(score: HeldOutScore) -> dict[str, Any]:
         return {
-            "fit_percent": dict(one.fit_percent),
-            "drift": [dict(zip(keys, (d.horizon, d.position_rmse, d.heading_rmse), strict=True)) for d in one.drift],
+            "fit_percent": dict(score.fit_percent),
+            "drift": [{key: getattr(drift, key) for key in keys} for drift in score.drift],
         }
 
-    def told(parameter: FittedParameter) -> dict[str, Any]:
-        return {name: value for name, value in asdict(parameter).items() if name != "words"}
-
-    return {
-        "name": twin.name,
-        "logs": list(twin.data.logs),
-        "seconds": twin.fit.seconds,
-        "drives": twin.fit.drives,
-        "twin": held(twin.twin_held),
-        "model": {"name": twin.model_name} | held(twin.model_held),
-        "parameters": [told(parameter) for parameter in twin.fit.told],
-        "notes": list(twin.notes),
-    }
+    parameters = [asdict(parameter) for parameter in twin.fit.told]
+    return {"twin": held(twin.twin_held), "model": held(twin.model_held), "parameters": parameters}
 
 
 # The picture of a twin: measured, twin and identified model on rows that neither was made from.
@@ -152,8 +125,8 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
     """Draw the busiest window of the longest stretch held out, v above and omega below."""
     longest = int(np.argmax([run.samples for run in twin.experiments]))
     run, record = twin.experiments[longest], twin.data.validation[longest]
-    window = round(figure_settings().window / run.dt)
-    first = busiest(run.inputs, window)
+    window = round(WINDOW / run.dt)
+    first = _busiest(run.inputs, window)
     rows = slice(first, first + window)
     time, when = from_zero(record.time[rows])
     with new_figure(path, 7.4, 5.2) as figure:
@@ -172,3 +145,12 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
             panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panels[-1].set_xlabel(when)
         figure.align_ylabels(panels)
+
+
+def _busiest(commands: FloatArray, window: int) -> int:
+    """First row of the window in which the commands, each over its own spread, change most."""
+    if len(commands) <= window:
+        return 0
+    change = np.abs(np.diff(commands, axis=0, prepend=commands[:1]))
+    activity = np.cumsum((change / np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)).sum(axis=1))
+    return int(np.argmax(activity[window - 1 :] - np.concatenate([[0.0], activity[:-window]])))

@@ -1,1 +1,0 @@
-"""Films of a drive: what was recorded of it, the pictures, the files."""

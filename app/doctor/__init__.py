@@ -1,1 +1,0 @@
-"""What is there on this computer, what it means for the controller, and what to do about it."""

@@ -1,0 +1,65 @@
+"""The reference of a drive, from its samples at the ticks."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc import ControllerConfig, Trajectory, load_trajectory
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import TIMINGS
+
+_POSE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
+_TWIST = ("reference_v_m_s", "reference_omega_rad_s")
+_TOLERANCE = 1e-9
+"""Two references are equal if they agree to this at every tick [m, rad, m/s, rad/s]."""
+
+
+def logged_reference(
+    columns: Mapping[str, FloatArray], name: str, config: ControllerConfig | None = None
+) -> Trajectory | None:
+    """Return the tracked reference, whose time 0 is the first tick; None if the log does not contain it.
+
+    A shipped trajectory, within the limits of `config` or the default ones, is recognised. Another reference is
+    exact at the ticks and interpolated between them; it ends at the first tick from which on it rests.
+    """
+    if not set(_POSE + _TWIST) <= set(columns) or len(columns["t_s"]) < 2:
+        return None
+    pose, twist = (np.column_stack([columns[column] for column in names]) for names in (_POSE, _TWIST))
+    time = columns["t_s"] - columns["t_s"][0]
+    if not (np.isfinite(pose).all() and np.isfinite(twist).all() and (np.diff(time) > 0).all()):
+        return None
+    return _shipped(pose, twist, time, config) or _hermite(name, time, pose, twist)
+
+
+def _shipped(
+    pose: FloatArray, twist: FloatArray, time: FloatArray, config: ControllerConfig | None
+) -> Trajectory | None:
+    """Find the shipped trajectory with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]."""
+    default = TrajectoryLimits.of_robot()
+    configured = default if config is None else TrajectoryLimits.of_controller(config.limits)
+    for limits, name, timing in itertools.product(dict.fromkeys((configured, default)), BUILT_IN, (None, *TIMINGS)):
+        try:
+            trajectory = load_trajectory(name, limits, timing)
+        except BeyondLimitError:
+            continue
+        if np.abs(trajectory.sample(time[:1]).pose - pose[:1]).max() > _TOLERANCE:
+            continue
+        sample = trajectory.sample(time)
+        if max(np.abs(sample.pose - pose).max(), np.abs(sample.twist - twist).max()) < _TOLERANCE:
+            return trajectory
+    return None
+
+
+def _hermite(name: str, time: FloatArray, pose: FloatArray, twist: FloatArray) -> SplineTrajectory:
+    """Interpolate poses (m, 3) with twists (m, 2) at `time` (m,) [s] by cubics, up to the final rest."""
+    moving = np.flatnonzero((twist != 0.0).any(axis=1) | (np.diff(pose, axis=0, append=pose[-1:]) != 0.0).any(axis=1))
+    end = max(2, min(len(time), int(moving[-1]) + 2 if len(moving) else 2))
+    time, pose, twist = time[:end], pose[:end], twist[:end]
+    rates = np.column_stack([twist[:, 0] * np.cos(pose[:, 2]), twist[:, 0] * np.sin(pose[:, 2]), twist[:, 1]])
+    return SplineTrajectory.through(name, time, pose, rates)

@@ -1,1 +1,0 @@
-"""Types of ROS messages that have no wheel, generated from their definitions in `interfaces/` and compiled."""

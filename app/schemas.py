@@ -1,0 +1,92 @@
+"""JSON Schemas of controller, model and trajectory files, from the schemas of their readers.
+
+`python -m diffdrive_mpc.app.schemas` writes them to their places in a clone; with a folder, into that copy of the
+package: a wheel contains them.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from diffdrive_mpc.app.command_line.file_kinds import SCHEMAS
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.file_kind import PACKAGE
+from diffdrive_mpc.models.function_structure import function_structures
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
+from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile
+
+Schema = dict[str, Any]
+
+
+def json_schema(kind: str) -> str:
+    """Return the JSON Schema of a kind of file as text, including the structures of installed packages.
+
+    Raises ConfigError if there is no such schema.
+    """
+    if kind not in SCHEMAS:
+        raise ConfigError(f"--json: there is no schema of '{kind}'; give {', '.join(SCHEMAS)}")
+    return json.dumps(_closed(_SCHEMAS[kind]()), indent=2) + "\n"
+
+
+def write_all(package: Path = PACKAGE) -> None:
+    """Write every schema to its place in the package, or in a copy of it; raise OSError if that fails."""
+    for kind, place in SCHEMAS.items():
+        file = package / place.relative_to(PACKAGE)
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(json_schema(kind), encoding="utf-8")
+
+
+def _closed(node: Any) -> Any:  # noqa: ANN401 - any part of a schema
+    """Refuse names that fit no pattern where names have to fit one, as the readers do."""
+    if isinstance(node, Mapping):
+        inside = {key: _closed(inner) for key, inner in node.items()}
+        return {"additionalProperties": False, **inside} if "patternProperties" in node else inside
+    return [_closed(inner) for inner in node] if isinstance(node, list) else node
+
+
+def _controllers() -> Schema:
+    """Divide groups with keys for users and for experts into two."""
+    whole = ControllerConfig.model_json_schema()
+    groups = whole["$defs"]
+    rooms: tuple[Schema, Schema] = ({}, {})
+    for name, field in whole["properties"].items():
+        reference = field.get("$ref") or next((part["$ref"] for part in field.get("allOf", ()) if "$ref" in part), None)
+        if reference is None:
+            rooms[not is_for_users(name)][name] = field
+            continue
+        group = groups[reference.rsplit("/", 1)[-1]]
+        for room, is_wanted in zip(rooms, (True, False), strict=True):
+            keys = {
+                key: part for key, part in group["properties"].items() if is_for_users(f"{name}.{key}") == is_wanted
+            }
+            if keys:
+                room[name] = {**group, "properties": keys}
+    expert = {"type": "object", "title": "For experts", "additionalProperties": False, "properties": rooms[1]}
+    return {**whole, "properties": rooms[0] | {EXPERT: expert}}
+
+
+def _models() -> Schema:
+    functions = (structure.schema() for structure in function_structures().values())
+    files: list[Any] = [*(structure.file for structure in STRUCTURES.values()), *functions]
+    return {"title": "Velocity model", **TypeAdapter(reduce(or_, files)).json_schema()}
+
+
+def _trajectories() -> Schema:
+    return {"title": "Trajectory", **TypeAdapter(SegmentFile | WaypointFile).json_schema()}
+
+
+_SCHEMAS: dict[str, Callable[[], Schema]] = {"controller": _controllers, "model": _models, "trajectory": _trajectories}
+
+if __name__ == "__main__":
+    write_all(*map(Path, sys.argv[1:]))

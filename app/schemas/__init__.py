@@ -1,1 +1,0 @@
-"""JSON Schema of every kind of file that a user writes: made from the readers' own schemas, and shipped with them."""

@@ -1,0 +1,150 @@
+"""Tables over groups of runs, with columns such as "mean lateral_max_m mm".
+
+A column is a statistic, the name of a column of `bench.run_row`, and where they are not the usual ones a unit (`mm`,
+`mrad`, `ms`, `percent`) and the number of decimal places.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas import DataFrame
+
+from diffdrive_mpc.bench.experiment import by, grouped, total, values
+from diffdrive_mpc.bench.experiment_file import TableFile
+from diffdrive_mpc.bench.table import Table, duration, number
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+
+Cell = Callable[[DataFrame], str]
+"""Function from the rows of a group to a cell."""
+Figure = Callable[[DataFrame], float]
+"""Function from the rows of a group to a number."""
+
+UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)}
+"""Factor from the unit of the column, and the usual decimal places."""
+KNOWN = "_known"
+"""Ending of a statistic that leaves out runs whose value could not be computed; else the statistic is NaN."""
+STATISTICS: dict[str, Callable[..., Any]] = {
+    "mean": np.mean,
+    "max": np.max,
+    "min": np.min,
+    "median": np.median,
+    "p90": partial(np.percentile, q=90),
+    "total": np.sum,
+}
+
+
+def figure(text: str, where: str = "figure") -> Figure:
+    """Return the function for "STATISTIC COLUMN", in the unit of the column; NaN without runs.
+
+    Raises ConfigError, naming the place `where`, if it is not understood.
+    """
+    name, _, column = text.partition(" ")
+    statistic = STATISTICS.get(name.removesuffix(KNOWN))
+    if statistic is None or not column or " " in column:
+        raise ConfigError(f"{where}: '{text}' is no statistic of a column; known: {', '.join(STATISTICS)}")
+
+    def value(rows: DataFrame) -> float:
+        numbers = values(rows, column)
+        numbers = numbers[np.isfinite(numbers)] if name.endswith(KNOWN) else numbers
+        return float(statistic(numbers)) if numbers.size else float("nan")
+
+    return value
+
+
+def cell(text: str, where: str = "column") -> Cell:
+    """The cell that `text` states, such as "mean position_rmse_m mm" or "share completed".
+
+    Beside the statistics there are `runs` (how many), `share` (of how many runs a column is true), and `time` or
+    `longest` (mean and maximum of a time, infinite for never).
+
+    Raises ConfigError, naming the place `where`, if it is not understood.
+    """
+    statistic, *words = text.split()
+    column = " ".join(words[:1])
+    if text == "runs":
+        return lambda rows: str(len(rows))
+    if statistic == "share" and len(words) == 1:
+        return lambda rows: f"{total(rows, column)}/{len(rows)}"
+    if statistic in ("time", "longest") and len(words) == 1:
+        made = figure(f"{'mean' if statistic == 'time' else 'max'} {column}", where)
+        return lambda rows: duration(made(rows))
+    unit = [word for word in words[1:2] if word in UNITS]
+    places = words[1 + len(unit) :]
+    factor, digits = UNITS[unit[0]] if unit else (1.0, 0 if statistic == "total" else 4)
+    if len(places) > 1 or not all(word.isdecimal() for word in places):
+        raise ConfigError(f"{where}: '{text}': after the column give a unit ({', '.join(UNITS)}) and decimal places")
+    value = figure(f"{statistic} {column}", where)
+    return lambda rows: number(factor * value(rows), int(places[0]) if places else digits)
+
+
+class TableSpec(TableFile):
+    """A table over groups of runs, as a file states it."""
+
+    def table(self, rows: DataFrame, cells: Mapping[str, Cell] | None = None, note: str = "") -> Table:
+        """The table of those of `rows` that it shows.
+
+        `cells` are those that have a name of their own, and `note` follows that of the file.
+        """
+        for column, value in self.where.items():
+            rows = rows[rows[column] == value]
+        known = cells or {}
+        made = {
+            heading: known.get(text) or cell(text, f"{self.title}, {heading}") for heading, text in self.columns.items()
+        }
+        if self.across:
+            made = {
+                heading.replace("{}", name): partial(_among, made_cell, part.index)
+                for name, part in by(rows, self.across).items()
+                for heading, made_cell in made.items()
+            }
+        return grouped_table(self.title, rows, self.by, made, self.note + note, mean=self.mean)
+
+
+def _among(made: Cell, index: pd.Index, rows: DataFrame) -> str:
+    """Return the cell of those rows of a group that are in an index."""
+    part = rows[rows.index.isin(index)]
+    return made(part) if len(part) else "-"
+
+
+def load_tables(file: Path) -> dict[str, TableSpec]:
+    """The tables of a file by name, in order; raises ConfigError when it has a mistake."""
+    return {name: check(TableSpec, data, f"{file.name}: {name}") for name, data in read_yaml(file).items()}
+
+
+def grouped_table(
+    title: str,
+    rows: DataFrame,
+    names: Mapping[str, str],
+    columns: Mapping[str, Cell],
+    note: str = "",
+    *,
+    mean: bool = False,
+) -> Table:
+    """A table with a row for each group.
+
+    Parameters
+    ----------
+    title, note
+        Of the table.
+    rows
+        One for each run.
+    names
+        Columns to group by, under the headings of their names; the first varies most slowly.
+    columns
+        Cells by heading.
+    mean
+        Whether below each block of the last of `names` there is a row for all of it.
+    """
+    entries: list[tuple[tuple[str, ...], DataFrame]] = []
+    for outer, block in itertools.groupby(grouped(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
+        entries += (listed := list(block))
+        if mean and len(listed) > 1:
+            entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))
+    return Table.of(title, tuple(names), columns, entries, note)

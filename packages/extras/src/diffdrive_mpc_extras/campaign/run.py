@@ -1,0 +1,82 @@
+"""`diffdrive-mpc campaign`: draw the runs of a file, drive them, and write their table."""
+
+from __future__ import annotations
+
+import shutil
+import statistics
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc_extras.campaign.campaign_file import load_campaign
+from diffdrive_mpc_extras.campaign.drive import TIME
+from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all, failed
+from diffdrive_mpc_extras.campaign.parquet import needs_arrow, write_table
+
+RESULTS, CAMPAIGN = "results.parquet", "campaign.yaml"
+
+
+@dataclass(frozen=True)
+class Part:
+    """The `number`-th of `of` parts of a campaign, counted from 1: every `of`-th run."""
+
+    number: int = 1
+    of: int = 1
+
+    @classmethod
+    def read(cls, text: str) -> Part:
+        """Read `2/8`; raises ConfigError on anything else."""
+        number, slash, of = text.partition("/")
+        if not (slash and number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+            raise ConfigError(f"--part {text}: give the number of the part and of how many, such as 2/8")
+        return cls(int(number), int(of))
+
+
+def run_campaign(
+    file: Path, place: CampaignPlace, runs: int | None = None, part: Part | None = None
+) -> list[CampaignRun]:
+    """Drive a campaign, print what it came to, and write the table of its runs into the folder of `place`.
+
+    Parameters
+    ----------
+    file
+        The campaign.
+    place
+        Where its runs are driven and kept.
+    runs
+        How many of them, in place of what the file says.
+    part
+        Which of them; None for all.
+
+    Raises ConfigError or ValueError if the file has a mistake, and MissingPackageError without pyarrow, before anything
+    is driven; StudyFailedError if runs could not be driven.
+    """
+    needs_arrow()
+    chosen = part or Part()
+    campaign = load_campaign(file)
+    definitions = campaign.definitions(runs)[chosen.number - 1 :: chosen.of]
+    if not definitions:
+        raise ConfigError(f"--part {chosen.number}/{chosen.of}: the campaign has no run for it; give fewer parts")
+    began = time.perf_counter()
+    with ProgressBar("preparing") as bar:
+        driven = drive_all(definitions, place, bar)
+    write_table([run.columns for run in driven], place.folder / RESULTS, {"description": campaign.description})
+    kept = place.folder / CAMPAIGN
+    if not (kept.exists() and kept.samefile(file)):
+        with whole_file(kept) as draft:
+            shutil.copyfile(file, draft)
+    console = output_console()
+    console.print(_sentence(driven, time.perf_counter() - began), highlight=False, markup=False)
+    console.print(f"table in {place.folder / RESULTS}", highlight=False, markup=False)
+    if failed(driven):
+        console.print(failed(driven), highlight=False, markup=False)
+    return driven
+
+
+def _sentence(driven: list[CampaignRun], seconds: float) -> str:
+    done = sum(run.row["completed"] is True for run in driven)
+    each = statistics.fmean(run.number(f"{TIME}processor_s") for run in driven)
+    return f"{len(driven)} runs, {done} completed; {each:.2f} s of one core for each; {seconds:.0f} s this time"

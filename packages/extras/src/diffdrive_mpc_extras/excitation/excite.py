@@ -1,0 +1,259 @@
+"""A drive that tells a model, for a controller: looked for, driven on what is believed of the robot, and on a plant."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.app.run_log import holds_plans, run_log
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import build_plant, controller_config, make_controller
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.fit.noise import TOLD, DriveInformation
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import is_shipped, load_linear_model
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
+from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc_extras.excitation.model_excitation import (
+    ModelDrive,
+    Room,
+    drives_tried,
+    model_excitation,
+    model_excitation_settings,
+    write_model_drive,
+)
+
+_LATE = "lag and dead time"
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A drive and what it is expected to tell.
+
+    Attributes
+    ----------
+    case
+        The controller, in the fence of the room; its trajectory and its plant are still to be named.
+    room
+        Where it stays.
+    drive
+        The twists of the reference.
+    expected
+        Parameters as the configuration believes them, and how well they will be known.
+    """
+
+    case: Case
+    room: Room
+    drive: ModelDrive
+    expected: ParameterEstimate
+
+    def write(self, path: Path) -> None:
+        """Write the trajectory file; raises ConfigError if it cannot be written."""
+        write_model_drive(path, self.drive, model_excitation_settings().tick)
+
+    def on(self, plant: str, seed: int, trajectory: Path) -> Case:
+        """The written trajectory on a plant, in the fence."""
+        return replace(self.case, plant=plant, seed=seed, trajectory=str(trajectory))
+
+    def lines(self, out: Path) -> list[str]:
+        """What was found, and what goes into the configuration of the node, in words."""
+        seconds = len(self.drive.twists) * model_excitation_settings().tick
+        other = min(self.drive.worth.values())
+        better = np.exp((max(self.drive.worth.values()) - other) / (2 * len(CHANNELS) * len(TOLD)))
+        return [
+            f"{out}: {self.drive.family}, {seconds:.0f} s. With the other family deviations are {better:.2f} times as "
+            "large, in the geometric mean.",
+            "For the node: the robot begins in the middle of the room, its length ahead; its configuration has",
+            f"fence: {{enabled: true, length: {self.room.length:g}, width: {self.room.width:g}, frame: start}}",
+        ]
+
+    def table(self) -> Table:
+        """How well the parameters will be known."""
+        shown = self.expected.derived(
+            [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
+            lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
+        )
+        rows = []
+        for name, *numbers in shown.rows:
+            channel, parameter = name.split(".")
+            unit, scale, digits = ("-", 1.0, 4) if parameter == "gain" else ("ms", 1e3, 2)
+            cells = (number(scale * float(one), digits) for one in numbers)
+            rows.append((channel, f"{parameter.replace('_', ' ')} [{unit}]", *cells))
+        return Table(
+            "What the drive will tell",
+            ("channel", "parameter", "believed", "standard deviation"),
+            tuple(rows),
+            2,
+            f"From the first {100 * identification_settings().fit_share:.0f} % of the rows, as `identify` takes them, "
+            "and the noise of encoders and gyro in the configuration.",
+        )
+
+
+def excite_model(
+    config: str,
+    room: Room,
+    *,
+    seconds: float = 60.0,
+    speed: float = 0.6,
+    yaw_rate: float = 1.0,
+    seed: int = 0,
+    on_drive: Callable[[int, int], None] | None = None,
+) -> Excitation:
+    """Look for the drive that tells most of gains, lags and dead times of the robot that a configuration believes in.
+
+    Parameters
+    ----------
+    config
+        Configuration of the controller that drives it: a file, or the shipped one of a model.
+    room
+        Where the robot stays; it begins in the middle, the length straight ahead.
+    seconds
+        How long [s].
+    speed, yaw_rate
+        Largest ones [m/s, rad/s].
+    seed
+        Of the search and of the noise on the believed robot.
+    on_drive
+        Called with how many drives were tried, and of how many.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, models.velocity_model.ModelError
+        If there is no such configuration, its model is not linear, the robot cannot drive so fast, or room or time do
+        not suffice.
+    """
+    case = in_room(config, room)
+    loaded = controller_config(case.model, case.config)
+    margin = model_excitation_settings().margin
+    if loaded.fence.margin >= margin:
+        raise ConfigError(
+            f"fence.margin = {loaded.fence.margin:g} m: the drive stays {margin:g} m inside its room, so the fence "
+            "would stop it; give less"
+        )
+    model = _believed(loaded)
+    estimator = loaded.estimator
+    information = DriveInformation(model, (estimator.wheel_speed_noise, estimator.yaw_rate_noise))
+    tick = model_excitation_settings().tick
+    each = max(1, round(tick / loaded.sample_time))
+
+    tried, most = itertools.count(1), drives_tried()
+
+    def worth(twists: FloatArray) -> float:
+        if on_drive:
+            on_drive(min(next(tried), most), most)
+        return information.log_determinant(np.repeat(twists, each, axis=0), tick / each)
+
+    drive = model_excitation(room, seconds, _limits(loaded, speed, yaw_rate), worth, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drive.yaml"
+        write_model_drive(path, drive, tick)
+        late = float(np.mean([loaded.extra_dead_time.v, loaded.extra_dead_time.omega]))
+        plant = f"model:{loaded.model}" + (f"+{late:g}" if late else "")
+        run = driven(replace(case, plant=plant, seed=seed), path)
+    rows = round(identification_settings().fit_share * len(run.command))
+    return Excitation(case, room, drive, information.parameters(run.command[:rows], run.sample_time))
+
+
+def excite_into(
+    config: str,
+    room: Room,
+    out: Path,
+    *,
+    log: Path | None = None,
+    plant: str = "mujoco",
+    seed: int = 0,
+    **options: float,
+) -> Excitation:
+    """Write the drive, and its log on a plant where asked, and print what it will tell; otherwise as `excite_model`.
+
+    Raises ConfigError if a file cannot be written, or the robot did not keep to its room: then there is no log.
+    """
+    console = output_console()
+    with ExitStack() as stack:
+        write_log = stack.enter_context(run_log(log))
+        with ProgressBar("looking for the drive") as bar:
+            excitation = excite_model(config, room, seed=seed, on_drive=bar.at, **options)
+            drive = excitation.on(plant, seed, out)
+            if log is not None:
+                build_plant(drive)
+            excitation.write(out)
+            if log is not None:
+                bar.begin("driving", 1)
+                run = driven(drive, out, bar.at, keep_plans=holds_plans(log))
+                check_drive(run, room)
+                write_log(run, drive)
+    console.print(excitation.table().rich())
+    for line in excitation.lines(out):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return excitation
+
+
+def in_room(config: str, room: Room) -> Case:
+    """The controller of a configuration in the fence of a room; raises ConfigError if there is none."""
+    case = case_of(config)
+    fence = {"enabled": True, "length": room.length, "width": room.width, "frame": "start", "x": 0.0, "y": 0.0}
+    changes = tuple((f"fence.{key}", value) for key, value in (fence | {"heading": 0.0}).items())
+    return replace(case, overrides=changes)
+
+
+def driven(
+    case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None, *, keep_plans: bool = False
+) -> Run:
+    """One run along a trajectory file; raises ConfigError if it or the plant cannot be used."""
+    limits = controller_config(case.model, case.config, case.overrides)
+    parts = make_controller(case), build_plant(case), load_trajectory(trajectory, limits)
+    return simulate(*parts, keep_plans=keep_plans, on_tick=on_tick)
+
+
+def check_drive(run: Run, room: Room) -> None:
+    """Raise ConfigError where a run did not come to its end, or the robot left the room."""
+    if run.ended:
+        raise ConfigError(f"the drive broke off after {run.time[-1]:.1f} s: {run.ended}")
+    half = 0.5 * np.array([room.length, room.width])
+    out = np.flatnonzero((np.abs(run.true_pose[:, :2]) > half).any(axis=1))
+    if out.size:
+        raise ConfigError(f"the robot left its room after {run.time[out[0]]:.1f} s; give a larger one, or less --speed")
+    stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
+    if stood is not None:
+        raise ConfigError(f"the controller stopped on the way ({stood}); give a larger room, or less --speed")
+
+
+def case_of(config: str) -> Case:
+    """The case with this configuration: a file, or the shipped one of a model; raises ConfigError if there is none."""
+    if is_shipped(config):
+        load_config(config)
+        return Case(model=config)
+    return Case(model=load_config(config).model, config=config)
+
+
+def _believed(config: ControllerConfig) -> VelocityModel:
+    extra = config.extra_dead_time
+    return load_linear_model(config.model).with_extra_dead_time([extra.v, extra.omega])
+
+
+def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> TrajectoryLimits:
+    """Of the reference: a share of the limits of the command is left to tracking, as for paths that are scaled."""
+    settings, limits = load_settings(), config.limits
+    for name, asked, unit in (("v", speed, "m/s"), ("omega", yaw_rate, "rad/s")):
+        most = settings.reach_share * getattr(limits, name)
+        if not (np.isfinite(asked) and 0 < asked <= most):
+            option = "--speed" if name == "v" else "--yaw-rate"
+            limit = getattr(limits, name)
+            raise ConfigError(
+                f"{option} {asked:g}: with limits.{name} = {limit:g} {unit} give up to {most:g} {unit}; the rest is "
+                "for tracking"
+            )
+    slew = model_excitation_settings().slew_share
+    return TrajectoryLimits(speed, yaw_rate, slew * limits.v_slew, slew * limits.omega_slew)

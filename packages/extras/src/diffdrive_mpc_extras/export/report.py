@@ -1,0 +1,230 @@
+"""Write an exported controller and its report for the command line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from diffdrive_mpc.bench.case import label
+from diffdrive_mpc.bench.controllers import chosen_model, controller_config
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.report_folder import staged
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.mpc import ControllerConfig, load_trajectory
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc_extras.export.emulation import emulate
+from diffdrive_mpc_extras.export.library import FILES, FOLDERS, Precision, export_controller
+
+
+def readme(facts: Mapping[str, object], tables: Sequence[Table]) -> str:
+    """Return the README of an export that `facts` describe, with the tables of what was measured."""
+    text = Path(__file__).with_name("sources").joinpath("readme.md").read_text(encoding="utf-8")
+    return text.format(**facts) + "\n".join(table.markdown() for table in tables)
+
+
+# How large an exported controller is, where a compiler is there to say.
+
+
+# As in stm32f4/toolchain.cmake and stm32f4/stm32f4.ld of the exported folder.
+_CORTEX_M4 = [
+    *("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffp-contract=fast", "-fno-math-errno"),
+    *("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-nostartfiles"),
+    *("--specs=nano.specs", "--specs=nosys.specs"),
+]
+_STACK = ".stack"
+
+TARGETS = {"STM32F4 program": "arm-none-eabi-gcc", "host example": "gcc"}
+"""Programs of an exported folder, and the compiler that each needs."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """Static sizes of a linked program [bytes].
+
+    Attributes
+    ----------
+    target
+        What was built.
+    compiler
+        Name of the compiler.
+    flash
+        Code, constants and initial values.
+    ram
+        Variables, the stack that is set aside included.
+    stack
+        That stack; 0 where the system provides it.
+    """
+
+    target: str
+    compiler: str
+    flash: int
+    ram: int
+    stack: int
+
+    def as_json(self) -> dict[str, object]:
+        """For export.json."""
+        named = asdict(self)
+        return {key if isinstance(value, str) else f"{key}_bytes": value for key, value in named.items()}
+
+
+def link_stm32f4(folder: Path, program: Path) -> bool:
+    """Link the STM32F4 program of an exported `folder`; False if the memory does not hold it.
+
+    Raises ConfigError if the compiler is not installed, or does not take the sources.
+    """
+    return _link("STM32F4 program", folder, program)
+
+
+def measure_sizes(folder: Path) -> list[Size]:
+    """Build the programs of an exported `folder` with each compiler that is installed, with its binutils.
+
+    Raises ConfigError if a compiler does not take the sources.
+    """
+    installed = [target for target, gcc in TARGETS.items() if shutil.which(gcc) and shutil.which(_sizer(gcc))]
+    sizes = [_size(target, folder) for target in installed]
+    return [size for size in sizes if size is not None]
+
+
+def _size(target: str, folder: Path) -> Size | None:
+    compiler = TARGETS[target]
+    with TemporaryDirectory() as scratch:
+        program = Path(scratch) / "program"
+        if not _link(target, folder, program):
+            return None
+        sizer = [_sizer(compiler), "-A", str(program)]
+        listed = subprocess.run(sizer, capture_output=True, text=True, check=True).stdout
+    lines = [words for line in listed.splitlines() if len(words := line.split()) == 3 and words[1].isdigit()]
+    sections = {name: int(size) for name, size, _ in lines}
+    data, zero, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
+    constant = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
+    return Size(target, compiler, constant + data, data + zero + stack, stack)
+
+
+def _sizer(compiler: str) -> str:
+    """The program of binutils that lists the sections of what `compiler` has linked."""
+    return compiler.removesuffix("gcc") + "size"
+
+
+def _link(target: str, folder: Path, program: Path) -> bool:
+    """Compile and link; False if the memory of the target does not hold it."""
+    compiler, place = TARGETS[target], folder / "stm32f4"
+    if shutil.which(compiler) is None:
+        raise ConfigError(f"{target}: {compiler} was not found; install it")
+    if compiler == "gcc":
+        options, main = [], [folder / "examples" / "main.c"]
+    else:
+        options, main = [*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], sorted(place.glob("*.c"))
+    sources = [*main, *sorted((folder / "ddmpc").glob("*.c"))]
+    flags = ["-std=c99", "-O3", *options, f"-I{folder / 'ddmpc'}"]
+    command = [compiler, *flags, *map(str, sources), "-lm", "-o", str(program)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode and "overflowed" in done.stderr:
+        return False
+    if done.returncode:
+        lines = done.stderr.splitlines()
+        reason = next((line for line in lines if "error: " in line), lines[-1] if lines else "it does not say why")
+        raise ConfigError(f"{target}: {compiler} failed: {reason.rpartition('error: ')[2]}")
+    return True
+
+
+README, REPORT = "README.md", "export.json"
+
+
+def export_library(
+    out: Path,
+    *,
+    model: str | None,
+    config: Path | None,
+    settings: Sequence[str],
+    trajectory: str,
+    precision: str,
+    emulated: bool,
+) -> None:
+    """Export a controller into `out`, and print its sizes; parameters as the command's options.
+
+    Raises ConfigError, ValueError or OSError if a name, a value or `out` cannot be used; then `out` keeps what it held.
+    """
+    began = time.perf_counter()
+    if precision not in list(Precision):
+        raise ConfigError(f"--precision '{precision}': give double or float")
+    name = chosen_model(model, config)
+    values = controller_config(name, None if config is None else str(config), single_settings(settings))
+    reference = load_trajectory(trajectory, values)
+    with (
+        staged(out, files=(*FILES, README, REPORT), folders=FOLDERS, owner="export") as folder,
+        ProgressBar("exporting") as bar,
+    ):
+        exported = export_controller(values, reference, folder, Precision(precision))
+        sizes = measure_sizes(folder)
+        facts: dict[str, Any] = {
+            "model": label(name),
+            "states": exported.states,
+            "horizon": values.horizon,
+            "sample_time_s": values.sample_time,
+            "precision": precision,
+            "trajectory": label(trajectory),
+            "terms": list(exported.terms),
+            "iteration_limit": values.solver.active_set_iterations,
+            "operations_bound": exported.operations_bound,
+            "sizes": [size.as_json() for size in sizes],
+        }
+        if emulated:
+            facts["emulation"] = _emulate(folder, values, reference, bar)
+        tables = [size_table(sizes), *([emulation_table(facts["emulation"])] if emulated else [])]
+        (folder / README).write_text(readme(facts, tables), encoding="utf-8")
+        report = {
+            "meta": describe_run(time.perf_counter() - began),
+            **facts,
+            "config": {**values.model_dump(mode="json"), "model": label(name)},
+        }
+        (folder / REPORT).write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    console = output_console()
+    for table in tables:
+        console.print(table.rich())
+    console.print(f"controller in {out}: {name}, {values.horizon} steps, {precision} precision", highlight=False)
+
+
+def _emulate(folder: Path, config: ControllerConfig, reference: Reference, bar: ProgressBar) -> dict[str, object]:
+    with TemporaryDirectory() as scratch:
+        image = Path(scratch) / "program.elf"
+        if not link_stm32f4(folder, image):
+            raise ConfigError("--emulate: the program does not fit into an STM32F4; export float, or a shorter horizon")
+        bar.begin("emulating", 1)
+        return emulate(image, config, reference, bar.at).as_json()
+
+
+def emulation_table(facts: Mapping[str, Any]) -> Table:
+    """Return the numbers of instructions of a step on the emulated microcontroller."""
+    counts = {name: f"{facts[f'instructions_{name}']:,}" for name in ("p50", "p95", "p99", "max")}
+    cells = {"machine": str(facts["machine"]), "steps": str(facts["steps"]), **counts}
+    cells["iterations"] = str(facts["iterations_max"])
+    cells["position RMSE [m]"] = number(facts["position_rmse_m"])
+    cells["to Python"] = f"{facts['command_difference_max']:.1e}"
+    note = (
+        "Over one drive of the MuJoCo robot; `iterations`: the most of one step; `to Python`: the largest difference "
+        "of a command [m/s, rad/s]."
+    )
+    return Table("Instructions of a step", tuple(cells), (tuple(cells.values()),), note=note)
+
+
+def size_table(sizes: Sequence[Size]) -> Table:
+    """Static sizes: what the linker reserves; nothing is allocated later."""
+    rows = [(size.target, size.compiler, f"{size.flash:,}", f"{size.ram:,}", f"{size.stack:,}") for size in sizes]
+    missing = [name for name in TARGETS if name not in [size.target for size in sizes]]
+    return Table(
+        "Static sizes",
+        ("program", "compiler", "flash [bytes]", "RAM [bytes]", "of it stack [bytes]"),
+        tuple(rows),
+        text_columns=2,
+        note="; ".join(f"{name}: too large for it, or {TARGETS[name]} is not installed" for name in missing),
+    )

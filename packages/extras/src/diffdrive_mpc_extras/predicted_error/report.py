@@ -1,0 +1,92 @@
+"""`diffdrive-mpc predict-error`: the tracking error of a trajectory before it is driven, in numbers and a figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.progress import output_console
+from diffdrive_mpc.bench.table import Table, millis
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc_extras.predicted_error.calibration import Direction
+from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
+
+FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
+_DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
+_GREYS = ("0.85", "0.6")
+"""Of both tubes: told apart in print."""
+
+
+def predict_into(
+    config: str, trajectory: str, population: str, out: Path, calibration: Path | None = None
+) -> PredictedError:
+    """Predict, print the widths and where they are largest, and write figure and rows into `out`.
+
+    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, the trajectory cannot be driven with
+    the configuration, or tubes were not calibrated for its model; OSError if `out` cannot be written to.
+    """
+    loaded = load_config(config)
+    controller = Controller(loaded)
+    predicted = predict_error(controller, load_trajectory(trajectory, loaded), population, calibration)
+    out.mkdir(parents=True, exist_ok=True)
+    with whole_file(out / ROWS) as draft:
+        write_rows(predicted, draft)
+    draw(predicted, out / FIGURE)
+    console = output_console()
+    console.print(table(predicted).rich())
+    for direction in _DIRECTIONS:
+        console.print(predicted.widest(direction).sentence, highlight=False, markup=False, soft_wrap=True)
+    if predicted.warnings:
+        console.print(f"warning: {'; '.join(predicted.warnings)}", highlight=False, markup=False, soft_wrap=True)
+    console.print(f"figure: {out / FIGURE}; rows: {out / ROWS}", highlight=False, markup=False, soft_wrap=True)
+    return predicted
+
+
+def table(predicted: PredictedError) -> Table:
+    """Mean and largest half width of each tube."""
+    rows = []
+    for direction in _DIRECTIONS:
+        tube = getattr(predicted, direction)
+        widths = (tube.at_each_place, tube.everywhere)
+        rows.append((direction, *(millis(figure(width)) for width in widths for figure in (np.mean, np.max))))
+    columns = ("direction", "at each place, mean [mm]", "largest [mm]", "everywhere, mean [mm]", "largest [mm]")
+    share = f"{100 * predicted.level:g} %"
+    note = f"{share} of drives are inside, to either side: at each place, or all the way. Drives: {predicted.drives}."
+    return Table(f"Predicted error of '{predicted.reference}'", columns, tuple(rows), text_columns=1, note=note)
+
+
+def write_rows(predicted: PredictedError, path: Path) -> None:
+    """Write a row for each place, in SI units."""
+    head = "t,s,x,y,theta,v,omega,lateral,lateral_everywhere,along,along_everywhere"
+    tubes = [width for of in (predicted.lateral, predicted.along) for width in (of.at_each_place, of.everywhere)]
+    columns = [predicted.time, predicted.arc_length, predicted.pose, predicted.twist, *tubes]
+    np.savetxt(path, np.column_stack(columns), fmt="%.6g", delimiter=",", header=head, comments="")
+
+
+def draw(predicted: PredictedError, path: Path) -> None:
+    """Draw the path with its worst places, both tubes along it, and speed and curvature below."""
+    from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, new_figure  # noqa: PLC0415 - loads slowly
+
+    s = predicted.arc_length
+    with new_figure(path, 9.0, 6.0) as figure:
+        panels = figure.subplot_mosaic([["path", "lateral"], ["path", "along"], ["path", "twist"]])
+        panels["path"].plot(*predicted.pose[:, :2].T, color="black")
+        panels["path"].set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        figure.suptitle(f"Predicted error of {predicted.reference}: {100 * predicted.level:g} % of drives are inside")
+        for direction, marker in zip(_DIRECTIONS, MARKERS, strict=False):
+            axes, tube, widest = panels[direction], getattr(predicted, direction), predicted.widest(direction).index
+            for width, grey, words in zip(
+                (tube.everywhere, tube.at_each_place), _GREYS, ("everywhere", "at each place"), strict=True
+            ):
+                axes.fill_between(s, -1e3 * width, 1e3 * width, color=grey, label=words, linewidth=0.0)
+            axes.plot(s[widest], 1e3 * tube.everywhere[widest], marker, color="black", label="worst")
+            axes.set(ylabel=f"{direction} [mm]")
+            panels["path"].plot(*predicted.pose[widest, :2], marker, color="black", label=f"worst {direction}")
+        panels["lateral"].legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panels["path"].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panels["twist"].plot(s, predicted.twist[:, 0], color="black", label="v [m/s]")
+        panels["twist"].plot(s, predicted.twist[:, 1], "--", color=REFERENCE_COLOUR, label="omega [rad/s]")
+        panels["twist"].set(xlabel="distance along the path [m]")
+        panels["twist"].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -1,0 +1,74 @@
+"""`diffdrive-mpc prove`: how often a controller fails, and up to which conditions it holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
+from diffdrive_mpc.app.commands.options import Scheduler
+from diffdrive_mpc_extras.campaign.command import Runs
+
+
+def prove(
+    config: Annotated[
+        str,
+        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+    ],
+    *,
+    out: Annotated[Path, out_option("prove.md, prove.parquet, figures/, worst/ and the rows of the runs")],
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            "--campaign",
+            help="Campaign with maps and boundaries (YAML), or market: robots drawn as wide as sold.",
+            show_default=False,
+        ),
+    ] = None,
+    runs: Runs = None,
+    worst: Annotated[int, typer.Option(min=0, max=99, help="Worst runs to keep as files.")] = 10,
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            metavar="M,M,...",
+            help="Measure a speed passport in place of all this: the greatest speeds within these lateral errors [m].",
+            show_default=False,
+        ),
+    ] = "",
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
+) -> None:
+    """Drive a controller on many plants, paths and faults: rates with intervals, maps, boundaries, worst runs.
+
+    The exit code is 1 when a command was unsafe or a run ended in an error; the report is written all the same.
+    """
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
+    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.proof_file import load_proof  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.report import is_unsafe  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.study import ProofStudy, keep  # noqa: PLC0415
+
+    proof, place = load_proof(campaign), CampaignPlace(out, jobs, scheduler)
+    if tolerance:
+        from diffdrive_mpc_extras.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
+
+        measured = carry_out(PassportStudy(config, proof, place, read_tolerances(tolerance)), out, jobs)
+        if complaint := failed(measured.driven):
+            echo(f"error: {complaint}", err=True)
+            raise typer.Exit(FAILED)
+        return
+    proven = carry_out(ProofStudy(config, proof, place, runs, worst), out, jobs)
+    keep(proven, out)
+    unsafe = sum(map(is_unsafe, proven.driven))
+    complaint = f"{unsafe} runs had an unsafe command" if unsafe else failed(proven.driven)
+    if complaint:
+        echo(f"error: {complaint}", err=True)
+        raise typer.Exit(FAILED)
+
+
+PROVE = PluggedCommand("Your robot", prove, "Example: diffdrive-mpc prove ssm --out proof --runs 40")

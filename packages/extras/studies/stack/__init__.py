@@ -1,1 +1,0 @@
-"""Whether the parameters for other packages that a log tells are right, and their intervals wide enough."""

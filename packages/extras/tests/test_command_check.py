@@ -1,0 +1,167 @@
+"""The checker of commands: sound runs pass, runs that were corrupted on purpose do not, and it shares no code."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc_extras.campaign import command_check
+from diffdrive_mpc_extras.campaign.command_check import StatedLimits, Unsafe, check_commands, stated_limits
+
+NONE = Unsafe(0, 0, 0, 0)
+DT = 0.02
+LIMITS = StatedLimits(most=(1.0, 2.0), slew=(2.0, 6.0), braking=(1.0, 3.0), max_pose_age=0.5, sample_time=DT)
+
+
+def made_up(ticks: int = 200) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray]:
+    """Speeding up at the slew limit, driving, and from half on braking at the braking limit, with poses."""
+    time = DT * np.arange(ticks)
+    v = np.minimum(2.0 * DT * np.arange(1, ticks + 1), 0.5)
+    half = ticks // 2
+    v[half:] = np.maximum(0.5 - 1.0 * DT * np.arange(1, ticks - half + 1), 0.0)
+    modes = ["TRACKING"] * half + ["BRAKING" if speed > 0.0 else "STOPPED" for speed in v[half:]]
+    return time, np.column_stack([v, np.zeros(ticks)]), modes, np.ones(ticks, dtype=bool)
+
+
+def test_a_run_that_keeps_everything_passes() -> None:
+    assert check_commands(*made_up(), LIMITS) == NONE
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_command_that_is_no_number_is_found(bad: float) -> None:
+    time, command, modes, came = made_up()
+    command[20, 1] = bad
+    found = check_commands(time, command, modes, came, LIMITS)
+    assert found.not_finite == 1
+    # The command after it is a step from nothing.
+    assert found.total == 2
+
+
+def test_a_command_that_turns_too_tightly_is_found() -> None:
+    time, command, modes, came = made_up()
+    limits = replace(LIMITS, least_radius=2.0)
+    command[:, 1] = np.where(np.arange(200) < 100, 0.5, 0.49) * command[:, 0]
+    assert check_commands(time, command, modes, came, limits) == NONE
+    command[50, 1] += 1e-6
+    assert check_commands(time, command, modes, came, limits) == replace(NONE, turn=1)
+    # A ramp at the braking limits of 1 m/s^2 and 3 rad/s^2 does not keep a radius of 0.2 m: it does not count there.
+    command[:, 1] = np.where(np.arange(200) < 90, 5.0, 5.1) * command[:, 0]
+    small = replace(LIMITS, least_radius=0.2, most=(9.0, 9.0), slew=(9.0, 99.0), braking=(1.0, 9.0))
+    assert check_commands(time, command, modes, came, replace(small, least_radius=0.1)) == NONE
+    assert check_commands(time, command, modes, came, small).turn == 110 - modes.count("STOPPED")
+    assert check_commands(time, command, modes, came, replace(small, braking=(2.0, 9.0))).turn == 10
+
+
+@pytest.mark.parametrize(("column", "value"), [(0, 1.001), (0, -1.001), (1, 2.001), (1, 2.1e9)])
+def test_a_command_beyond_the_limit_is_found(column: int, value: float) -> None:
+    time, command, modes, came = made_up()
+    command[50, column] = value
+    assert check_commands(time, command, modes, came, LIMITS).limit == 1
+
+
+def test_a_limit_itself_may_be_reached() -> None:
+    time, _, _, came = made_up()
+    command = np.column_stack(
+        [np.minimum(2.0 * DT * np.arange(1, 201), 1.0), np.minimum(6.0 * DT * np.arange(1, 201), 2.0)]
+    )
+    assert check_commands(time, command, ["TRACKING"] * 200, came, LIMITS) == NONE
+
+
+@pytest.mark.parametrize("mode", ["TRACKING", "REUSED_PLAN"])
+def test_a_step_beyond_the_slew_limit_is_found(mode: str) -> None:
+    time, command, modes, came = made_up()
+    command[40:60, 1] = 6.0 * DT * 1.01
+    modes[40:61] = [mode] * 21
+    # There and back.
+    assert check_commands(time, command, modes, came, LIMITS) == Unsafe(0, 0, 2, 0)
+
+
+def test_braking_has_its_own_limit_and_only_brakes() -> None:
+    time, command, modes, came = made_up()
+    command[105:, 0] -= 1.0 * DT * 0.5
+    command[command < 0.0] = 0.0
+    assert check_commands(time, command, modes, came, LIMITS).slew == 1
+    time, command, modes, came = made_up()
+    command[110:, 0] = command[109, 0] + 0.001
+    modes[110:] = ["BRAKING"] * 90
+    assert check_commands(time, command, modes, came, LIMITS).slew == 1
+    # Through zero to the other side, each step within its limit.
+    command[110:, 0] = command[109, 0] - 1.0 * DT * np.arange(1, 91)
+    assert check_commands(time, command, modes, came, LIMITS).slew > 40
+
+
+def test_who_has_stopped_may_step_to_zero_but_not_move() -> None:
+    time, command, modes, came = made_up()
+    command[100:], modes[100:] = 0.0, ["STOPPED"] * 100
+    assert check_commands(time, command, modes, came, LIMITS) == NONE
+    command[150, 0] = 0.001
+    assert check_commands(time, command, modes, came, LIMITS).slew == 1
+
+
+def test_a_mode_that_nobody_knows_keeps_no_limit() -> None:
+    time, command, modes, came = made_up()
+    modes[30] = "HURRYING"
+    assert check_commands(time, command, modes, came, LIMITS).slew == 1
+
+
+def test_motion_after_poses_have_gone_is_found() -> None:
+    time, command, modes, came = made_up(400)
+    came[100:] = False
+    # It goes on as if nothing had happened.
+    command[:] = [0.5, 0.0]
+    command[:, 0] = np.minimum(2.0 * DT * np.arange(1, 401), 0.5)
+    modes[:] = ["TRACKING"] * 400
+    blind = check_commands(time, command, modes, came, LIMITS)
+    patience = round((LIMITS.max_pose_age + DT) / DT)
+    assert blind == Unsafe(0, 0, 0, 400 - 100 - patience)
+    begin = 99 + patience + 1
+    command[begin:, 0] = np.maximum(0.5 - 1.0 * DT * np.arange(1, 400 - begin + 1), 0.0)
+    modes[begin:] = ["BRAKING" if speed > 0.0 else "STOPPED" for speed in command[begin:, 0]]
+    assert check_commands(time, command, modes, came, LIMITS) == NONE
+    command[-1, 0] = 0.001
+    assert check_commands(time, command, modes, came, LIMITS).motion == 1
+
+
+def test_motion_before_the_first_pose_is_found() -> None:
+    time, command, modes, came = made_up()
+    came[:10] = False
+    assert check_commands(time, command, modes, came, LIMITS).motion == 10
+
+
+def test_overrides_and_the_file_tighten_what_is_checked(tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        "model: ssm\nlimits:\n  v: 0.9   # m/s\nfailure: {max_pose_age: 0.2, dead_reckoning: 0.0}\n", encoding="utf-8"
+    )
+    limits = stated_limits(config, {"limits.omega_slew": 4.0, "horizon": 20})
+    assert limits == StatedLimits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202)
+
+
+def test_an_override_counts_more_than_a_file_in_whichever_room_either_names_a_key(tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text("expert: {limits: {v_braking: 0.9, least_commanded_radius: 0.1}}\n", encoding="utf-8")
+    limits = stated_limits(config, {"limits.v_braking": 0.3, "expert.limits.min_commanded_radius": 0.4})
+    assert (limits.braking[0], limits.least_radius) == (0.3, 0.4)
+
+
+def test_what_is_stated_is_what_the_configuration_says_by_itself() -> None:
+    config = load_config({"model": "ssm"})
+    stated = yaml.safe_load(command_check.STATED.read_text(encoding="utf-8"))
+    for group, values in stated.items():
+        for key, value in values.items() if isinstance(values, dict) else ():
+            assert getattr(getattr(config, group), key) == value, key
+    assert config.sample_time == stated["sample_time"]
+
+
+def test_it_imports_nothing_of_this_project() -> None:
+    tree = ast.parse(Path(command_check.__file__).read_text(encoding="utf-8"))
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    names |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    outside = {name.partition(".")[0] for name in names}
+    assert outside == {"__future__", "collections", "dataclasses", "pathlib", "typing", "numpy", "yaml"}

@@ -1,0 +1,197 @@
+"""`excite`: drives that determine slip and models, their files, and robots that differ from the believed one."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from commands import invoke
+from diffdrive_mpc import ConfigError, load_trajectory
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.models.identification.fit.noise import DriveInformation
+from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.load import load_segments
+from diffdrive_mpc_extras.excitation import model_excitation as searched
+from diffdrive_mpc_extras.excitation.excite import check_drive, driven, excite_model
+from diffdrive_mpc_extras.excitation.model_excitation import Room, model_excitation, path_of, write_model_drive
+from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_slip_drive
+
+
+@pytest.mark.parametrize(
+    ("side", "speed", "yaw_rate"), [(3.0, 0.6, 1.0), (6.0, 0.6, 1.0), (6.0, 1.0, 0.5), (20.0, 2.0, 1.0)]
+)
+def test_it_stays_in_its_square_and_tells_the_terms_apart(tmp_path, side, speed, yaw_rate):
+    write_slip_drive(tmp_path / "drive.yaml", slip_excitation(side, 60.0, speed, yaw_rate))
+    if speed <= 1.5:
+        drive = load_trajectory(tmp_path / "drive.yaml")
+        pose = drive.sample(np.linspace(0.0, drive.duration, 2000)).pose
+        # Smoothing may cut a corner by its own tolerance.
+        assert np.abs(pose[:, :2]).max() <= 0.5 * side - 0.2
+    segments = load_segments(tmp_path / "drive.yaml")
+    assert told_apart(segments) < 0.5
+    assert max(abs(one.v) for one in segments) <= speed + 1e-9
+    assert max(abs(one.omega) for one in segments) <= yaw_rate + 1e-9
+
+
+def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
+    """The root package ships the sequence that this search finds."""
+    shipped, found = load_segments("excitation"), slip_excitation(6.0, 90.0, 0.6, 1.0)
+    rows = [[(one.v, one.omega, one.duration) for one in segments] for segments in (shipped, found)]
+    np.testing.assert_allclose(*rows, atol=1e-4)
+
+
+def test_a_circle_tells_nothing_apart():
+    assert told_apart(load_segments("circle")) == pytest.approx(1.0)
+    # At one speed, to both sides: omega and v omega are one.
+    assert told_apart(load_segments("s")) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"),
+        ((6.0, 60.0, math.nan, 1.0), "speed nan: give a positive number"),
+        ((6.0, -1.0, 0.6, 1.0), "time -1.0: give a positive number"),
+        ((6.0, 1e9, 0.6, 1.0), "at most 1800 s"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused(arguments, said):
+    with pytest.raises(ValueError, match=said):
+        slip_excitation(*arguments)
+
+
+def test_the_command_writes_a_trajectory_and_says_what_it_tells(tmp_path):
+    path = tmp_path / "slip.yaml"
+    result = invoke(app, "excite", "--for", "slip", "--side", "5", "--out", path)
+    assert "the two least apart correlate by 0." in result.output
+    assert yaml.safe_load(path.read_text())["timing"] == "smooth"
+    refused = CliRunner().invoke(app, ["excite", "--for", "mass", "--out", str(tmp_path / "no.yaml")])
+    assert refused.exit_code != 0
+    assert not (tmp_path / "no.yaml").exists()
+
+
+LIMITS = TrajectoryLimits(v=0.6, omega=1.0, v_acceleration=1.5, omega_acceleration=4.0)
+TICK = searched.model_excitation_settings().tick
+INFORMATION = DriveInformation(load_linear_model("sm"), (0.01, 0.02))
+
+
+def worth(twists):
+    return INFORMATION.log_determinant(np.repeat(twists, 5, axis=0), TICK / 5)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    family=st.sampled_from([searched._Steps, searched._Sines]),
+    seed=st.integers(0, 2**31),
+    length=st.floats(1.2, 8.0),
+    width=st.floats(1.2, 8.0),
+    seconds=st.floats(10.0, 40.0),
+    v=st.floats(0.05, 2.0),
+    omega=st.floats(0.1, 3.0),
+)
+def test_every_member_keeps_to_room_and_limits(family, seed, length, width, seconds, v, omega):
+    room, limits = Room(length, width), TrajectoryLimits(v, omega, 1.0, 3.0)
+    member = family(room, seconds, limits)
+    twists = member.twists(np.random.default_rng(seed).uniform(size=member.genes))
+    assert len(twists) == pytest.approx(seconds / TICK, abs=1.01)
+    assert (np.abs(twists) <= np.array([v, omega]) + 1e-9).all()
+    steps = np.diff(np.vstack([np.zeros(2), twists, np.zeros(2)]), axis=0)
+    assert (np.abs(steps) <= TICK * np.array([1.0, 3.0]) + 1e-9).all()
+    assert (np.abs(path_of(twists, TICK)[:, :2]) <= room.reach + 1e-6).all()
+
+
+def test_the_search_finds_more_than_chance_and_the_same_again(monkeypatch):
+    quick = searched.model_excitation_settings().model_copy(update={"population": 8, "generations": 4})
+    monkeypatch.setattr(searched, "model_excitation_settings", lambda: quick)
+    room = Room(4.0, 3.0)
+    drive = model_excitation(room, 15.0, LIMITS, worth, seed=3)
+    again = model_excitation(room, 15.0, LIMITS, worth, seed=3)
+    assert np.array_equal(drive.twists, again.twists)
+    stream = np.random.default_rng(4)
+    for name, family in (("steps", searched._Steps), ("multi-sine", searched._Sines)):
+        member = family(room, 15.0, LIMITS)
+        chance = [worth(member.twists(stream.uniform(size=member.genes))) for _ in range(8)]
+        assert drive.worth[name] > np.median(chance)
+    assert worth(drive.twists) == pytest.approx(max(drive.worth.values()))
+
+
+def test_the_file_is_the_drive(tmp_path):
+    member = searched._Steps(Room(4.0, 3.0), 20.0, LIMITS)
+    twists = member.twists(np.random.default_rng(1).uniform(size=member.genes))
+    write_model_drive(tmp_path / "drive.yaml", searched.ModelDrive("steps", twists, {}), TICK)
+    drive = load_trajectory(tmp_path / "drive.yaml")
+    # The ramp of the first twist from rest, and of the last one to it, take time of their own.
+    assert drive.duration == pytest.approx(len(twists) * TICK, abs=0.3)
+    assert drive.sample([drive.duration]).pose[0] == pytest.approx(path_of(twists, TICK)[-1], abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Room(1.0, 3.0), "a room of 1 by 3 m"),
+        (lambda: Room(float("nan"), 3.0), "a room of nan"),
+        (lambda: model_excitation(Room(4.0, 3.0), 3.0, LIMITS, worth), "3 s: a drive that tells"),
+    ],
+)
+def test_what_cannot_be_is_said(make, said):
+    with pytest.raises(ConfigError, match=said):
+        make()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """A short search."""
+    short = searched.model_excitation_settings().model_copy(update={"population": 6, "generations": 2})
+    monkeypatch.setattr(searched, "model_excitation_settings", lambda: short)
+
+
+def robot(path, gain, dead_time):
+    channels = {name: {"gain": gain, "natural_frequency": 14.0, "damping": 1.1} for name in ("v", "omega")}
+    content = {
+        "name": "other",
+        "structure": "sm",
+        "provenance": {"origin": "assumed", "source": "this test"},
+        "dead_time": {"v": dead_time, "omega": dead_time},
+        "channels": channels,
+    }
+    path.write_text(yaml.safe_dump(content))
+    return f"model:{path}"
+
+
+def drive_of(found, folder, plant):
+    return driven(found.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
+
+
+@pytest.mark.usefixtures("quick")
+def test_drive_stays_in_its_room_on_robots_of_other_gains(tmp_path):
+    found = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
+    found.write(tmp_path / "drive.yaml")
+    for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
+        run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
+        check_drive(run, found.room)
+        assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
+
+
+@pytest.mark.usefixtures("quick")
+def test_robot_that_leaves_its_room_raises_config_error(tmp_path):
+    found = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
+    found.write(tmp_path / "drive.yaml")
+    run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
+    with pytest.raises(ConfigError, match=r"the robot left its room after \d+\.\d s"):
+        check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), found.room)
+
+
+@pytest.mark.usefixtures("quick")
+def test_command_writes_drive_and_log(tmp_path):
+    drive, log = tmp_path / "drive.yaml", tmp_path / "drive.csv"
+    words = ["excite", "sm", "--for", "model", "--inside", "4x3", "--seconds", "15", "--plant", "model:sm"]
+    result = invoke(app, *words, "--log", log, "--out", drive)
+    assert "fence: {enabled: true, length: 4, width: 3, frame: start}" in result.output
+    read_log(log).require_sound()

@@ -1,0 +1,29 @@
+"""Command `lab`: write the laboratory as one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.command_line.options import PluggedCommand
+
+
+def lab(
+    *,
+    out: Annotated[Path, typer.Option("--out", help="File of the page.")] = Path("out/lab.html"),
+) -> None:
+    """Write the browser laboratory: one page with the compiled controller; it needs no network and no installation."""
+    from diffdrive_mpc.app.command_line.echo import echo  # noqa: PLC0415 - --help needs none of these
+    from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
+    from diffdrive_mpc_lab.build import page_text  # noqa: PLC0415
+
+    text = page_text()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(out) as draft:
+        draft.write_text(text, encoding="utf-8")
+    echo(f"{out}: {len(text.encode()) / 1e6:.2f} MB")
+
+
+LAB = PluggedCommand("Drive", lab, "Example: diffdrive-mpc lab --out out/lab.html")

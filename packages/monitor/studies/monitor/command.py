@@ -1,0 +1,40 @@
+"""`python -m studies monitor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.command_line.options import Jobs, out_option
+
+EXAMPLE = "Example: python -m studies monitor --out watched --seeds 2 --hours 0.2"
+
+
+def run(
+    *,
+    out: Annotated[Path, out_option("monitor.md, monitor.json and figures/", "out/monitor")] = Path("out/monitor"),
+    rules: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")
+    ] = "default",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Drives of each fault.")] = 20,
+    hours: Annotated[float, typer.Option(min=0.01, max=1000, help="Hours of nominal drives.")] = 10.0,
+    tuning: Annotated[bool, typer.Option("--tuning", help="The seeds that the rules were tuned on.")] = False,
+    market: Annotated[bool, typer.Option("--market", help="Nominal drives of drawn robots of the market.")] = False,
+    jobs: Jobs = None,
+) -> None:
+    """Break controllers on purpose and drive for hours with sound ones: what the monitor catches, when, and what not.
+
+    The exit code is 1 when a fault was missed or found late, or a nominal drive alarmed in which the robot stays near
+    its path and on time; the report is written all the same.
+    """
+    from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
+
+    from diffdrive_mpc.app.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning, market=market), out, jobs))
+    if problem:
+        typer.echo(f"error: {problem}", err=True)
+        raise typer.Exit(FAILED)

@@ -1,1 +1,0 @@
-"""Pictures of the robot in MuJoCo: a model of its looks alone, apart from the physics."""

@@ -1,0 +1,175 @@
+"""MuJoCo's viewer on a running drive: a model of its own, which the plant does not use."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from diffdrive_mpc.sim.plants.make import plant_body
+from diffdrive_mpc.sim.plants.plant import Plant
+
+GREY, BLUE, ORANGE = (0.25, 0.25, 0.25, 1.0), (0.0, 0.45, 0.70, 1.0), (0.90, 0.38, 0.0, 1.0)
+_PIECES = 300
+"""Number of straight pieces of a drawn line."""
+_CLOSING_TIME = 30.0
+"""Time limit for the viewer to close [s]."""
+_TYRE = 0.6
+"""Width of a tyre over the radius of the wheel [-]; no file states it."""
+_WORLD = """
+<mujoco><option gravity="0 0 0"/><visual><global offwidth="1280" offheight="720"/><quality offsamples="4"/>
+<headlight ambient="0.4 0.4 0.4" diffuse="0.4 0.4 0.4"/></visual><statistic extent="2"/>
+<asset><texture type="skybox" builtin="gradient" rgb1="0.9 0.95 1" rgb2="1 1 1" width="64" height="384"/>
+<texture name="floor" type="2d" builtin="checker" rgb1="0.80 0.80 0.78" rgb2="0.75 0.75 0.73" width="512" height="512"/>
+<material name="floor" texture="floor" texrepeat="2 2" texuniform="true" reflectance="0.05"/></asset>
+<default><geom contype="0" conaffinity="0" mass="1"/></default><worldbody>
+<geom type="plane" size="0 0 1" material="floor"/><light directional="true" dir="0.3 -0.4 -0.9" diffuse="0.4 0.4 0.4"/>
+<body pos="0 0 {radius}"><freejoint/>
+<geom type="box" size="{length} {width} {height}" pos="0 0 {centre}" rgba="0.6 0.6 0.62 1"/>
+<geom type="box" size="{length} {width} 0.006" pos="0 0 {top}" rgba="0 0.45 0.7 1"/>
+<geom type="box" size="0.02 {half_front} 0.008" pos="{front} 0 {top}" rgba="1 0.68 0 1"/>{wheels}</body>
+</worldbody></mujoco>
+"""
+_WHEEL = """
+<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0"/>
+<geom type="cylinder" size="{radius} {tyre}" euler="90 0 0" rgba="0.1 0.1 0.1 1"/>
+<geom type="box" size="{spoke} {rim} 0.004" rgba="0.7 0.7 0.7 1"/></body>
+"""
+
+
+class NoDisplayError(DiffdriveMpcError):
+    """No window can be opened. One line: the reason and a remedy."""
+
+
+class RobotScene:
+    """MuJoCo model of the robot of a plant on a floor, for the viewer and for pictures.
+
+    Parameters
+    ----------
+    plant
+        Name of the plant; "model:NAME" has the robot of the papers.
+    """
+
+    def __init__(self, plant: str) -> None:
+        import mujoco  # noqa: PLC0415 - an optional dependency
+
+        robot, twin = plant_body(plant)
+        length, width, height = (size / 2 for size in twin.chassis.body_size)
+        radius, tyre, centre = robot.wheel_radius, _TYRE * robot.wheel_radius / 2, twin.chassis.body_height
+        wheels = "".join(
+            _WHEEL.format(x=x, y=y, radius=radius, tyre=tyre, spoke=0.6 * radius, rim=1.02 * tyre)
+            for x in (twin.chassis.wheel_base / 2, -twin.chassis.wheel_base / 2)
+            for y in (robot.track / 2, -robot.track / 2)
+        )
+        body = {"length": length, "width": width, "height": height, "centre": centre, "top": centre + height}
+        marks = {"front": 0.8 * length, "half_front": 0.7 * width}
+        self.height = radius + centre + 1.2 * height
+        self.model: Any = mujoco.MjModel.from_xml_string(_WORLD.format(radius=radius, wheels=wheels, **body, **marks))
+        self.data: Any = mujoco.MjData(self.model)
+
+    def place(self, pose: ArrayLike, wheel_angles: ArrayLike = (0.0, 0.0, 0.0, 0.0)) -> None:
+        """Put the robot at `pose` (3,) with its wheels at `wheel_angles` (4,) [rad]."""
+        import mujoco  # noqa: PLC0415 - an optional dependency
+
+        x, y, theta = np.asarray(pose, dtype=float)
+        self.data.qpos[:2] = x, y
+        self.data.qpos[3:7] = math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)
+        self.data.qpos[7:] = wheel_angles
+        mujoco.mj_forward(self.model, self.data)
+
+
+def draw_line(scene: Any, points: FloatArray, height: float, colour: tuple[float, ...], width: float = 0.008) -> None:  # noqa: ANN401 - untyped
+    """Add a line through `points` (n, 2) [m] at a height [m] to a scene of MuJoCo."""
+    import mujoco  # noqa: PLC0415 - an optional dependency
+
+    rows = np.column_stack([points, np.full(len(points), height)])
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _PIECES + 1).astype(int))]
+    for start, end in itertools.pairwise(rows):
+        geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, dtype=np.float32))
+        mujoco.mjv_connector(geom, kind, width, start, end)
+        scene.ngeom += 1
+
+
+class ViewedController:
+    """Controller whose drive is shown in real time; commands are those of the controller inside.
+
+    Parameters
+    ----------
+    controller, plant
+        Controller and plant of the run; the plant is only read.
+    scene, handle
+        Model of the view, and the handle of MuJoCo's viewer.
+    """
+
+    def __init__(self, controller: TrackingController, plant: Plant, scene: RobotScene, handle: Any) -> None:  # noqa: ANN401 - untyped
+        self._controller, self._plant, self._scene, self._handle = controller, plant, scene, handle
+        self._angles, self._start = np.zeros(4), time.monotonic()
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Start the controller and draw the reference."""
+        self._controller.start(reference, t0)
+        times = np.linspace(0.0, reference.duration, _PIECES + 1)
+        with self._handle.lock():
+            draw_line(self._handle.user_scn, reference.sample(times).pose[:, :2], 0.005, GREY)
+        self._start = time.monotonic() - t0
+
+    def step(self, t: float, measurement: Measurement) -> ControlStep:
+        """Return the step of the controller, and show the robot until its wall time; a closed viewer is skipped."""
+        step = self._controller.step(t, measurement)
+        if self._handle.is_running():
+            if measurement.wheel_speeds is not None:
+                self._angles += self._plant.sample_time * np.nan_to_num(np.asarray(measurement.wheel_speeds.value))
+            with self._handle.lock():
+                self._scene.place(self._plant.true_pose, self._angles)
+            self._handle.sync()
+            time.sleep(max(0.0, self._start + t - time.monotonic()))
+        return step
+
+
+@contextmanager
+def viewed(controller: TrackingController, plant: Plant, name: str, start: ArrayLike) -> Iterator[ViewedController]:
+    """Open the viewer on the plant `name` with the robot at `start` (3,); raises NoDisplayError without a display."""
+    require_display()
+    import mujoco.viewer  # noqa: PLC0415 - optional, and needs a display
+
+    scene, before = RobotScene(name), set(threading.enumerate())
+    scene.place(start)
+    with mujoco.viewer.launch_passive(scene.model, scene.data, show_left_ui=False, show_right_ui=False) as handle:
+        threads = set(threading.enumerate()) - before
+        yield ViewedController(controller, plant, scene, handle)
+    # A thread that still draws when Python ends crashes it.
+    for thread in threads:
+        thread.join(_CLOSING_TIME)
+
+
+def require_display() -> None:
+    """Raise NoDisplayError if no window can be opened; MuJoCo's viewer would wait for one without end."""
+    remedy = "use --out FOLDER for a report, or ssh -X for a display"
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise NoDisplayError(f"--view: no display (neither DISPLAY nor WAYLAND_DISPLAY is set); {remedy}")
+    import glfw  # noqa: PLC0415 - comes with MuJoCo
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        window = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            window = glfw.create_window(64, 64, "", None, None)
+            glfw.default_window_hints()
+    if not window:
+        reason = f" ({caught[0].message})" if caught else ""
+        raise NoDisplayError(f"--view: no window can be opened{reason}; {remedy}")
+    glfw.destroy_window(window)

@@ -1,1 +1,0 @@
-"""How fast the closed loop is simulated, whole and by part."""

@@ -1,1 +1,0 @@
-"""The node and the simulated robot as two processes, compared with the simulation in one."""

@@ -1,0 +1,166 @@
+"""Test suite setup: one hypothesis profile, the system suite, real logs, the order of files, ROS types without a wheel.
+
+The hypothesis profile draws the same examples on every run, without a deadline; `--hypothesis-profile=many` draws more.
+"""
+
+import ctypes
+import os
+import shutil
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+from hypothesis import settings
+
+settings.register_profile("reproducible", deadline=None, derandomize=True, print_blob=False, max_examples=25)
+settings.register_profile("many", settings.get_profile("reproducible"), max_examples=200)
+settings.load_profile("reproducible")
+# As the command line does, before anybody imports NumPy.
+for library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+# Workers of xdist have a width of their own; tables are as wide as in a pipe.
+os.environ.pop("COLUMNS", None)
+
+SYSTEM_PACKAGES = yaml.safe_load(Path(__file__).with_name("system_packages.yaml").read_text(encoding="utf-8"))
+"""By need of a test marked `system`: programs and shared libraries, each with its Debian packages."""
+LONG_TESTS = {
+    "test_core_library.py",
+    "test_documents.py",
+    "test_export.py",
+    "test_hybrids.py",
+    "test_identify_command.py",
+    "test_identify_truth.py",
+    "test_model_comparison.py",
+    "test_monitor_over_dds.py",
+    "test_network_identification.py",
+    "test_over_dds.py",
+    "test_real_time_iterations.py",
+    "test_replay_bags.py",
+    "test_reproduce_experiments.py",
+    "test_tutorials.py",
+}
+"""Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
+LOGS = os.environ.get("DIFFDRIVE_MPC_DATA")
+LEFT_OUT = {
+    "system": f"need Debian packages ({', '.join(SYSTEM_PACKAGES)}): make test-system",
+    "long": "take long: .ci/long tests",
+    "real_logs": (
+        "need real logs: set DIFFDRIVE_MPC_DATA to a folder with norlab_husky_tile/ and norlab_warthog_terrains/ "
+        "(NORLAB, BSD-3-Clause; see CONTRIBUTING.md)"
+    ),
+}
+"""Reason that the last lines of a run state for tests that it leaves out, by mark."""
+deselected_tests = pytest.StashKey[dict[str, int]]()
+
+
+@cache
+def is_installed(name):
+    """Whether a program is on the path, or a shared library loads."""
+    if ".so" not in name:
+        return shutil.which(name) is not None
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
+
+
+def missing_packages(needs):
+    """One line that names missing programs and the Debian packages that bring them; empty if nothing is missing."""
+    wanted = {name: packages for need in needs for name, packages in SYSTEM_PACKAGES[need].items()}
+    missing = {name: packages for name, packages in wanted.items() if not is_installed(name)}
+    if not missing:
+        return ""
+    packages = " ".join(sorted({package for names in missing.values() for package in names.split()}))
+    return f"not installed: {', '.join(missing)}; on Debian or Ubuntu: sudo apt-get install {packages}"
+
+
+def pytest_configure(config):
+    config.stash[deselected_tests] = dict.fromkeys(LEFT_OUT, 0)
+    if LOGS is not None and not Path(LOGS).is_dir():
+        raise pytest.UsageError(f"DIFFDRIVE_MPC_DATA: no folder {LOGS!r}; unset it, or name the folder of the logs")
+    # Workers of xdist would each fail with a traceback of their own.
+    if config.option.markexpr == "system" and not hasattr(config, "workerinput"):
+        line = missing_packages(SYSTEM_PACKAGES)
+        if line:
+            raise pytest.UsageError(f"the system suite cannot run: {line}")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    if LOGS is None:
+        missing = [item for item in items if item.get_closest_marker("real_logs") is not None]
+        config.hook.pytest_deselected(items=missing)
+        items[:] = [item for item in items if item not in missing]
+    for item in items:
+        if "ros_types" in item.fixturenames:
+            item.add_marker(pytest.mark.system("compiler"))
+    items.sort(key=lambda item: item.path.name not in LONG_TESTS)
+
+
+def pytest_runtest_setup(item):
+    marker = item.get_closest_marker("system")
+    line = marker and missing_packages(marker.args)
+    if line:
+        pytest.fail(line, pytrace=False)
+
+
+def pytest_deselected(items):
+    for item in items:
+        marks = [mark for mark in LEFT_OUT if item.get_closest_marker(mark) is not None]
+        if marks:
+            # Without the logs, a long test of them counts as a test of logs.
+            reason = "real_logs" if LOGS is None and "real_logs" in marks else marks[0]
+            item.config.stash[deselected_tests][reason] += 1
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    # Every worker of xdist collects all tests, and one that crashed reports nothing.
+    counts = node.config.stash[deselected_tests]
+    for mark, count in getattr(node, "workeroutput", {}).get("deselected_tests", {}).items():
+        counts[mark] = max(count, counts[mark])
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session):
+    config = session.config
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["deselected_tests"] = config.stash[deselected_tests]
+    result = yield
+    # Below pytest's own last line.
+    reporter = config.pluginmanager.getplugin("terminalreporter")
+    for mark, count in config.stash[deselected_tests].items():
+        if count and reporter:
+            reporter.write_line(f"{count} more tests {LEFT_OUT[mark]}")
+    return result
+
+
+@pytest.fixture
+def one_process(monkeypatch):
+    """Commands that are told no number of jobs take one process: to start others takes seconds each."""
+    from diffdrive_mpc.bench import runner
+
+    monkeypatch.setattr(runner, "os", SimpleNamespace(**vars(os) | {"sched_getaffinity": lambda process: {0}}))
+
+
+@pytest.fixture
+def quick_search():
+    """Drives to learn from are searched for, networks trained and twins fitted as shortly as can be."""
+    from quick_settings import quick_settings
+
+    with quick_settings():
+        yield
+
+
+@pytest.fixture(scope="session")
+def ros_types():
+    """Make nav2_msgs, tf2_msgs and bond importable in this process and its children; return their folder.
+
+    Import them inside of tests. Types are compiled as C++, so a test that uses them is one of the system suite.
+    """
+    from ros_types.build import add_types
+
+    return add_types()
