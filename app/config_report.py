@@ -10,7 +10,7 @@ from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.load import is_shipped
-from diffdrive_mpc.mpc.config.described import schema_rows
+from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -43,7 +43,7 @@ def print_schema(part: str | None = None) -> None:
 
     Raises ConfigError if there is no such part.
     """
-    shown = [row for row in schema_rows() if part is None or _is_part(row.key, part)]
+    shown = [row for row in (*schema_rows(), *feature_rows()) if part is None or _is_part(row.key, part)]
     if part is not None and not shown:
         *groups, key = plain_key(part).split(".")
         unknown: dict[str, Any] = {key: None}

@@ -33,7 +33,7 @@ controller.start(reference, robot.time)
 
 poses, stood = [], ""
 while robot.time < 60.0:
-    controller.set_obstacles(Surroundings(THINGS, [person(robot.time)], time=robot.time))
+    controller.feature("free_space").set_obstacles(Surroundings(THINGS, [person(robot.time)], time=robot.time))
     step = controller.step(robot.time, robot.measure())
     if step.mode == "STOPPED" and step.message != stood:
         print(f"{robot.time:5.1f} s: {step.message}")

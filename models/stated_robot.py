@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topic, Topics
 from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.plug_ins import plug_in_names
 from diffdrive_mpc.models.robot import load_robot
 
 FOLDER = Path(__file__).parent / "stated_robots"
@@ -136,6 +137,8 @@ class MakersRobot(StrictModel):
                 number: StatedNumber | None = getattr(self, f"{channel}_{rate}")
                 if number is not None and number.stated < getattr(usual, channel):
                     keys[f"limits.{channel}_{key}"] = StatedKey(number.stated, unit)
+        if "free_space" not in plug_in_names("features"):
+            return keys
         if self.footprint is not None:
             corners = json.dumps([list(corner) for corner in self.footprint.stated])
             keys["free_space.footprint"] = StatedKey(corners, "m")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
-from typing import Any, get_args
+from collections.abc import Callable, Mapping
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -61,7 +61,7 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
     level: type[BaseModel] | None = schema
     for parent in parents:
         level = _child(level, parent) if level else None
-    known = list(level.model_fields) if level else []
+    known = _names(level) if level else []
     paths = _paths(schema)
     alike = difflib.get_close_matches(key, known, n=1, cutoff=0.85)
     candidates = _named(paths, parents, [key] if alike else [key, *_synonyms(key)])
@@ -97,10 +97,22 @@ def _named(paths: list[str], parents: list[str], names: list[str]) -> list[str]:
     return beside or [path for path in ending if path.count(".") == min(other.count(".") for other in ending)]
 
 
+def _further_groups(level: type[BaseModel]) -> Mapping[str, type[BaseModel]]:
+    """Return groups that are no fields of a schema, such as those of installed features."""
+    groups: Mapping[str, type[BaseModel]] = getattr(level, "further_groups", dict)()
+    return groups
+
+
+def _names(level: type[BaseModel]) -> list[str]:
+    """Return the names of fields and further groups; a mapping is the field that holds the further groups."""
+    fields = [name for name, field in level.model_fields.items() if get_origin(field.annotation) is not Mapping]
+    return [*fields, *_further_groups(level)]
+
+
 def _child(level: type[BaseModel], name: str) -> type[BaseModel] | None:
     field = level.model_fields.get(name)
     if field is None:
-        return None
+        return _further_groups(level).get(name)
     for candidate in (field.annotation, *get_args(field.annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
@@ -109,7 +121,7 @@ def _child(level: type[BaseModel], name: str) -> type[BaseModel] | None:
 
 def _paths(schema: type[BaseModel], prefix: str = "") -> list[str]:
     paths: list[str] = []
-    for name in schema.model_fields:
+    for name in _names(schema):
         paths.append(prefix + name)
         child = _child(schema, name)
         if child:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,8 +22,10 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import checked_number, wrong_type
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.plug_ins import missing_part, plug_in_names
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import load_config, replace_values
+from diffdrive_mpc.mpc.config.rooms import shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.generate import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
@@ -42,14 +44,6 @@ from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
-
-if TYPE_CHECKING:
-    from diffdrive_mpc_extras.free_space.feature import KeepClear
-    from diffdrive_mpc_extras.free_space.surroundings import Surroundings
-    from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError
-    from diffdrive_mpc_extras.rehearsal.feature import Rehearse
-    from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
-    from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
 _CHANGEABLE = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
@@ -195,6 +189,7 @@ class Controller:
             "speed_limit": self._speed_limit,
             "reference": self._reference,
             "t0": self._t0,
+            "features": {name: feature.state() for name, feature in self._features.items()},
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -202,6 +197,8 @@ class Controller:
         Controller.__init__(self, state["config"], *state["given"])
         self._tick.parameters[:] = state["parameters"]
         self.limit_speed(state["speed_limit"])
+        for name, feature_state in state["features"].items():
+            self._features[name].restore(feature_state)
         if state["reference"] is not None:
             # It was accepted when it began; limits that were tightened while driving do not end it.
             self._begin(state["reference"], state["t0"])
@@ -240,10 +237,23 @@ class Controller:
         return self._pursuit.planned_delay
 
     @property
-    def rehearsal(self) -> LapLearner | FloorRehearsal | None:
-        """What was learned of a reference that is driven again, or of the floor; None unless `rehearsal.enabled`."""
-        feature = self._features.get("rehearsal")
-        return cast("Rehearse", feature).learned if feature else None
+    def features(self) -> Mapping[str, Feature]:
+        """Attached features by name."""
+        return MappingProxyType(self._features)
+
+    def feature(self, name: str) -> Any:  # noqa: ANN401 - each feature has its own methods
+        """Return an attached feature by its name, for its own methods.
+
+        Raises
+        ------
+        ConfigError
+            If the configuration does not enable it; the message names the package if it is not installed.
+        """
+        if name in self._features:
+            return self._features[name]
+        if name in ("online_dead_time", *plug_in_names("features")):
+            raise ConfigError(f"feature '{name}' is not enabled: set {shown_key(f'{name}.enabled')} to true")
+        raise ConfigError(missing_part("features", name))
 
     @property
     def belief(self) -> Belief:
@@ -286,43 +296,6 @@ class Controller:
         mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, line)
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
 
-    def predict_error(
-        self, reference: Reference | str | Path, population: str = "drawn", calibration: str | Path | None = None
-    ) -> PredictedError:
-        """Predict the tracking error of a reference before it is driven; nothing of the controller changes.
-
-        Parameters
-        ----------
-        reference
-            Trajectory, name or path, as for `start`.
-        population
-            Which drives count: "drawn", robots of the market of which this configuration says what their users know;
-            "own", the robot that it was made for, with what is uncertain of load, link, floor and poses.
-        calibration
-            Calibration file that has the population; by default the shipped one.
-
-        Returns
-        -------
-        PredictedError
-            Tubes in which 95 % of the drives stay at each place, and all the way; with `warnings` where the path is
-            faster than those of the calibration.
-
-        Raises
-        ------
-        ArgumentError, ConfigError, ValueError
-            As `start`, and where there is no such population, the model's numbers are assumed or its lag is outside
-            of what was calibrated, or the reference lasts no time or over two hours.
-        """
-        from diffdrive_mpc_extras.predicted_error import predicted_error  # noqa: PLC0415 - rarely needed
-        from diffdrive_mpc_extras.predicted_error.calibration import load_calibration  # noqa: PLC0415
-
-        predicted_error.check_origin(self.model)
-        reference = self._named(reference)
-        self._check(reference, 0.0)
-        return predicted_error.predict_error(
-            reference, self._config, self.model.lag, population, load_calibration(calibration)
-        )
-
     def set_applied_commands(self, commands: ArrayLike) -> None:
         """Replace the last K commands by those actually sent, for instance by another controller.
 
@@ -362,17 +335,22 @@ class Controller:
             If `t0` or the reference is not finite, or if the reference exceeds the limits of the configuration, by its
             own speeds or by the commands that they need with the model's gain.
         """
-        reference = self._named(reference)
+        self._begin(self.checked_reference(reference, t0), t0)
+
+    def checked_reference(self, reference: Reference | str | Path, t0: float = 0.0) -> Reference:
+        """Return a reference, or the trajectory of a name or path, checked as `start` does; nothing changes.
+
+        Raises
+        ------
+        ArgumentError, ValueError
+            As `start`.
+        """
+        if isinstance(reference, (str, Path)):
+            from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
+
+            reference = load_trajectory(reference, self._config)
         self._check(reference, t0)
-        self._begin(reference, t0)
-
-    def _named(self, reference: Reference | str | Path) -> Reference:
-        """A reference itself, or the trajectory of a name or path."""
-        if not isinstance(reference, (str, Path)):
-            return reference
-        from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
-
-        return load_trajectory(reference, self._config)
+        return reference
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):
@@ -410,7 +388,7 @@ class Controller:
         """Continue along `reference` in place of the current one.
 
         Unlike `start`, this keeps the estimate with the learned slip, the plan and the commands. A robot off the new
-        path rejoins it. With `rehearsal.enabled` it restarts as `start` does.
+        path rejoins it. It restarts as `start` does where a feature needs that.
 
         Parameters
         ----------
@@ -551,43 +529,6 @@ class Controller:
         table = self._tick.parameters
         for place, rows in checked_parameters(self._terms, len(table), values):
             table[:, place] = rows
-
-    def set_obstacles(self, surroundings: Surroundings | None) -> None:
-        """Keep clear of `surroundings` from the next step on; they replace the previous ones, None removes them.
-
-        Everything derived from them is computed here, outside the tick; `step` only applies it.
-
-        Raises
-        ------
-        ConfigError
-            If the configuration does not enable `free_space`.
-        SurroundingsError
-            If something in them cannot be used. The message is one line, and nothing changes.
-        """
-        feature = self._features.get("free_space")
-        if feature is None:
-            raise ConfigError("free_space.enabled is false: set it to true for a controller that sees surroundings")
-        cast("KeepClear", feature).set_obstacles(surroundings)
-
-    def see(self, surroundings: Surroundings | None) -> None:
-        """Former name of `set_obstacles`."""
-        _warn_of_former_name("see", "set_obstacles")
-        self.set_obstacles(surroundings)
-
-    def relay(self, reference: Reference, t0: float | None = None) -> None:
-        """Former name of `switch_reference`."""
-        _warn_of_former_name("relay", "switch_reference")
-        self.switch_reference(reference, t0)
-
-    def overrule(self, commands: ArrayLike) -> None:
-        """Former name of `set_applied_commands`."""
-        _warn_of_former_name("overrule", "set_applied_commands")
-        self.set_applied_commands(commands)
-
-    def foresee(self, belief: Belief, commands: ArrayLike) -> Belief:
-        """Former name of `predict_belief`."""
-        _warn_of_former_name("foresee", "predict_belief")
-        return self.predict_belief(belief, commands)
 
     def step(
         self,
@@ -769,11 +710,6 @@ class Controller:
             (layout, block) if c.has_plan else None,
             self._messages.unused(c.reasons) if c.reasons else (),
         )
-
-
-def _warn_of_former_name(former: str, name: str) -> None:
-    """Former names stay for one release."""
-    warnings.warn(f"Controller.{former} is Controller.{name} now", DeprecationWarning, stacklevel=3)
 
 
 def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:

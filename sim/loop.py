@@ -108,7 +108,7 @@ class _Around:
         # Detect a `WorldPlant` without importing it, as most runs have no world.
         in_world = isinstance(plant, PlantAround) and hasattr(plant, "world")
         self._plant = cast("WorldPlant", plant) if in_world else None
-        self._see = controller.set_obstacles if self._plant and isinstance(controller, Seeing) else None
+        self._see = _receiver(controller) if self._plant else None
         self._end, self._goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
 
     @property
@@ -130,6 +130,14 @@ class _Around:
         if self._see is not None and obstacles is not None:
             self._see(obstacles)
         return self._plant.time > self._end and self._plant.over(self._goal)
+
+
+def _receiver(controller: TrackingController) -> Callable[[Seen], None] | None:
+    """Return what takes obstacles: a method of the controller, or of its feature free_space."""
+    if isinstance(controller, Seeing):
+        return controller.set_obstacles
+    feature = getattr(controller, "feature", None)
+    return None if feature is None else feature("free_space").set_obstacles
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:

@@ -32,7 +32,7 @@ import cffi
 import pytest
 import yaml
 
-from diffdrive_mpc.mpc.core.sources import library_texts
+from diffdrive_mpc.mpc.core.sources import core_texts
 
 ROOT = Path(__file__).parents[1]
 PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -160,7 +160,7 @@ class Tree:
         self._times: dict[str, float] = {}
         self._codes: dict[str, object] = {}
         self._sources.mkdir()
-        for name, text in library_texts().items():
+        for name, text in core_texts().items():
             (self._sources / name).write_text(text, encoding="utf-8")
         self._objects = {path.stem: f"{path.stem}.o" for path in self._sources.glob("*.c")}
         subprocess.run([*COMPILE, "-c", *(f"{name}.c" for name in self._objects)], cwd=self._sources, check=True)

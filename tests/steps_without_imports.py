@@ -13,11 +13,7 @@ CASES = {
     "shipped": {},
     "osqp": {"solver.method": "osqp"},
     "daqp": {"solver.method": "daqp"},
-    "rehearsal": {"rehearsal.enabled": True},
-    "floor": {"rehearsal.enabled": True, "rehearsal.by": "floor"},
     "dead time": {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.01},
-    "free space": {"free_space.enabled": True},
-    "energy": {"energy.turn_costs": "fsu_bot-default", "energy.weight": 0.01},
 }
 HELD, LOST, TICKS = range(60, 90), range(120, 160), 200
 
@@ -32,19 +28,17 @@ class Watch:
         self.wanted.append(name)
 
 
-def drive(settings):
-    """Names of the modules that the steps imported, and every message."""
+def drive(settings, started=lambda controller: None):
+    """Return the names of the modules that the steps imported, and every message; `started` gets the controller."""
     from diffdrive_mpc.mpc import Controller, Hold, Measurement, load_config, load_trajectory
     from diffdrive_mpc.sim import make_plant
-    from diffdrive_mpc_extras.free_space import Surroundings
 
     controller, reference = Controller(load_config("ssm", settings)), load_trajectory("circle")
     robot, dt = make_plant("model:ssm+0.08"), controller.config.sample_time
     start = reference.sample([0.0]).pose[0] + [-0.1, 0.15, 0.0]
     robot.reset(start)
     controller.start(reference, 0.0)
-    if controller.config.free_space.enabled:
-        controller.set_obstacles(Surroundings([[[1.2, -0.1], [1.3, -0.1], [1.3, 0.1], [1.2, 0.1]]]))
+    started(controller)
     watch, messages = Watch(), []
     for tick in range(TICKS):
         measurement = Measurement() if tick in LOST else robot.measure()

@@ -141,22 +141,6 @@ def test_types_and_parameters_ship(package):
     assert (ROOT / package / "py.typed").exists()
 
 
-FORMER = {"see", "relay", "overrule", "foresee"}
-"""They are `set_obstacles`, `switch_reference`, `set_applied_commands` and `predict_belief` now."""
-
-
-def test_names_that_the_field_does_not_use_do_not_come_back():
-    """But for the aliases of `Controller`, which stay for one release and warn."""
-    kinds = (ast.FunctionDef, ast.ClassDef)
-    found = {
-        (name, node.name)
-        for name, path in MODULES.items()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, kinds) and node.name in FORMER
-    }
-    assert found == {("mpc.controller", name) for name in FORMER}
-
-
 WORDS = {"found", "said", "told", "seen"}
 """What a name is, is said by the field's word for it: a response, a covariance, the lines of a file."""
 

@@ -23,6 +23,7 @@ from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.plug_ins import known_packages
 from diffdrive_mpc.models.stated_robot import MakersRobot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users
@@ -188,6 +189,9 @@ def _controllers() -> Schema:
     whole = ControllerConfig.model_json_schema()
     groups = whole["$defs"]
     rooms: tuple[Schema, Schema] = ({}, {})
+    # Groups of features have the schemas of their packages, whichever are installed.
+    del whole["properties"]["features"], groups["FeatureGroup"]
+    features = {name: {"type": "object"} for name in known_packages()["features"]}
     for name, field in whole["properties"].items():
         reference = field.get("$ref") or next((one["$ref"] for one in field.get("allOf", ()) if "$ref" in one), None)
         if reference is None:
@@ -198,7 +202,12 @@ def _controllers() -> Schema:
             keys = {key: of for key, of in group["properties"].items() if is_for_users(f"{name}.{key}") == wanted}
             if keys:
                 room[name] = {**group, "properties": keys}
-    expert = {"type": "object", "title": "For experts", "additionalProperties": False, "properties": rooms[1]}
+    expert = {
+        "type": "object",
+        "title": "For experts",
+        "additionalProperties": False,
+        "properties": rooms[1] | features,
+    }
     return {**whole, "properties": rooms[0] | {EXPERT: expert}}
 
 

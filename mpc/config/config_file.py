@@ -17,7 +17,8 @@ from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
-from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side, with_present_names
+from diffdrive_mpc.mpc.config.former_keys import with_present_names
+from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
@@ -33,7 +34,7 @@ def load_config(
     ----------
     source
         "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
-        path of a model, a term or turn costs inside that file is taken from the folder of the file. Or keys and values
+        path of a model, a term or a feature's file inside it is taken from the folder of the file. Or keys and values
         as such a file holds them, for instance those that `identify` found. Or a configuration.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; those of the second room with
@@ -68,10 +69,8 @@ def load_config(
     beside = path.parent / config.model
     if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(beside):
         config = config.model_copy(update={"model": str(beside)})
-    beside = path.parent / config.energy.turn_costs
-    if config.energy.turn_costs and not Path(config.energy.turn_costs).is_absolute() and is_file(beside):
-        energy = config.energy.model_copy(update={"turn_costs": str(beside)})
-        config = config.model_copy(update={"energy": energy})
+    features = {name: group.relative_to(path.parent) for name, group in config.features.items()}
+    config = config.model_copy(update={"features": features})
     terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
 
@@ -117,17 +116,15 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
     Raises
     ------
     models.trust.UntrustedFileError
-        If it names a model, turn costs or a term in another file than a shipped one or one of those folders.
+        If it names a model, a term or a feature's file, other than shipped ones or those of the folders.
     models.checked_yaml.ConfigError
         As `load_config`.
     """
     config = _checked(side_by_side(values), f"{log}: configuration")
     with only_trusted(log, trusted):
         model_path(config.model)
-        if config.energy.turn_costs:
-            from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415 - loads CasADi
-
-            load_turn_costs(config.energy.turn_costs)
+        for group in config.features.values():
+            group.check_files()
         for term in config.terms:
             check_trusted(term.file)
     return config

@@ -33,7 +33,7 @@ class FieldRow:
 def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
     """Every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each item of a list.
 
-    Those of a controller come room by room, see `rooms`.
+    Those of a controller come room by room, see `rooms`; `feature_rows` has those of installed features.
     """
     rows = _rows(schema, prefix)
     if schema is not ControllerConfig:
@@ -42,9 +42,17 @@ def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") ->
     return sorted(named, key=lambda row: row.key.startswith(f"{EXPERT}."))
 
 
+def feature_rows() -> list[FieldRow]:
+    """Every key of the groups of installed features."""
+    groups = ControllerConfig.further_groups()
+    return [row for name, schema in groups.items() for row in _rows(schema, f"{EXPERT}.{name}.")]
+
+
 def _rows(schema: type[BaseModel], prefix: str) -> list[FieldRow]:
     rows: list[FieldRow] = []
     for name, field in schema.model_fields.items():
+        if get_origin(field.annotation) is Mapping:
+            continue
         group = _group(field.annotation)
         if group is not None:
             rows += _rows(group, f"{prefix}{name}.")
@@ -67,6 +75,9 @@ def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) ->
     lines = [*_yaml_lines(config, "", notes or {}, is_for_users)]
     lines += ["", "# For experts: each of these has a default that nobody has to touch.", f"{EXPERT}:"]
     lines += [f"  {line}" for line in _yaml_lines(config, "", notes or {}, lambda key: not is_for_users(key))]
+    for name, group in config.features.items():
+        inner = _yaml_lines(group, f"{name}.", notes or {}, lambda _: True)
+        lines += [f"  {name}:", *(f"  {line}" for line in inner)]
     return "\n".join(lines) + "\n"
 
 
@@ -76,6 +87,8 @@ def _yaml_lines(
     indent = "  " * prefix.count(".")
     for name, field in type(config).model_fields.items():
         value, key = getattr(config, name), f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            continue
         if isinstance(value, BaseModel):
             inner = [*_yaml_lines(value, f"{key}.", notes, wanted)]
             yield from [f"{indent}{name}:", *inner] if inner else []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Self
 
 from pydantic import Field, field_validator
 
@@ -25,3 +26,20 @@ class Group(StrictModel, strict=True):
         if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
             raise ValueError(f"give zero or a size from {SMALLEST:g} to {LARGEST:g}, in the unit of the field")
         return value
+
+
+class FeatureGroup(Group):
+    """Base of the configuration group of a controller feature, written `expert.<name>`."""
+
+    @property
+    def is_enabled(self) -> bool:
+        """True if the controller attaches the feature: the field `enabled`."""
+        return bool(getattr(self, "enabled", True))
+
+    def relative_to(self, folder: Path) -> Self:
+        """Return the group of a configuration file in `folder`, with its relative paths resolved there."""
+        del folder
+        return self
+
+    def check_files(self) -> None:
+        """Raise UntrustedFileError if a file that the group names may not be opened, see `models.trust`."""

@@ -1,4 +1,4 @@
-"""The two rooms of a configuration: what a user sets, and under `expert:` what has a default that nobody has to touch.
+"""The two rooms of a configuration: keys that users set, and under `expert:` rarely changed keys and features.
 
 Files, `config show`, documents and the node's parameters have them; inside the program a configuration has its groups
 side by side, and so do records of runs.
@@ -12,6 +12,8 @@ from typing import Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, laid_over
 from diffdrive_mpc.models.errors import FormerNameWarning
+from diffdrive_mpc.mpc.config.feature_groups import is_feature
+from diffdrive_mpc.mpc.config.former_keys import former_keys, present_place, with_present_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 EXPERT = "expert"
@@ -41,41 +43,10 @@ USER = (
     "failure.max_pose_age",
     "failure.resume",
     "fence",
-    "free_space.enabled",
-    "free_space.footprint",
-    "free_space.margin",
-    "energy",
-    "rehearsal.enabled",
-    "rehearsal.by",
     "online_dead_time.enabled",
     "terms",
 )
 """Keys of the first room, a group for all of its keys; everything else lies under `expert:`."""
-FORMER = {
-    "limits.least_turn_radius": "limits.min_turn_radius",
-    "limits.least_commanded_radius": "limits.min_commanded_radius",
-    "energy.least_radius": "energy.use_min_radius",
-    "estimator.least_yaw_rate": "estimator.min_yaw_rate",
-    "estimator.least_speed": "estimator.min_speed",
-    "estimator.least_gain": "estimator.min_gain",
-    "estimator.most_gain": "estimator.max_gain",
-    "reentry.look_ahead_min": "reentry.min_look_ahead",
-    "reentry.look_ahead_max": "reentry.max_look_ahead",
-    "online_dead_time.least_rate_v": "online_dead_time.min_rate_v",
-    "online_dead_time.least_rate_omega": "online_dead_time.min_rate_omega",
-    "online_dead_time.largest_deviation": "online_dead_time.max_deviation",
-    "online_dead_time.least_difference": "online_dead_time.min_difference",
-    "online_dead_time.told_from": "online_dead_time.report_from",
-    "free_space.most_cells": "free_space.max_cells",
-    "free_space.most_pieces": "free_space.max_pieces",
-    "rehearsal.largest": "rehearsal.max_correction",
-    "rehearsal.largest_heading": "rehearsal.max_heading_correction",
-    "rehearsal.largest_speed": "rehearsal.max_correction_rate",
-    "drivable.least": "drivable.min_shift",
-    "drivable.largest": "drivable.max_shift",
-}
-"""Present names of keys by those that they had in earlier files."""
-_FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 
 
 def is_for_users(key: str) -> bool:
@@ -84,28 +55,31 @@ def is_for_users(key: str) -> bool:
 
 
 def shown_key(key: str) -> str:
-    """A dotted key of `ControllerConfig` as files, parameters and messages name it."""
+    """Return a dotted key of `ControllerConfig` as files, parameters and messages name it."""
+    key = key.removeprefix("features.")
     group = key.partition(".")[0].partition("[")[0]
-    if is_for_users(key) or group not in ControllerConfig.model_fields:
+    if is_for_users(key):
         return key
+    if group not in ControllerConfig.model_fields:
+        return f"{EXPERT}.{key}" if is_feature(group) else key
     # A name that a group of both rooms does not know stands where it was written.
     known = key in _LEAVES or not any(user_key.startswith(f"{group}.") for user_key in USER)
     return f"{EXPERT}.{key}" if known else key
 
 
 def plain_key(key: str) -> str:
-    """A dotted key as `ControllerConfig` has it, from one in either room or of an earlier name."""
+    """Return a dotted key as `ControllerConfig` has it, from one in either room or of a former name."""
     inner = key.removeprefix(f"{EXPERT}.")
-    return FORMER.get(inner, inner)
+    return former_keys().get(inner, inner)
 
 
 def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     """Values as a file states them, in two rooms or as earlier files did, as `ControllerConfig` takes them.
 
-    With a name of the file in `where`, one FormerNameWarning says the present names of what stands as in an earlier
-    file.
+    With a name of the file in `where`, one FormerNameWarning for each key says where its value belongs now.
 
-    Raises ConfigError if a value is stated twice, a user's key under `expert`, or a group as something else.
+    Raises ConfigError if a value is stated twice, a user's key under `expert`, a group as something else, or a former
+    key with another value than the constant that replaced it.
     """
     first = {key: value for key, value in data.items() if key != EXPERT}
     inner = data.get(EXPERT)
@@ -113,16 +87,25 @@ def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
         raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
     second = dict(inner or {})
     _check_rooms(first, second, where or "configuration")
-    stated = dict(_leaves(first))
-    moved = {key: shown_key(plain_key(key)) for key in stated if shown_key(plain_key(key)) != key}
-    moved |= {f"{EXPERT}.{key}": shown_key(FORMER[key]) for key, _ in _leaves(second) if key in FORMER}
-    moved |= {f"solver.{key}": "solver.method" for key in ("strategy", "backend") if f"solver.{key}" in stated}
-    if moved and where:
-        old, new = next(iter(moved.items()))
-        more = f", and {len(moved) - 1} more keys like it" if len(moved) > 1 else ""
-        message = f"{where}: {old} is {new} now{more}; `diffdrive-mpc config show` prints the file as it is written now"
-        warnings.warn(message, FormerNameWarning, stacklevel=3)
-    return with_present_names(laid_over(first, second))
+    flat = with_present_names(laid_over(first, second), where or "configuration")
+    if where:
+        for key, place in _moved(first, second).items():
+            message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file as it is written now"
+            warnings.warn(message, FormerNameWarning, stacklevel=3)
+    return flat
+
+
+def _moved(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str]:
+    """Return the present place of each key of an earlier file, by its place there."""
+    moved: dict[str, str] = {}
+    for prefix, room in (("", first), (f"{EXPERT}.", second)):
+        for key, _ in _leaves(room):
+            place = present_place(key) or key
+            shown = shown_key(place) if place == plain_key(key) else place
+            if shown != f"{prefix}{key}" and not (prefix and shown == key):
+                moved[f"{prefix}{key}"] = shown
+    moved |= {f"solver.{key}": "solver.method" for key in ("strategy", "backend") if key in first.get("solver", ())}
+    return moved
 
 
 def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
@@ -134,7 +117,7 @@ def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str
     stated: dict[str, str] = {}
     for prefix, room in (("", first), (f"{EXPERT}.", second)):
         for key, _ in _leaves(room):
-            plain = FORMER.get(key, key)
+            plain = plain_key(key)
             if plain in stated:
                 raise ConfigError(f"{where}: {plain} stands twice, as {stated[plain]} and {prefix}{key}; leave one out")
             if prefix and is_for_users(plain):
@@ -142,31 +125,6 @@ def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str
             stated[plain] = f"{prefix}{key}"
     if "solver.method" in stated and stated.keys() & {"solver.strategy", "solver.backend"}:
         raise ConfigError(f"{where}: solver.method has taken the place of strategy and backend; leave these out")
-
-
-def with_present_names(data: dict[str, Any]) -> dict[str, Any]:
-    """Groups side by side, with the present names of keys that stand in them under former ones."""
-    for old, new in FORMER.items():
-        group, _, name = old.partition(".")
-        values = data.get(group)
-        if isinstance(values, Mapping) and name in values:
-            kept = {key: value for key, value in values.items() if key != name}
-            data[group] = {new.partition(".")[2]: values[name]} | kept
-    solver = data.get("solver")
-    if isinstance(solver, Mapping) and _FORMER_SOLVER & solver.keys():
-        data["solver"] = _with_method(solver)
-    return data
-
-
-def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
-    """`solver` with one `method` for the strategy and the backend of earlier files, and OSQP's setting in its group."""
-    kept = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
-    if solver.keys() & {"strategy", "backend"}:
-        strategy = solver.get("strategy", "auto")
-        kept["method"] = solver.get("backend", "daqp") if strategy == "backend" else strategy
-    if "check_every" in solver and isinstance(kept.get("osqp", {}), Mapping):
-        kept["osqp"] = {**kept.get("osqp", {}), "check_termination": solver["check_every"]}
-    return kept
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

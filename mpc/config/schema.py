@@ -6,16 +6,23 @@ each description.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
-from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
+from diffdrive_mpc.mpc.config.feature_groups import checked_groups, installed_schemas, is_feature
+from diffdrive_mpc.mpc.config.fixed_values import fixed_values
+from diffdrive_mpc.mpc.config.group import FeatureGroup, Group, NotNegative, Positive
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc_extras.energy_term.config import Energy
-from diffdrive_mpc_extras.free_space.config import FreeSpace
-from diffdrive_mpc_extras.rehearsal.config import DrivableWeights, Rehearsal
 
 # Limits and sample time default to those of the shipped robot file.
 _ROBOT = load_robot()
@@ -113,11 +120,45 @@ class Compensation(Group):
     side_slip: bool = Field(True, description="estimate side-slip and turning point [-]")
 
 
-Coefficient = Annotated[float, Field(ge=-2, le=2)]
+_FLAT = [0.0, 0.0, 0.0]
+
+
+def _checked_slip(values: list[float]) -> list[float]:
+    start, *deviations = values
+    if not (abs(start) <= 2 and min(deviations) >= 0):
+        raise ValueError("give [start from -2 to 2, standard deviation of it, random walk of it per sqrt(s)]")
+    return values
+
+
+CurvedSlip = Annotated[list[float], Field(min_length=3, max_length=3), AfterValidator(_checked_slip)]
+"""Start, standard deviation there and random walk per sqrt(s) of a slip that curves the twist."""
 
 
 class Estimator(Group):
-    """Noise that the Kalman filter assumes (standard deviations), and what it rejects."""
+    """Noise that the Kalman filter assumes (standard deviations), and what it rejects.
+
+    Slips that curve the twist are lists of their start, its standard deviation, and its random walk per sqrt(s).
+    """
+
+    # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
+    v_offset_uncertainty: ClassVar[float] = fixed_values()["estimator.v_offset_uncertainty"]
+    omega_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.omega_gain_uncertainty"]
+    yaw_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.yaw_gain_uncertainty"]
+    turn_ahead_uncertainty: ClassVar[float] = fixed_values()["estimator.turn_ahead_uncertainty"]
+    turn_left_uncertainty: ClassVar[float] = fixed_values()["estimator.turn_left_uncertainty"]
+    load_shift_uncertainty: ClassVar[float] = fixed_values()["estimator.load_shift_uncertainty"]
+    slide_uncertainty: ClassVar[float] = fixed_values()["estimator.slide_uncertainty"]
+    gyro_bias_uncertainty: ClassVar[float] = fixed_values()["estimator.gyro_bias_uncertainty"]
+    gyro_bias_drift: ClassVar[float] = fixed_values()["estimator.gyro_bias_drift"]
+    position_drift: ClassVar[float] = fixed_values()["estimator.position_drift"]
+    heading_drift: ClassVar[float] = fixed_values()["estimator.heading_drift"]
+    min_yaw_rate: ClassVar[float] = fixed_values()["estimator.min_yaw_rate"]
+    min_speed: ClassVar[float] = fixed_values()["estimator.min_speed"]
+    surprise: ClassVar[float] = fixed_values()["estimator.surprise"]
+    min_gain: ClassVar[float] = fixed_values()["estimator.min_gain"]
+    max_gain: ClassVar[float] = fixed_values()["estimator.max_gain"]
+    max_wheel_speed_jump: ClassVar[float] = fixed_values()["estimator.max_wheel_speed_jump"]
+    max_yaw_rate_jump: ClassVar[float] = fixed_values()["estimator.max_yaw_rate_jump"]
 
     wheel_speed_noise: Positive = Field(0.01, description="forward speed from the encoders [m/s]")
     wheel_yaw_rate_noise: Positive = Field(0.05, description="yaw rate from the encoders [rad/s]")
@@ -126,71 +167,35 @@ class Estimator(Group):
     heading_noise: Positive = Field(0.0052, description="heading, where the pose states no covariance [rad]")
     v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
     omega_input_noise: Positive = Field(0.15, description="what the model gets wrong, as noise on omega_ref [rad/s]")
-    v_offset_uncertainty: Positive = Field(0.03, description="v offset at the start [m/s]")
     v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
-    omega_gain_uncertainty: Positive = Field(0.01, description="yaw rate of wheels over model, at the start [-]")
     omega_gain_drift: Positive = Field(0.0003, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
     longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
-    yaw_gain_uncertainty: Positive = Field(0.1, description="yaw rate of body over wheels, at the start [-]")
     yaw_gain_drift: Positive = Field(0.015, description="random walk of that gain [1 per sqrt(s)]")
     side_slip: NotNegative = Field(0.0, description="lateral speed, outward, over v omega, at the start [s]")
     side_slip_uncertainty: Positive = Field(0.05, description="lateral speed over v omega, at the start [s]")
     side_slip_drift: Positive = Field(0.02, description="random walk of the side-slip [s per sqrt(s)]")
-    turn_ahead_uncertainty: NotNegative = Field(
-        0.03, description="how far ahead of its origin or behind it the robot turns, at the start [m]"
+    turn_ahead_drift: NotNegative = Field(
+        0.01, description="random walk of the turning point, ahead of the origin [m per sqrt(s)]"
     )
-    turn_ahead_drift: NotNegative = Field(0.01, description="random walk of that distance [m per sqrt(s)]")
-    turn_left_uncertainty: NotNegative = Field(
-        0.03, description="how far left of its origin or right of it the robot turns, at the start [m]"
-    )
-    turn_left_drift: NotNegative = Field(0.01, description="random walk of that distance [m per sqrt(s)]")
+    turn_left_drift: NotNegative = Field(0.01, description="the same to the left of the origin [m per sqrt(s)]")
     load_shift: NotNegative = Field(
         0.0, description="how far back the turning point moves for an acceleration, at the start [s^2]"
     )
-    load_shift_uncertainty: NotNegative = Field(0.03, description="the same, what is not known of it [s^2]")
-    load_shift_drift: NotNegative = Field(0.001, description="random walk of that [s^2 per sqrt(s)]")
-    slide_uncertainty: NotNegative = Field(
-        0.03, description="how far it slides for each radian turned, as down a slope, at the start [m/rad]"
+    load_shift_drift: NotNegative = Field(0.001, description="random walk of that shift [s^2 per sqrt(s)]")
+    slide_drift: NotNegative = Field(
+        0.001, description="random walk of the slide for each radian turned [m/rad per sqrt(s)]"
     )
-    slide_drift: NotNegative = Field(0.001, description="random walk of that [m/rad per sqrt(s)]")
-    crab: Coefficient = Field(0.0, description="lateral speed, to the left, over forward speed, at the start [-]")
-    crab_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [-]")
-    crab_drift: NotNegative = Field(0.0, description="random walk of that [1 per sqrt(s)]")
-    veer: Coefficient = Field(0.0, description="yaw for each metre that the wheels drive, at the start [rad/m]")
-    veer_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [rad/m]")
-    veer_drift: NotNegative = Field(0.0, description="random walk of that [rad/m per sqrt(s)]")
-    forward_coupling: Coefficient = Field(
-        0.0, description="forward speed over product of the wheels' speed and yaw rate, at the start [s/rad]"
+    crab: CurvedSlip = Field(_FLAT, description="lateral speed, to the left, over forward speed [-]")
+    veer: CurvedSlip = Field(_FLAT, description="yaw for each metre that the wheels drive [rad/m]")
+    forward_coupling: CurvedSlip = Field(
+        _FLAT, description="forward speed over product of the wheels' speed and yaw rate [s/rad]"
     )
-    forward_coupling_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/rad]")
-    forward_coupling_drift: NotNegative = Field(0.0, description="random walk of that [s/rad per sqrt(s)]")
-    yaw_coupling: Coefficient = Field(
-        0.0, description="yaw rate over product of the wheels' speed and yaw rate, at the start [s/m]"
+    yaw_coupling: CurvedSlip = Field(_FLAT, description="yaw rate over product of the wheels' speed and yaw rate [s/m]")
+    track_growth: CurvedSlip = Field(
+        _FLAT, description="share by which the track widens for each rad/s of yaw rate [s/rad]"
     )
-    yaw_coupling_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/m]")
-    yaw_coupling_drift: NotNegative = Field(0.0, description="random walk of that [s/m per sqrt(s)]")
-    track_growth: Coefficient = Field(
-        0.0, description="by what share the track widens for each rad/s of yaw rate, at the start [s/rad]"
-    )
-    track_growth_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/rad]")
-    track_growth_drift: NotNegative = Field(0.0, description="random walk of that [s/rad per sqrt(s)]")
-    gyro_bias_uncertainty: Positive = Field(0.003, description="bias of the gyro, at the start [rad/s]")
-    gyro_bias_drift: Positive = Field(0.007, description="random walk of that bias [rad/s per sqrt(s)]")
-    min_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")
-    min_speed: Positive = Field(0.1, description="driving more slowly, gain and slip do not grow uncertain [m/s]")
-    surprise: Annotated[float, Field(ge=4)] = Field(
-        16.0,
-        description="squared innovation over its variance beyond which something other than slip is at work: nothing "
-        "is learned of slip [-]",
-    )
-    lasting_surprise: Positive = Field(
-        0.6, description="surprise that goes on for longer is slip after all, and is learned from [s]"
-    )
-    min_gain: Annotated[float, Field(gt=0, lt=1)] = Field(0.2, description="gains are never believed smaller [-]")
-    max_gain: Annotated[float, Field(gt=1)] = Field(3.0, description="gains are never believed larger [-]")
-    position_drift: Positive = Field(0.01, description="random walk of the position beside the model [m per sqrt(s)]")
-    heading_drift: Positive = Field(0.002, description="random walk of the heading beside the model [rad per sqrt(s)]")
+    lasting_surprise: Positive = Field(0.6, description="a longer surprise is slip, and is learned from [s]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
         0.4, description="how late a pose may arrive and still be applied at its stamp [s]"
     )
@@ -198,18 +203,24 @@ class Estimator(Group):
         5.0, description="a forward speed from the encoders beyond this is rejected [m/s]"
     )
     max_yaw_rate: Positive = Field(10.0, description="a yaw rate of the gyro beyond this is rejected [rad/s]")
-    max_wheel_speed_jump: Positive = Field(
-        0.5,
-        description="a forward speed further than this from the sample before needs another to confirm it [m/s]",
-    )
-    max_yaw_rate_jump: Positive = Field(
-        2.0,
-        description="a yaw rate further than this from the sample before needs another to confirm it [rad/s]",
-    )
     max_position_jump: Positive = Field(0.3, description="a pose further than this from the prediction is rejected [m]")
     max_heading_jump: Positive = Field(
         0.6, description="a pose turned by more than this from the prediction is rejected [rad]"
     )
+
+    def start(self, slip: str) -> float:
+        """Return the value of a slip that curves the twist at the start of a drive."""
+        return float(getattr(self, slip)[0])
+
+    def uncertainty(self, slip: str) -> float:
+        """Return the standard deviation of a slip at the start of a drive."""
+        value = getattr(self, slip, None)
+        return float(value[1] if isinstance(value, list) else getattr(self, f"{slip}_uncertainty"))
+
+    def drift(self, slip: str) -> float:
+        """Return the random walk of a slip per sqrt(s)."""
+        value = getattr(self, slip, None)
+        return float(value[2] if isinstance(value, list) else getattr(self, f"{slip}_drift"))
 
 
 class Monitor(Group):
@@ -279,22 +290,22 @@ class Fence(Group):
 class Reentry(Group):
     """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
 
+    # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
+    heading_wait: ClassVar[float] = fixed_values()["reentry.heading_wait"]
+    progress_ramp: ClassVar[float] = fixed_values()["reentry.progress_ramp"]
+    min_look_ahead: ClassVar[float] = fixed_values()["reentry.min_look_ahead"]
+    window: ClassVar[float] = fixed_values()["reentry.window"]
+
     enabled: bool = Field(True, description="rejoin on a smooth path and let the reference wait; false: chase it [-]")
     band: Positive = Field(0.08, description="further than this from the path to either side, it is rejoined [m]")
     heading_band: Positive = Field(0.6, description="turned by more than this from the reference, it is rejoined [rad]")
     wait: Positive = Field(
         0.1, description="lag along the path from which the reference slows down; at twice this it stands [m]"
     )
-    heading_wait: Positive = Field(0.3, description="the same for a lag in turning on the spot [rad]")
     max_progress: Annotated[float, Field(gt=1, le=2)] = Field(
         1.25, description="fastest rate of the reference's clock while it catches up, and of driving back to it [-]"
     )
-    progress_ramp: Positive = Field(1.0, description="rate of change of the progress rate [1/s]")
-    min_look_ahead: Positive = Field(0.2, description="least distance along the path to where it is rejoined [m]")
     max_look_ahead: Positive = Field(2.0, description="largest distance along the path to where it is rejoined [m]")
-    window: Annotated[float, Field(gt=0, le=60)] = Field(
-        6.0, description="how far around its time the reference is searched [s]"
-    )
     v_acceleration: Positive = Field(
         _ROBOT.reference_acceleration.v, description="largest forward acceleration of the way back [m/s^2]"
     )
@@ -325,6 +336,14 @@ class Finish(Group):
 class OnlineDeadTime(Group):
     """The delay between command and answer, learned while driving; see docs/tuning.md."""
 
+    # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
+    memory: ClassVar[float] = fixed_values()["online_dead_time.memory"]
+    max_deviation: ClassVar[float] = fixed_values()["online_dead_time.max_deviation"]
+    min_difference: ClassVar[float] = fixed_values()["online_dead_time.min_difference"]
+    step: ClassVar[float] = fixed_values()["online_dead_time.step"]
+    pause: ClassVar[float] = fixed_values()["online_dead_time.pause"]
+    report_from: ClassVar[float] = fixed_values()["online_dead_time.report_from"]
+
     enabled: bool = Field(False, description="learn the dead time while driving [-]")
     apply: bool = Field(True, description="predict with what was learned; false: only say it [-]")
     shorter: Annotated[float, Field(ge=0, le=1)] = Field(
@@ -333,18 +352,12 @@ class OnlineDeadTime(Group):
     longer: Annotated[float, Field(ge=0, le=1)] = Field(
         0.12, description="hard: at most so much longer than configured [s]"
     )
-    memory: Positive = Field(10.0, description="time of changing motion over which it is averaged [s]")
     min_rate_v: Positive = Field(
         0.15, description="nothing is learned of v while the model's v changes more slowly [m/s^2]"
     )
     min_rate_omega: Positive = Field(
         0.5, description="nothing is learned of omega while it changes more slowly [rad/s^2]"
     )
-    max_deviation: Positive = Field(0.012, description="what is less certain is not applied [s]")
-    min_difference: Positive = Field(0.01, description="difference from which it is applied [s]")
-    step: Positive = Field(0.02, description="largest change at once [s]")
-    pause: Positive = Field(1.0, description="time from one change to the next [s]")
-    report_from: Positive = Field(0.03, description="difference from the configured dead time that is told [s]")
 
 
 class TermConfig(Group):
@@ -365,8 +378,14 @@ class TermConfig(Group):
     parameters: list[float] = Field([], description="stage parameters until others are set [its own]")
 
 
+_Schema = TypeVar("_Schema", bound=FeatureGroup)
+
+
 class ControllerConfig(Group):
-    """Everything that one controller needs beside the reference."""
+    """Everything that one controller needs beside the reference.
+
+    Values are read and dumped with the groups of features next to the other groups, each under the feature's name.
+    """
 
     model: str = Field(
         "ssm",
@@ -386,11 +405,41 @@ class ControllerConfig(Group):
     monitor: Monitor = Monitor()
     failure: Failure = Failure()
     fence: Fence = Fence()
-    free_space: FreeSpace = FreeSpace()
-    energy: Energy = Energy()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
-    rehearsal: Rehearsal = Rehearsal()
-    drivable: DrivableWeights = DrivableWeights()
     online_dead_time: OnlineDeadTime = OnlineDeadTime()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")
+    features: Mapping[str, SerializeAsAny[FeatureGroup]] = Field(
+        {}, description="groups of features by name, written expert.<name> [-]"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_features(cls, data: object) -> object:
+        if not isinstance(data, Mapping):
+            return data
+        groups = {name: data[name] for name in data if name not in cls.model_fields and is_feature(name)}
+        stated = data.get("features", {})
+        if not isinstance(stated, Mapping) or not (groups or stated):
+            return data
+        rest = {name: value for name, value in data.items() if name not in groups}
+        return rest | {"features": checked_groups({**stated, **groups})}
+
+    @model_serializer(mode="wrap")
+    def _dump(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = handler(self)
+        features: dict[str, Any] = data.pop("features", {})
+        return {**data, **features}
+
+    @classmethod
+    def further_groups(cls) -> Mapping[str, type[FeatureGroup]]:
+        """Return the schemas of installed features by name, for messages and documentation."""
+        return installed_schemas()
+
+    def feature_group(self, name: str, schema: type[_Schema]) -> _Schema:
+        """Return the group of a feature, or the defaults of `schema` if the configuration does not name it."""
+        group = self.features.get(name)
+        if group is None:
+            return schema()
+        assert isinstance(group, schema)
+        return group

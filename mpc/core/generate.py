@@ -18,7 +18,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.core.library import load_core, load_functions
 from diffdrive_mpc.mpc.problem.formulas import formulas, network_formulas
-from diffdrive_mpc.mpc.problem.terms import Term, half_space_formula, parameter_places
+from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 
 _SIGNATURE = "int {name}(const real **arg, real **res, long long *iw, real *w, int mem)"
@@ -114,11 +114,6 @@ def generate_formulas() -> GeneratedC:
 def generate_network_formulas() -> GeneratedC:
     """C of the formulas of a network's units, `models/lstm_cell.py`."""
     return generate_inline(network_formulas(), "ddmpc_network_formulas", "models/lstm_cell.py")
-
-
-def generate_half_space() -> GeneratedC:
-    """C of the term that keeps a plan on its side of a plane, `mpc/problem/terms.py`."""
-    return generate((half_space_formula(),), "ddmpc_half_space", "mpc/problem/terms.py")
 
 
 def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:
@@ -267,7 +262,7 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
     if isinstance(model, NonlinearModel) and model.compiled_step is None:
         functions += [user_step(model.step, STEP), user_output(model.output, OUTPUT, model.order)]
     functions += [
-        user_term(term.function, term_name(index)) for index, term in enumerate(terms) if not _symbol_of(term)
+        user_term(term.function, term_name(index)) for index, term in enumerate(terms) if term.compiled is None
     ]
     if not functions:
         return None
@@ -304,14 +299,8 @@ def compile_functions(
     places = parameter_places(terms)
 
     def of_term(index: int, term: Term) -> Any:  # noqa: ANN401 - cffi has no types
-        symbol = _symbol_of(term)
-        return ffi.addressof(core, symbol) if symbol else address(term_name(index))
+        return address(term_name(index)) if term.compiled is None else term.compiled
 
     return step_and_output, [
         (of_term(index, term), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)
     ]
-
-
-def _symbol_of(term: Term) -> str:
-    """Name of a shipped term's function in the core; empty for one of the user."""
-    return str(getattr(term, "symbol", ""))

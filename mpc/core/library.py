@@ -23,7 +23,14 @@ from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, bui
 from diffdrive_mpc.models.compiled.packaged import load_library
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
-from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, header_text, library_texts, shared_headers
+from diffdrive_mpc.mpc.core.sources import (
+    core_declarations,
+    core_origin,
+    core_texts,
+    declarations,
+    header_text,
+    shared_headers,
+)
 from diffdrive_mpc.mpc.problem.constants import Constants, padded
 
 if TYPE_CHECKING:
@@ -44,7 +51,7 @@ def load_core() -> tuple[cffi.FFI, Any]:
     """
 
     def build(folder: Path) -> Path:
-        return build_library(library_texts(), folder, NATIVE)
+        return build_library(core_texts(), folder, NATIVE)
 
     made_of = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
     complaint = "the controller's core is not compiled: {}, which holds the core"
@@ -60,17 +67,44 @@ def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no 
     NotCompiledError
         If they cannot be compiled: functions of the user need a C compiler.
     """
-    ffi, _ = load_core()
-    ffi.cdef("\n".join(_FUNCTION.format(name=name) for name in generated.names), override=True)
     texts = shared_headers() | {f"{generated.stem}.c": generated.source, f"{generated.stem}.h": generated.header}
+    declared = "\n".join(_FUNCTION.format(name=name) for name in generated.names)
+    try:
+        return _load(generated.stem, texts, declared)
+    except NotCompiledError as error:
+        raise NotCompiledError(f"functions of the user are compiled, these are not: {error}; install gcc") from error
+
+
+def load_with_core(stem: str, texts: Mapping[str, str], header: str) -> Any:  # noqa: ANN401 - as above
+    """Compile the core together with further C, and load the library with the types of `load_core`.
+
+    The further functions may use the core's internal headers, and take the structs of a running controller.
+
+    Parameters
+    ----------
+    stem
+        First part of the library's name in the cache.
+    texts
+        C files and headers by name, in addition to the core's.
+    header
+        Header of `texts` whose declarations are those of the library.
+
+    Raises
+    ------
+    NotCompiledError
+        If they cannot be compiled: a wheel brings no library for them, so a C compiler is needed.
+    """
+    return _load(stem, {**core_texts(), **texts}, declarations(texts[header]))
+
+
+def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: ANN401 - as above
+    ffi, _ = load_core()
+    ffi.cdef(declared, override=True)
 
     def build(folder: Path) -> Path:
         return build_library(texts, folder, NATIVE)
 
-    try:
-        return load_cached(generated.stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
-    except NotCompiledError as error:
-        raise NotCompiledError(f"functions of the user are compiled, these are not: {error}; install gcc") from error
+    return load_cached(stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
 # The structs of core.h by the names of their fields: shapes of what they point to, and values that fit.

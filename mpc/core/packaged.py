@@ -11,7 +11,7 @@ from pathlib import Path
 
 from diffdrive_mpc.models.compiled.compiler import PLAIN_REST
 from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
-from diffdrive_mpc.mpc.core.sources import CORE, core_origin, library_texts
+from diffdrive_mpc.mpc.core.sources import CORE, core_origin, core_texts
 
 _V3 = frozenset(("avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"))
 _V4 = _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
@@ -30,7 +30,7 @@ def write_packaged(folder: Path) -> list[Path]:
     NotCompiledError
         If it cannot be compiled at all.
     """
-    return _packaged().write(library_texts(), folder)
+    return _packaged().write(core_texts(), folder)
 
 
 def packaged_libraries() -> Iterator[Path]:

@@ -1,7 +1,4 @@
-"""What the core is compiled from: the C files of this folder, and the formulas, which are generated.
-
-The library of Python holds free space beside it (`mpc/free_space`), an exported controller does not.
-"""
+"""Sources of the core: the C files of this folder, and the formulas, which are generated."""
 
 from __future__ import annotations
 
@@ -46,20 +43,6 @@ def core_texts() -> dict[str, str]:
     return {**written_texts(), **generated, f"{network.stem}.h": network.header}
 
 
-def library_texts() -> dict[str, str]:
-    """All that the library is compiled from: the core, and free space beside it."""
-    from diffdrive_mpc.mpc.core.generate import generate_half_space  # noqa: PLC0415
-
-    half_space = generate_half_space()
-    generated = {f"{half_space.stem}.c": half_space.source, f"{half_space.stem}.h": half_space.header}
-    return core_texts() | _free_space_texts() | generated
-
-
-def _free_space_texts() -> dict[str, str]:
-    folder = CORE.parent / "free_space"
-    return {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.[ch]"))}
-
-
 def written_texts() -> dict[str, str]:
     """The C files and headers that are written by hand, by name."""
     return _SIZES | {path.name: path.read_text(encoding="utf-8") for path in sorted(CORE.glob("*.[ch]"))}
@@ -72,23 +55,22 @@ def shared_headers() -> dict[str, str]:
 
 def core_origin() -> str:
     """Digest of all that the library's C comes from, without generating it."""
-    written = [part for item in (written_texts() | _free_space_texts()).items() for part in item]
+    written = [part for item in written_texts().items() for part in item]
     return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
 
 
 def header_text() -> str:
-    """Text of the headers that Python reads: the core's, and those of free space."""
-    beside = (text for name, text in _free_space_texts().items() if name.endswith(".h"))
-    return "\n".join([(CORE / _HEADER).read_text(encoding="utf-8"), *beside])
+    """Text of the header that Python reads."""
+    return (CORE / _HEADER).read_text(encoding="utf-8")
 
 
 def core_declarations() -> str:
-    """What these headers declare, as cffi reads it."""
+    """Declarations of that header, as cffi reads them."""
     return declarations(header_text())
 
 
 def declarations(header: str) -> str:
-    """The declarations of a C header for cffi: no comments, no directives but whole-number constants, `real` double."""
+    """Return the declarations of a C header for cffi: directives are left out but whole-number constants."""
     plain = _ONLY_CPP.sub("", _COMMENT.sub(" ", header))
-    kept = _DIRECTIVE.sub(lambda line: line[0] if _CONSTANT.fullmatch(line[0]) else "", plain)
-    return f"typedef double real;\ntypedef double ddmpc_time;\n{kept}"
+    stated = _DIRECTIVE.sub(lambda line: line[0] if _CONSTANT.fullmatch(line[0]) else "", plain)
+    return f"typedef double real;\ntypedef double ddmpc_time;\n{stated}"

@@ -1,1 +1,1 @@
-"""What can be attached to a controller, and where each feature is found."""
+"""The hook by which features attach to a controller, and the features of a configuration."""

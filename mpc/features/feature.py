@@ -1,13 +1,19 @@
-"""The one hook by which features attach to a controller."""
+"""Hook by which features attach to a controller.
+
+A package registers a subclass of `Feature` as an entry point of the group `diffdrive_mpc.features`. The name of the
+entry is that of the feature and of its configuration group `expert.<name>`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.group import FeatureGroup
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.hold import Hold
@@ -18,26 +24,26 @@ from diffdrive_mpc.mpc.step_result import StepResult
 
 @dataclass
 class Host:
-    """What a feature may use of its controller, which keeps it as it is now.
+    """Access of a feature to its controller, which keeps the attributes up to date.
 
     Attributes
     ----------
     config
-        In force.
+        Configuration in force.
     model
-        That it predicts with.
+        Model that the controller predicts with.
     tick
-        The compiled core.
+        Compiled core.
     pursuit
-        What is tracked: the reference with its clock, or the way back to it.
+        Reference with its clock, or the path back to it.
     terms
         All terms of the cost.
     is_new_tick
-        Whether the last step was one, and no repetition.
+        Function that returns True if the last step advanced the tick.
     is_preparing
-        Goes on with a change of the model by a part of its work; whether one is under way.
+        Function that does the next part of a change of the model; returns True while a change is pending.
     change_dead_time
-        Begins to predict with another dead time (2,) [s].
+        Function that starts to predict with another dead time (2,) [s].
     t0
         Time 0 of the reference on the clock of `step` [s].
     """
@@ -54,65 +60,80 @@ class Host:
 
 
 class Feature:
-    """A feature; what it does not need it leaves as it is here.
+    """Base of all features; a feature overrides the methods that it needs.
 
     Parameters
     ----------
     config
-        The configuration, which enables it.
+        Configuration that enables the feature.
     model
-        The model that the controller begins with.
+        Model that the controller starts with.
+
+    Attributes
+    ----------
+    schema
+        Schema of the configuration group; its `is_enabled` decides whether the feature is attached.
+    restarts_on_switch
+        True if switching to another reference restarts the drive.
     """
 
-    restarts_on_switch = False
-    """Whether another reference under way is a new start for it."""
+    schema: ClassVar[type[FeatureGroup]] = FeatureGroup
+    restarts_on_switch: ClassVar[bool] = False
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> None:
         del config, model
 
     @classmethod
     def prepare(cls, config: ControllerConfig) -> ControllerConfig:
-        """The configuration with what follows from the feature; raises ConfigError where it cannot be used."""
+        """Return the configuration with the changes that the feature needs; raises ConfigError if it cannot be used."""
         return config
 
     @classmethod
     def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
-        """Terms that it adds to the cost."""
+        """Return the terms that the feature adds to the cost."""
         del config
         return ()
 
     def longest(self) -> VelocityModel | None:
-        """The model with the most dead time that it may ask for; None where it asks for none."""
+        """Return the model with the maximum dead time that the feature may change to; None if it changes none."""
         return None
 
     def attach(self, host: Host) -> None:
-        """The controller is built: keep what of it is needed."""
+        """Keep access to the controller, which is complete now."""
         self.host = host
 
     def configure(self) -> None:
-        """Another configuration or model is in force, see `host`."""
+        """Adopt the configuration and the model of `host` after a change."""
 
     def begin(self, reference: Reference, t0: float) -> Reference:
-        """A reference begins, its time 0 at `t0` [s]; returns the one to track in its place."""
+        """Start a reference with its time 0 at `t0` [s]; return the reference to track in its place."""
         del t0
         return reference
 
     def lay(self, reference: Reference) -> Reference:
-        """A reference that is tracked from now on, checked; returns it as it will be driven."""
+        """Return a checked reference as it will be driven."""
         return reference
 
     def forget(self) -> None:
-        """Be as new, for a robot that stands still."""
+        """Reset the feature, for a robot at standstill."""
 
     def set_applied(self, command: FloatArray) -> None:
-        """Somebody else decided the last command (2,)."""
+        """Replace the last command (2,) by that of another controller."""
 
     def before_step(self, t: float) -> Hold | None:
-        """Before the tick at `t` [s]; returns a reason to stand, if there is one."""
+        """Prepare the tick at `t` [s]; return a reason to stand, if there is one."""
         del t
         return None
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """After the tick at `t` [s]; returns its result, perhaps another one."""
+        """Return the result of the tick at `t` [s], changed or not."""
         del t, measurement
         return result
+
+    def state(self) -> Any:  # noqa: ANN401 - each feature has its own state
+        """Return the state that a pickled controller takes along; None if there is none."""
+        return None
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 - as above
+        """Continue from a state that `state` returned, before the reference starts again."""
+        del state

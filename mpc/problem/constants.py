@@ -95,7 +95,7 @@ class Problem:
     def curved(self) -> bool:
         """Whether the configuration sets or estimates curved slip, which makes the twist non-affine."""
         s = self.config.estimator
-        return any(getattr(s, name) or getattr(s, f"{name}_uncertainty") for name in CURVED_SLIPS)
+        return any(s.start(name) or s.uncertainty(name) for name in CURVED_SLIPS)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -168,8 +168,8 @@ class Problem:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
         estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, *[True] * 6])
         kinds = (*PRIORS, "gyro_bias")
-        uncertainty = estimated * np.array([getattr(s, f"{kind}_uncertainty") for kind in kinds])
-        drift = estimated * np.array([getattr(s, f"{kind}_drift") for kind in kinds])
+        uncertainty = estimated * np.array([s.uncertainty(kind) for kind in kinds])
+        drift = estimated * np.array([s.drift(kind) for kind in kinds])
         prior = configured_slip(self.config)
         # Gains have their own bounds; curved slip is bounded by its initial uncertainty.
         far = np.full(len(SLIPS), np.inf)
@@ -330,7 +330,7 @@ def configured_slip(config: ControllerConfig) -> Slip:
     """What the estimate begins with where nothing else was learned."""
     s = config.estimator
     flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if config.compensation.side_slip else Slip()
-    return replace(flat, **{name: getattr(s, name) for name in CURVED_SLIPS})
+    return replace(flat, **{name: s.start(name) for name in CURVED_SLIPS})
 
 
 def padded(count: int) -> int:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,6 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.trust import check_trusted
 from diffdrive_mpc.mpc.config.schema import TermConfig
-from diffdrive_mpc.mpc.problem.formulas import term, term_symbols
 from diffdrive_mpc.mpc.problem.user_functions import user_term
 
 MOST_SOFT_ROWS = 24
@@ -57,6 +56,8 @@ class Term:
         (m,) limits of a soft term; None, for all of it or in a row: no limit.
     defaults
         (p,) stage parameters until others are set.
+    compiled
+        Address of the function in a loaded library, a cffi pointer; None if it is compiled for the controller.
 
     Raises
     ------
@@ -70,6 +71,7 @@ class Term:
     upper: Limits = None
     lower: Limits = None
     defaults: Sequence[float] = ()
+    compiled: Any = field(default=None, repr=False)
     bounds: FloatArray = field(init=False, repr=False)
     """(2, m) lower and upper limits as numbers, of a residual too."""
 
@@ -228,35 +230,3 @@ def _run(path: Path) -> dict[str, object]:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, float | int | np.integer | np.floating) and math.isfinite(value)
-
-
-# The term that keeps one point of the robot on its side of a plane.
-
-
-PARAMETERS = 5
-"""a (2), point d (2) of the robot in its own frame [m], b."""
-
-
-def half_space(pose: ca.SX, parameters: ca.SX) -> ca.SX:
-    """How far the point d of the robot is beyond a plane, a unit vector a leading to the far side [m].
-
-    It is a . (position + R(heading) d) - b, no more than zero on the free side.
-    """
-    a, d, b = parameters[:2], parameters[2:4], parameters[4]
-    cosine, sine = ca.cos(pose[2]), ca.sin(pose[2])
-    point = pose[:2] + ca.vertcat(cosine * d[0] - sine * d[1], sine * d[0] + cosine * d[1])
-    return ca.SX(ca.dot(a, point) - b)
-
-
-def half_space_formula() -> ca.Function:
-    """The same with its gradient, as it is in C."""
-    inputs = term_symbols(PARAMETERS)
-    return term("ddmpc_f_half_space", inputs, half_space(inputs["pose"], inputs["parameters"]))
-
-
-def half_space_function() -> ca.Function:
-    """The same as a function that a term takes."""
-    pose, parameters = ca.SX.sym("pose", 3), ca.SX.sym("parameters", PARAMETERS)
-    return ca.Function(
-        "half_space", [pose, parameters], [half_space(pose, parameters)], ["pose", "parameters"], ["value"]
-    )

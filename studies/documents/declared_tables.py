@@ -10,7 +10,7 @@ from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.step_scalars import step_scalars
-from diffdrive_mpc.mpc.config.described import FieldRow, schema_rows
+from diffdrive_mpc.mpc.config.described import FieldRow, feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -33,13 +33,13 @@ _TITLES = {
     "monitor": "Sensors that contradict each other",
     "failure": "Failure",
     "fence": "Fence",
-    "free_space": "Corridors and obstacles",
-    "energy": "What turns cost",
     "reentry": "Re-entry",
     "finish": "Finish",
-    "rehearsal": "Rehearsal, when the same reference is started again",
-    "drivable": "The path that can be driven, for rehearsal by floor",
     "online_dead_time": "Dead time learned while driving",
+    "energy": "Feature energy: costs of turns",
+    "free_space": "Feature free_space: corridors and obstacles",
+    "rehearsal": "Feature rehearsal: the same reference started again",
+    "rehearsal.drivable": "Feature rehearsal: the path that can be driven, for rehearsal by floor",
 }
 
 
@@ -71,8 +71,9 @@ def _title(group: str) -> str:
 
 
 def _controller_rows() -> list[FieldRow]:
-    """Keys of the configuration that are parameters: a list comes by file only, and its items with it."""
-    return [row for row in schema_rows(ControllerConfig) if not plain_key(row.key).startswith("terms")]
+    """Return keys of the configuration and of installed features that are parameters; lists come by file only."""
+    rows = (*schema_rows(ControllerConfig), *feature_rows())
+    return [row for row in rows if not (row.key.startswith("terms") or row.default.startswith("["))]
 
 
 def with_tables(name: str, page: str) -> str:

@@ -159,7 +159,7 @@ def scatter_of(study: ScatterStudy, floor: ScatterFloor, drifts: float, seed: in
 def _settings(study: ScatterStudy, drifts: float) -> dict[str, float]:
     """Of the filter: what the study says, and drifts of slip that are those of the configuration times `drifts`."""
     usual = load_config("ssm").estimator
-    scaled = {f"{name}_drift": drifts * getattr(usual, f"{name}_drift") for name in PRIORS}
+    scaled = {f"{name}_drift": drifts * usual.drift(name) for name in PRIORS}
     return {f"estimator.{name}": value for name, value in {**study.estimator, **scaled}.items()}
 
 

@@ -117,7 +117,7 @@ def test_a_model_beside_the_configuration_stays_where_it_is(tmp_path: Path) -> N
             {"parameters": {"expert.estimator.least_gain": {"low": 4.0, "high": 5.0}}},
             "parameters.expert.estimator.least_gain: the configuration has 0.2, which is not between 4",
         ),
-        ({"parameters": {"estimator.crab": {"times": [0.5, 2]}}}, "a factor on it is nothing; give low and high"),
+        ({"parameters": {"estimator.load_shift": {"times": [0.5, 2]}}}, "a factor on it is nothing; give low and high"),
         ({"verdict": {"runs": 6, "draw_seed": 2, "first_seed": 601}}, "seeds from 601 on are those of the tuning"),
         ({"objective": {"error": {"position_rmse": {"mean": 1}}}}, "there is no column 'position_rmse'; known: steps"),
         ({"factors": {"model": "sm"}}, "factors.model: the tuning itself says that; leave it out"),

@@ -6,7 +6,7 @@ import math
 import pickle
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from random import Random
@@ -35,8 +35,7 @@ from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 from fuzz import odd, shrink
 from fuzz.case import Case, FaultError
-from fuzz.configs import draw_overrides, draw_value, fields
-from fuzz.surroundings import draw_surroundings, make_surroundings
+from fuzz.configs import Overrides, draw_overrides, draw_value, fields
 
 CONFIGS = (
     *("ssm", "ssm", "sm", "mbm", "kinematic", "lstm", "p2_experimental", "p2_physical"),
@@ -44,10 +43,6 @@ CONFIGS = (
 )
 """Shipped configurations, and the models of `own_model`."""
 EXTRAS = (
-    {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"},
-    {"energy.weight": 1.0, "energy.turn_costs": "fsu_bot-slippery", "energy.use_min_radius": True},
-    {"rehearsal.enabled": True, "rehearsal.by": "laps"},
-    {"rehearsal.enabled": True, "rehearsal.by": "floor"},
     {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.0, "online_dead_time.min_rate_omega": 0.0},
     {"online_dead_time.enabled": True},
     {"fence.enabled": True},
@@ -116,25 +111,23 @@ class ControllerFuzzer:
     """Sequences of steps, starts, resets, updates, overrules and holds, over configurations, models and references."""
 
     name, longest, count = "controller", 60.0, 150
+    extras: Sequence[Overrides] = EXTRAS
+    """Settings that are off by default and rarely drawn by chance."""
     steps = 0
     """Of all cases that were checked so far."""
 
     def draw(self, random: Random) -> Case:
         """A configuration, some references, and what happens."""
         overrides = draw_overrides(random)
-        for extra in EXTRAS:
+        for extra in self.extras:
             if random.random() < 0.08:
                 overrides = {**extra, **overrides}
-        sees = random.random() < 0.25
-        if sees:
-            overrides = {**overrides, "free_space.enabled": True}
         terms = [name for name in TERMS if random.random() < 0.07]
         references = [draw_reference(random) for _ in range(random.choice((1, 1, 2, 3)))]
         events = [["start", 0, 0.0], ["drive", random.choice((1, 5, 30, 60, 60, 60, 60, 600))]]
         for _ in range(random.choice((1, 3, 10, 30))):
-            if sees and random.random() < 0.5:
-                events.append(["see", draw_surroundings(random)])
-            events += [draw_event(random, len(references), terms), ["drive", random.choice((0, 1, 2, 3, 10, 40))]]
+            events += [*self.draw_feature_events(random, overrides), draw_event(random, len(references), terms)]
+            events += [["drive", random.choice((0, 1, 2, 3, 10, 40))]]
         return {
             "config": random.choice(CONFIGS),
             "overrides": overrides,
@@ -142,6 +135,15 @@ class ControllerFuzzer:
             "references": references,
             "events": events,
         }
+
+    def draw_feature_events(self, random: Random, overrides: Overrides) -> list[list[Any]]:
+        """Draw events for the features that the overrides enable."""
+        del random, overrides
+        return []
+
+    def make_life(self, controller: Controller, references: list[Any]) -> Life:
+        """Return the life in which the events happen."""
+        return Life(controller, references)
 
     def check(self, case: Case) -> None:
         """Live through it."""
@@ -159,7 +161,7 @@ class ControllerFuzzer:
             except _REFUSED as error:
                 one_line(error)
                 references.append(load_trajectory("circle"))
-        life = Life(controller, references)
+        life = self.make_life(controller, references)
         try:
             for event in case["events"]:
                 getattr(life, event[0])(*event[1:])
@@ -213,13 +215,6 @@ class Life:
         """Other weights and limits."""
         try:
             self.controller.update(weights, limits)
-        except _REFUSED as error:
-            one_line(error)
-
-    def see(self, said: Any) -> None:
-        """Something lies around it, or nothing any more."""
-        try:
-            self.controller.set_obstacles(make_surroundings(said, self.pose, self.t))
         except _REFUSED as error:
             one_line(error)
 

@@ -42,7 +42,7 @@ def test_steps_of_all_models_and_features_keep_what_is_promised(tmp_path):
     drawn = [draw(FUZZERS["controller"], 36, index) for index in range(130)]
     assert {case["config"] for case in drawn} == set(CONFIGS)
     assert all(any(extra.items() <= case["overrides"].items() for case in drawn) for extra in EXTRAS)
-    assert {"bound", "see", "tick", "again"} <= {event[0] for case in drawn for event in case["events"]}
+    assert {"bound", "tick", "again"} <= {event[0] for case in drawn for event in case["events"]}
 
 
 class Planted:

@@ -48,18 +48,18 @@ class Timed(Controller):
 
 def lower_bound(share: float) -> None:
     """Have controllers from now on use a core that stops a solve after this share of its operations."""
-    texts, origin = LIBRARY_TEXTS(), CORE_ORIGIN()
+    texts, origin = CORE_TEXTS(), CORE_ORIGIN()
     if texts["active_set.c"].count(MOST) != 1:
         raise SystemExit("mpc/core/active_set.c states its bound otherwise now")
     lower = f"return (ddmpc_count)({share!r} * MOST_WORK * (double)(p.start + p.factor));"
     texts["active_set.c"] = texts["active_set.c"].replace(MOST, lower)
-    vars(library)["library_texts"] = lambda: texts
+    vars(library)["core_texts"] = lambda: texts
     vars(library)["core_origin"] = lambda: f"{origin}, {share!r} of the bound"
     library.load_core.cache_clear()
     library.load_functions.cache_clear()
 
 
-LIBRARY_TEXTS, CORE_ORIGIN = library.library_texts, library.core_origin
+CORE_TEXTS, CORE_ORIGIN = library.core_texts, library.core_origin
 
 
 def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]:

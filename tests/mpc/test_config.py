@@ -14,7 +14,10 @@ from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
-from diffdrive_mpc.mpc.config.rooms import FORMER, USER, is_for_users, plain_key, shown_key, side_by_side
+from diffdrive_mpc.mpc.config.fixed_values import fixed_values
+from diffdrive_mpc.mpc.config.former_keys import former_keys, present_place
+from diffdrive_mpc.mpc.config.rooms import USER, is_for_users, plain_key, shown_key, side_by_side
+from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
@@ -110,22 +113,57 @@ def test_every_key_stands_in_one_room_and_users_come_first():
 
 def test_present_names_are_keys_and_former_ones_are_not():
     keys = {plain_key(row.key) for row in schema_rows()}
-    assert set(FORMER.values()) <= keys
-    assert not set(FORMER) & keys
+    present = {key for key in former_keys().values() if key.partition(".")[0] in ControllerConfig.model_fields}
+    assert present <= keys | fixed_values().keys()
+    assert not (former_keys().keys() | fixed_values().keys()) & keys
 
 
-def test_an_earlier_file_is_read_with_one_line_that_says_the_present_name(tmp_path):
+def test_earlier_file_is_read_with_one_line_for_each_moved_key(tmp_path):
     path = tmp_path / "old.yaml"
-    path.write_text("model: sm\nestimator: {least_gain: 0.3, history: 0.5}\nreentry: {look_ahead_min: 0.4}\n")
-    with pytest.warns(FormerNameWarning) as told:
+    path.write_text(
+        "model: sm\nestimator: {least_gain: 0.2, history: 0.5, crab_drift: 0.01}\nreentry: {look_ahead_max: 1.4}\n"
+    )
+    with pytest.warns(FormerNameWarning) as warned:
         old = load_config(path)
-    (line,) = [str(one.message) for one in told]
-    assert line.startswith(f"{path}: estimator.least_gain is expert.estimator.min_gain now, and 2 more keys like it")
-    assert (old.estimator.min_gain, old.estimator.history, old.reentry.min_look_ahead) == (0.3, 0.5, 0.4)
+    assert [str(warning.message).partition(": ")[2].partition(" now; ")[0] for warning in warned] == [
+        "estimator.least_gain is the constant estimator.min_gain of mpc/config/fixed_values.yaml",
+        "estimator.history is expert.estimator.history",
+        "estimator.crab_drift is entry 3 of expert.estimator.crab",
+        "reentry.look_ahead_max is expert.reentry.max_look_ahead",
+    ]
+    assert (old.estimator.history, old.reentry.max_look_ahead) == (0.5, 1.4)
+    assert old.estimator.crab == [0.0, 0.0, 0.01]
     path.write_text(commented_yaml(old))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert load_config(path) == old
+
+
+def test_every_constant_is_accepted_with_its_value_and_no_other():
+    groups: dict[str, dict[str, float]] = {}
+    for key, value in fixed_values().items():
+        group, _, name = key.partition(".")
+        groups.setdefault(group, {})[name] = value
+        assert getattr(getattr(ControllerConfig(), group), name) == value
+        with pytest.raises(ConfigError, match=f"{key}: .* differs from the constant {value} of .*leave it out"):
+            load_config("sm", {key: 1.5 * value})
+        assert present_place(key) == f"the constant {key} of mpc/config/fixed_values.yaml"
+    assert load_config({"model": "sm", **groups}) == load_config({"model": "sm"})
+
+
+def test_curved_slip_is_a_list_that_former_keys_fill():
+    former = {"estimator.veer": -0.1, "estimator.veer_uncertainty": 0.02}
+    config = load_config("sm", former)
+    assert config.estimator.veer == [-0.1, 0.02, 0.0]
+    assert replace_values(config, {"estimator.veer_drift": 0.3}).estimator.veer == [-0.1, 0.02, 0.3]
+    slip = config.estimator
+    assert [slip.start("veer"), slip.uncertainty("veer"), slip.drift("veer")] == config.estimator.veer
+    assert {name for name, field in type(slip).model_fields.items() if isinstance(field.default, list)} == set(
+        CURVED_SLIPS
+    )
+    for values in ([3.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0]):
+        with pytest.raises(ConfigError, match=r"expert\.estimator\.veer: "):
+            load_config("sm", {"estimator.veer": values})
 
 
 @pytest.mark.parametrize(
@@ -167,8 +205,8 @@ def test_what_cannot_be_one_method_is_one_line(tmp_path, solver, message):
 def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
     assert [load_config("ssm", one).estimator.history for one in named] == [0.5, 0.5]
-    assert load_config("ssm", {"estimator.most_gain": 2.0}).estimator.max_gain == 2.0
-    assert load_config("ssm", {"estimator": {"least_gain": 0.3}}).estimator.min_gain == 0.3
+    assert load_config("ssm", {"reentry.look_ahead_max": 1.4}).reentry.max_look_ahead == 1.4
+    assert load_config("ssm", {"reentry": {"look_ahead_max": 1.4}}).reentry.max_look_ahead == 1.4
     assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
 
 

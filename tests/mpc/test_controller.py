@@ -373,20 +373,3 @@ def test_models_of_every_order_are_driven_by_the_core_as_it_is_compiled_for_this
     )
     assert run.returncode == 0, f"after {run.stdout.split()}: {run.stderr[-2000:]}"
     assert run.stdout.split() == [str(order) for order in range(2, 10)]
-
-
-@pytest.mark.parametrize(
-    ("former", "name", "arguments"),
-    [
-        ("see", "set_obstacles", (None,)),
-        ("relay", "switch_reference", ("reference", 1.0)),
-        ("overrule", "set_applied_commands", ([[0.1, 0.0]],)),
-        ("foresee", "predict_belief", ("belief", [[0.1, 0.0]])),
-    ],
-)
-def test_a_former_name_works_and_warns(former, name, arguments, monkeypatch):
-    called = []
-    monkeypatch.setattr(Controller, name, lambda self, *given: called.append(given))
-    with pytest.warns(DeprecationWarning, match=f"Controller.{former} is Controller.{name} now"):
-        getattr(controller(), former)(*arguments)
-    assert called == [arguments]

@@ -53,8 +53,8 @@ def core(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "CORE", folder)
     monkeypatch.setattr(packaged, "CORE", folder)
     # Without the generated formulas, which take longer to compile than all the rest.
-    monkeypatch.setattr(library, "library_texts", sources.written_texts)
-    monkeypatch.setattr(packaged, "library_texts", sources.written_texts)
+    monkeypatch.setattr(library, "core_texts", sources.written_texts)
+    monkeypatch.setattr(packaged, "core_texts", sources.written_texts)
     forget()
     yield folder
     forget()
@@ -212,7 +212,7 @@ import sys
 from pathlib import Path
 from diffdrive_mpc.mpc.core import library, packaged, sources
 sources.CORE = packaged.CORE = Path(sys.argv[1])
-library.library_texts = sources.written_texts
+library.core_texts = sources.written_texts
 print(library.load_core()[1].ddmpc_answer())
 """
 

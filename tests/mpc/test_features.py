@@ -1,63 +1,131 @@
-"""A feature attaches by one hook: ten lines and a line in the registry."""
+"""Features attach to a controller through entry points, with a configuration group of their own."""
 
-import sys
-import types
-from dataclasses import replace
+import pickle
 
 import pytest
+import yaml
+from feature_parts import LunchFeature, register
 
-from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc import ConfigError, Controller, ControllerConfig, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.models import plug_ins
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.described import commented_yaml, feature_rows
 from diffdrive_mpc.mpc.features import registry
-from diffdrive_mpc.mpc.features.feature import Feature
-from diffdrive_mpc.mpc.hold import Hold
+
+ON = {"expert.lunch.enabled": True}
 
 
-class Lunch(Feature):
-    """Stands between two times, and says at each step how often it was asked."""
-
-    def attach(self, host):
-        super().attach(host)
-        self.asked = 0
-
-    def before_step(self, t):
-        self.asked += 1
-        return Hold("lunch") if 1.0 <= t < 3.0 else None
-
-    def after_step(self, t, measurement, result):
-        return replace(result, message=f"{result.message}; asked {self.asked} times".removeprefix("; "))
-
-
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def lunch(monkeypatch):
-    module = types.ModuleType("diffdrive_mpc.mpc.lunch.feature")
-    module.FEATURE = Lunch
-    monkeypatch.setitem(sys.modules, "diffdrive_mpc.mpc.lunch", types.ModuleType("diffdrive_mpc.mpc.lunch"))
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    listed = registry.RegisteredFeature("lunch", lambda config: config.horizon == 31)
-    monkeypatch.setattr(registry, "FEATURES", (*registry.FEATURES, listed))
+    register(monkeypatch, lunch=LunchFeature)
+    yield
+    plug_ins.plug_in.cache_clear()
 
 
-def drive(horizon):
-    controller = Controller(load_config("sm", {"horizon": horizon}))
+def drive(overrides):
+    controller = Controller(load_config("sm", overrides))
     return simulate(controller, make_plant("model:sm"), load_trajectory("circle"))
 
 
-@pytest.mark.usefixtures("lunch")
-def test_a_feature_holds_the_robot_and_speaks():
-    run = drive(31)
+def test_feature_holds_the_robot_and_changes_the_result():
+    run = drive(ON)
     standing = (run.time > 2.0) & (run.time < 3.0)
     assert abs(run.command[standing]).max() < 1e-9
     assert abs(run.command[run.time > 3.5]).max() > 0.3
-    assert run.messages[0].endswith("asked 1 times")
+    assert run.messages[0].endswith("step 1")
     assert run.metrics.completed
 
 
-@pytest.mark.usefixtures("lunch")
-def test_a_configuration_that_does_not_ask_for_it_has_none():
-    assert not any("asked" in message for message in drive(30).messages)
+@pytest.mark.parametrize("overrides", [{}, {"lunch.enabled": False}])
+def test_disabled_feature_is_not_attached(overrides):
+    assert not any("step" in message for message in drive(overrides).messages)
 
 
-def test_only_what_is_asked_for_is_imported():
+def test_features_are_in_the_order_of_their_names():
     assert registry.features_of(load_config("sm")) == {}
-    asked = load_config("sm", {"rehearsal.enabled": True, "online_dead_time.enabled": True})
-    assert list(registry.features_of(asked)) == ["online_dead_time", "rehearsal"]
+    enabled = load_config("sm", ON | {"online_dead_time.enabled": True})
+    assert list(registry.features_of(enabled)) == ["lunch", "online_dead_time"]
+
+
+def test_named_feature_is_found_on_the_controller():
+    controller = Controller(load_config("sm", ON))
+    assert controller.feature("lunch") is controller.features["lunch"]
+    assert isinstance(controller.feature("lunch"), LunchFeature)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("lunch", "feature 'lunch' is not enabled: set expert.lunch.enabled to true"),
+        ("online_dead_time", "feature 'online_dead_time' is not enabled: set online_dead_time.enabled to true"),
+        ("rehearsal", "'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
+        ("dinner", "no installed package has it; installed: lunch"),
+    ],
+)
+def test_feature_that_is_not_attached_raises_config_error(name, message):
+    with pytest.raises(ConfigError, match=message):
+        Controller("sm").feature(name)
+
+
+def test_state_of_a_feature_survives_pickling():
+    controller = Controller(load_config("sm", ON))
+    controller.feature("lunch").steps = 7
+    assert pickle.loads(pickle.dumps(controller)).feature("lunch").steps == 7
+
+
+def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("model: sm\nexpert: {lunch: {end: 2.5}}\n")
+    config = load_config(path)
+    assert config.features["lunch"].end == 2.5
+    assert pickle.loads(pickle.dumps(config)) == config != load_config("sm")
+    assert yaml.safe_load(commented_yaml(config))["expert"]["lunch"] == {"enabled": False, "end": 2.5, "menu": ""}
+    path.write_text(commented_yaml(config))
+    assert load_config(path) == config
+    dumped = config.model_dump(mode="json")
+    assert dumped["lunch"]["end"] == 2.5
+    assert load_config(dumped) == ControllerConfig.model_validate(dumped) == config
+    assert config.model_dump(exclude_defaults=True) == {"model": "sm", "lunch": {"end": 2.5}}
+
+
+def test_values_of_a_feature_are_replaced_by_dotted_key():
+    config = replace_values(load_config("sm", ON), {"lunch.end": 2.0})
+    assert (config.features["lunch"].enabled, config.features["lunch"].end) == (True, 2.0)
+    assert replace_values(config, {"horizon": 31}).features == config.features
+
+
+def test_keys_of_features_are_documented():
+    assert [(row.key, row.default, row.unit) for row in feature_rows()] == [
+        ("expert.lunch.enabled", "false", "-"),
+        ("expert.lunch.end", "3.0", "s"),
+        ("expert.lunch.menu", "''", "-"),
+    ]
+
+
+def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_path):
+    (tmp_path / "config.yaml").write_text("model: sm\nexpert: {lunch: {menu: pasta.yaml}}\n")
+    assert load_config(tmp_path / "config.yaml").features["lunch"].menu == str(tmp_path / "pasta.yaml")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"lunch.ende": 1.0}, "unknown key 'expert.lunch.ende'; did you mean 'expert.lunch.end'"),
+        ({"lunhc.end": 1.0}, "unknown key 'lunhc'; did you mean 'expert.lunch'"),
+        ({"expert.lunch.end": -1.0}, "expert.lunch.end: .*greater than 0.*-1.0"),
+        ({"lunch": 3}, "expert.lunch: "),
+        ({"rehearsal.enabled": True}, "feature 'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
+        ({"energy.weight": 0.1}, "feature 'energy' is in the package diffdrive-mpc-extras: pip install"),
+    ],
+)
+def test_mistake_in_a_feature_is_one_line_with_place_and_remedy(overrides, message):
+    with pytest.raises(ConfigError, match=message) as error:
+        load_config("sm", overrides)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "group", [{"free_space": {"enabled": False, "margin": 0.1}}, {"energy": {"weight": 0.0, "turn_costs": ""}}]
+)
+def test_group_that_asks_for_nothing_needs_no_package(group):
+    assert load_config({"model": "sm", **group}) == load_config({"model": "sm"})

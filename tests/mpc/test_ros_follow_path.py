@@ -313,11 +313,12 @@ def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slo
     from diffdrive_mpc import Controller
     from diffdrive_mpc.mpc.ros.follow_goal import lay_for_robot, path_limits
     from diffdrive_mpc.mpc.ros.settings import NodeSettings
+    from diffdrive_mpc_extras.predicted_error import predict_error
 
     controller, settings = Controller("ssm"), NodeSettings()
     limits = path_limits(controller.config, controller.model.dc_gain, settings)
     laid = lay_for_robot(BEND, BEND[0], (0.0, 0.0), limits, settings, controller.config)
-    limit = 0.75 * float(controller.predict_error(laid.reference, "own").lateral.everywhere.max())
+    limit = 0.75 * float(predict_error(controller, laid.reference, "own").lateral.everywhere.max())
     with parts.following(follow_error_limit=limit, follow_error_response=response, error_population="own") as follow:
         follow.client.send("a", BEND)
         result = follow.ended("a", pace=0.2 * parts.DT)

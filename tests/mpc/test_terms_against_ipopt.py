@@ -1,7 +1,5 @@
 """One tick's condensed problem with terms of the user against IPOPT on the same nonlinear program."""
 
-from types import SimpleNamespace
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from ideal_robot import IdealRobot
 from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
 
 from diffdrive_mpc import Controller, Term, load_config, load_trajectory
-from diffdrive_mpc_extras.free_space import Surroundings
 
 CIRCLE = load_trajectory("circle")
 HORIZON = 15
@@ -119,56 +116,3 @@ def test_rows_of_the_least_commanded_radius_converge_to_ipopts_solution_while_th
     assert np.abs(plan - without).max() > 1e-2, "the rows must press"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)
     assert (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()
-
-
-def test_half_spaces_of_free_space_converge_to_ipopts_solution_while_they_press():
-    """A wall beside the circle, nearer than the footprint fits: the rows that the controller sets itself are active."""
-    overrides = {"horizon": HORIZON, "reentry.enabled": False} | NO_SLIP | EXACT
-    config = load_config("ssm", overrides)
-    free = config.free_space.model_copy(update={"enabled": True, "uncertainty_factor": 0.0, "swerve": 0.0})
-    config = config.model_copy(update={"free_space": free})
-    pose = CIRCLE.sample([160 * config.sample_time]).pose[0]
-    side = np.array([np.sin(pose[2]), -np.cos(pose[2])])
-    along = np.array([side[1], -side[0]])
-    middle = pose[:2] + (0.2 + free.margin + 0.01 + 0.3) * side + 0.1 * along
-    corners = [middle + x * along + y * side for x, y in ((-0.1, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.1, 0.3))]
-
-    def make():
-        controller = Controller(config)
-        # The check of the way to rest and the way round are not what is tried here.
-        controller._features["free_space"]._keeper._sweep = lambda *_: SimpleNamespace(sample=-1, least=1.0)
-        controller._features["free_space"]._keeper._find_way = lambda *_: ""
-        controller.set_obstacles(Surroundings([corners]))
-        return controller
-
-    tables = {}
-
-    def recorded(controller):
-        keeper = controller._features["free_space"]._keeper
-        set_rows = keeper._set_rows
-
-        def set_and_keep(t, guide):
-            set_rows(t, guide)
-            tables[t] = controller._tick.parameters.copy()
-
-        keeper._set_rows = set_and_keep
-        return controller
-
-    controller = recorded(make())
-    drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
-
-    def keep_rows(again, time):
-        """The planes stay those of the drive: they are data of the problem, not part of it."""
-        table = again._tick.parameters
-        again._features["free_space"]._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
-
-    result = converged(make, drive, CIRCLE, keep_rows)
-    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))
-    without = program.solve()
-    parameters = tables[drive.times[-1]]
-    for index, term in enumerate(controller._terms):
-        program.add(term, parameters[:, 5 * index : 5 * index + 5])
-    plan = program.solve()
-    assert result.solver.soft_limits
-    assert np.abs(plan - without).max() > 1e-3, "the planes must press"
-    assert result.planned_commands == pytest.approx(plan, abs=2e-5)

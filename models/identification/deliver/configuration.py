@@ -264,7 +264,6 @@ class IdentifiedConfiguration:
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
         lines += _group("failure", self._of("failure", expert=False))
-        lines += _group("free_space", self._of("free_space", expert=False))
         inner = [line for group in self.groups for line in _group(group, self._of(group, expert=True))]
         lines += ["expert:", *(f"  {line}" for line in inner)] if inner else []
         return "\n".join(lines) + "\n"

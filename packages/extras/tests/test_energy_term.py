@@ -90,7 +90,7 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
 def test_without_a_weight_there_is_no_term():
     config = load_config("ssm", {"energy.turn_costs": "fsu_bot-default"})
     assert energy_terms(config) == () and with_least_radius(config) is config
-    assert load_config("ssm").energy.weight == 0.0
+    assert load_config("ssm").features == {}
 
 
 def test_less_is_paid_for_turning_the_more_it_weighs():
@@ -128,9 +128,9 @@ def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
 
 def test_turn_costs_lie_beside_the_configuration_that_names_them(tmp_path):
     shutil.copy(FLOORS / "fsu_bot-carpet.yaml", tmp_path / "mine.yaml")
-    (tmp_path / "config.yaml").write_text("model: ssm\nenergy: {weight: 0.01, turn_costs: mine.yaml}\n")
+    (tmp_path / "config.yaml").write_text("model: ssm\nexpert: {energy: {weight: 0.01, turn_costs: mine.yaml}}\n")
     config = load_config(tmp_path / "config.yaml")
-    assert config.energy.turn_costs == str(tmp_path / "mine.yaml")
+    assert config.features["energy"].turn_costs == str(tmp_path / "mine.yaml")
     assert [term.name for term in energy_terms(config)] == ["energy"]
 
 

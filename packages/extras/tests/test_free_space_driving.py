@@ -55,14 +55,14 @@ def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=N
     robot = make_plant(plant, seed=seed, **({} if sensors is None else {"sensors": sensors}))
     robot.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, robot.time)
-    settings = controller.config.free_space
+    settings = controller.config.features["free_space"]
     footprint = PlacedFootprint(Footprint(settings.corners, settings.footprint_radius))
     ticks, around, pieces = [], None, None
     for _ in range(int(duration / robot.sample_time)):
         t = robot.time
         found = seen(t)
         if found is not None:
-            controller.set_obstacles(found)
+            controller.feature("free_space").set_obstacles(found)
             around, pieces = found, pieces_of(found, settings, reference)
         step = controller.step(t, robot.measure())
         since = 0.0 if around.time is None else t - around.time
@@ -254,16 +254,16 @@ def test_surroundings_of_the_future_brake_too():
 def test_bad_surroundings_change_nothing():
     controller = Controller(config())
     wall = Surroundings([box(2.0, 0.0, 0.4, 4.0)])
-    controller.set_obstacles(wall)
+    controller.feature("free_space").set_obstacles(wall)
     with pytest.raises(SurroundingsError):
-        controller.set_obstacles(Surroundings([[[0.0, 0.0], [np.nan, 1.0], [1.0, 1.0]]]))
+        controller.feature("free_space").set_obstacles(Surroundings([[[0.0, 0.0], [np.nan, 1.0], [1.0, 1.0]]]))
     ticks = drive(controller, Line(4.0), lambda t: wall if t < 1e-9 else None, 9.0)
     assert ticks[-1]["step"].mode is Mode.STOPPED
 
 
 def test_a_controller_that_does_not_see_says_so():
     with pytest.raises(ConfigError, match=r"free_space\.enabled"):
-        Controller(ControllerConfig()).set_obstacles(Surroundings())
+        Controller(ControllerConfig()).feature("free_space").set_obstacles(Surroundings())
 
 
 def test_the_same_surroundings_give_the_same_drive_bit_for_bit():
@@ -282,7 +282,7 @@ def test_the_same_surroundings_give_the_same_drive_bit_for_bit():
 def test_nothing_in_sight_changes_nothing_but_rounding():
     plain = Controller(ControllerConfig())
     seeing = Controller(config())
-    seeing.set_obstacles(Surroundings())
+    seeing.feature("free_space").set_obstacles(Surroundings())
     runs = []
     for controller in (plain, seeing):
         robot, reference = make_plant("model:ssm", seed=1), Line(1.5)
@@ -303,8 +303,8 @@ def test_the_way_back_to_the_path_does_not_cut_through_what_stands():
     controller, robot = Controller(config()), make_plant("model:ssm", seed=0)
     robot.reset([0.3, 0.8, 0.0])
     controller.start(reference, 0.0)
-    controller.set_obstacles(wall)
-    settings = controller.config.free_space
+    controller.feature("free_space").set_obstacles(wall)
+    settings = controller.config.features["free_space"]
     footprint, pieces = PlacedFootprint(Footprint(settings.corners)), pieces_of(wall, settings)
     words = set()
     for _ in range(300):

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc.mpc.core.library import load_core
-from diffdrive_mpc.mpc.problem.terms import half_space_formula, half_space_function
 from diffdrive_mpc.mpc.trajectories import load_trajectory
 from diffdrive_mpc_extras.free_space import (
     Corridor,
@@ -15,6 +13,7 @@ from diffdrive_mpc_extras.free_space import (
     SurroundingsError,
 )
 from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.half_space import half_space_formula, half_space_function, load_free_space
 from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, address, least_gaps, pieces_of, rectangles
 from diffdrive_mpc_extras.free_space.polygons import area, convex_pieces, crosses_itself, hull
 
@@ -25,7 +24,7 @@ def gap_to(footprint, pieces, piece, pose, time=0.0):
     """Signed distance to one piece [m], and the direction (2,) in which the gap lies, from the footprint."""
     pose, normal = np.array(pose, dtype=float), np.empty(2)
     to = address(normal, "real *")
-    gap = load_core()[1].ddmpc_gap(footprint.struct, pieces.struct, piece, address(pose), time, to)
+    gap = load_free_space()[1].ddmpc_gap(footprint.struct, pieces.struct, piece, address(pose), time, to)
     return gap, normal
 
 
@@ -237,7 +236,7 @@ def test_planes_leave_the_free_plan_alone_and_part_it_from_everything_near(seed)
     gaps, _ = least_gaps(robot, pieces, poses, np.zeros(40), 5.0)
     poses = np.ascontiguousarray(poses[gaps > 0.01])
     count, rows = len(poses), 16
-    ffi, lib = load_core()
+    ffi, lib = load_free_space()
     keeping = ffi.new("ddmpc_keeping *", {"margin": 0.0, "factor": 0.0, "doubt": 0.0, "reach": 0.4, "scale": 1.0})
     table, owner = np.zeros((count, rows * 5)), np.zeros((count, rows), dtype=np.intc)
     at, numbers = address(poses), (address(np.zeros(count)), address(np.zeros((count, 9))))

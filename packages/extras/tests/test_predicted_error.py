@@ -11,11 +11,11 @@ from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc_extras.predicted_error.calibration import load_calibration
 from diffdrive_mpc_extras.predicted_error.features import FEATURES, path_features
-from diffdrive_mpc_extras.predicted_error.predicted_error import check_origin
+from diffdrive_mpc_extras.predicted_error.predicted_error import check_origin, predict_error
 
 POPULATIONS = tuple(load_calibration().populations)
 DIRECTIONS = ("lateral", "along")
-STUDY = Path(__file__).parents[2] / "studies" / "predicted_error" / "study.yaml"
+STUDY = Path(__file__).parents[1] / "studies" / "predicted_error" / "study.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def drive(speed=0.4, bend=0.0, change=0.0, seconds=10.0, name="path"):
     ids=["speed", "curvature", "change of curvature"],
 )
 def test_the_tube_is_wider_where_the_path_is_harder(controller, population, calm, hard):
-    easy, difficult = (controller.predict_error(drive(**path), population) for path in (calm, hard))
+    easy, difficult = (predict_error(controller, drive(**path), population) for path in (calm, hard))
     assert difficult.lateral.everywhere.mean() > 1.1 * easy.lateral.everywhere.mean()
 
 
@@ -74,7 +74,7 @@ def test_more_speed_everywhere_is_nowhere_narrower(controller, population, direc
     for bend in (0.0, 0.3, 1.0):
         widths = [
             along_path(
-                controller.predict_error(drive(speed=v, bend=bend, seconds=4.0 / v), population),
+                predict_error(controller, drive(speed=v, bend=bend, seconds=4.0 / v), population),
                 direction,
                 np.linspace(0, 1, 50),
             )
@@ -93,7 +93,7 @@ def test_a_shipped_path_driven_faster_is_nowhere_narrower(controller, name, popu
     widths = []
     for slower in (2.0, 1.5, 1.0):
         timed = Trajectory.from_arrays(slower * t, *sample.pose.T, *(sample.twist / slower).T, name=name)
-        widths.append(along_path(controller.predict_error(timed, population), direction, np.linspace(0, 1, 80)))
+        widths.append(along_path(predict_error(controller, timed, population), direction, np.linspace(0, 1, 80)))
     assert (np.diff(widths, axis=0) >= -1e-9).all()
 
 
@@ -106,7 +106,7 @@ def test_turns_driven_before_make_a_later_turn_narrower(controller):
         theta = np.cumsum(omega) * (t[1] - t[0])
         x, y = (np.cumsum(0.4 * f(theta)) * (t[1] - t[0]) for f in (np.cos, np.sin))
         path = Trajectory.from_arrays(t, x, y, theta, np.full_like(t, 0.4), omega, name="turns")
-        last.append(controller.predict_error(path, "own").lateral.everywhere[-200:])
+        last.append(predict_error(controller, path, "own").lateral.everywhere[-200:])
     assert (last[1] < last[0]).all()
 
 
@@ -119,14 +119,14 @@ def test_turns_driven_before_make_a_later_turn_narrower(controller):
 )
 def test_a_model_without_its_lag_gets_no_narrow_tube(name, words):
     with pytest.raises(ValueError, match=words) as error:
-        Controller(name).predict_error("circle")
+        predict_error(Controller(name), "circle")
     assert "\n" not in str(error.value)
 
 
 def test_a_model_with_more_lag_than_calibrated_is_refused():
     config = load_config("ssm", {"extra_dead_time.omega": 0.25})
     with pytest.raises(ValueError, match=r"lag of omega is 0.325 s; .* Identify the model"):
-        Controller(config).predict_error("circle")
+        predict_error(Controller(config), "circle")
 
 
 def test_assumed_numbers_are_refused_and_unknown_ones_count_as_identified(controller):
@@ -149,7 +149,7 @@ def test_assumed_numbers_are_refused_and_unknown_ones_count_as_identified(contro
     ids=["speed", "yaw rate", "both", "at the bounds", "slow"],
 )
 def test_a_path_faster_than_the_calibration_is_predicted_with_a_warning(controller, path, words):
-    predicted = controller.predict_error(drive(**path))
+    predicted = predict_error(controller, drive(**path))
     assert len(predicted.warnings) == len(words)
     for word, warning in zip(words, predicted.warnings, strict=True):
         assert word in warning
@@ -169,7 +169,7 @@ def test_ranges_are_those_of_the_study():
 
 def test_the_worst_place_is_where_the_path_turns(controller):
     """A straight, a quarter of a circle, a straight: the tube is widest in the curve, and says so."""
-    predicted = controller.predict_error("square", "own")
+    predicted = predict_error(controller, "square", "own")
     widest = predicted.widest("lateral")
     assert predicted.lateral.everywhere[widest.index] == predicted.lateral.everywhere.max()
     assert sum(widest.reasons.values()) == pytest.approx(1.0)

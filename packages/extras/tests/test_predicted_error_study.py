@@ -13,6 +13,7 @@ from studies.predicted_error.study import PredictedErrorStudy
 from diffdrive_mpc import Controller
 from diffdrive_mpc.bench.runner import StudyFailedError
 from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc_extras.predicted_error import predict_error
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
 from diffdrive_mpc_extras.predicted_error.features import FEATURES
 
@@ -80,7 +81,7 @@ def test_a_study_of_ones_own_twin_needs_no_more_than_its_population(tmp_path):
     sets = {name: made_up(30, k) for k, name in enumerate(planned_names(study))}
     report = PredictedErrorStudy(study).report(sets, 1.0)
     (tmp_path / "calibration.yaml").write_text(report.files["calibration.yaml"])
-    predicted = Controller("sm").predict_error("circle", "mine", tmp_path / "calibration.yaml")
+    predicted = predict_error(Controller("sm"), "circle", "mine", tmp_path / "calibration.yaml")
     assert predicted.drives == mine["description"]
 
 

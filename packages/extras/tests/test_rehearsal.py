@@ -15,12 +15,13 @@ from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
-from diffdrive_mpc.mpc.trajectories.drivable import NotDrivableError, nearest_drivable
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
+from diffdrive_mpc_extras.rehearsal.drivable import NotDrivableError, nearest_drivable
 from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc_extras.rehearsal.rehearsal import corrected
 
@@ -79,7 +80,7 @@ def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
 
 def test_the_first_lap_is_driven_as_without_and_off_is_the_default():
     plain = Controller(load_config("ssm"))
-    assert plain.rehearsal is None
+    assert not plain.features
     assert np.array_equal(lap(controller(), noise=1.0)[0], lap(plain, noise=1.0)[0])
 
 
@@ -87,14 +88,14 @@ def test_laps_repeat_bit_for_bit():
     one, two = controller(), controller()
     for seed in range(3):
         assert np.array_equal(lap(one, seed=seed, noise=1.0)[0], lap(two, seed=seed, noise=1.0)[0])
-    assert np.array_equal(one.rehearsal.correction, two.rehearsal.correction)
+    assert np.array_equal(one.feature("rehearsal").learned.correction, two.feature("rehearsal").learned.correction)
 
 
 def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
     learning = controller(max_correction=0.002, max_correction_rate=0.01, max_heading_correction=0.004)
     for _ in range(4):
         lap(learning)
-    found = learning.rehearsal
+    found = learning.feature("rehearsal").learned
     assert np.hypot(*found.correction.T[:2]).max() <= 0.002
     assert np.hypot(*np.gradient(found.correction[:, :2], found.time, axis=0).T).max() <= 0.01 * (1 + 1e-9)
     assert np.abs(found.correction[:, 2]).max() <= 0.004
@@ -108,7 +109,7 @@ def test_forgetting_takes_its_share(forgetting, least, most):
     for _ in range(3):
         lap(keeping)
         lap(forgetful)
-    kept, left = (np.abs(one.rehearsal.correction).max() for one in (keeping, forgetful))
+    kept, left = (np.abs(one.feature("rehearsal").learned.correction).max() for one in (keeping, forgetful))
     assert least * kept <= left <= most * kept
 
 
@@ -125,11 +126,11 @@ def test_what_no_longer_holds_is_forgotten(laps, other, word):
     learning = controller()
     for _ in range(laps):
         lap(learning)
-    assert learning.rehearsal.correction.any()
+    assert learning.feature("rehearsal").learned.correction.any()
     lap(learning, **other)
     _, results = lap(learning)
     assert word in results[0].message
-    assert not learning.rehearsal.correction.any()
+    assert not learning.feature("rehearsal").learned.correction.any()
 
 
 def test_a_lap_that_was_not_driven_to_its_end_teaches_nothing():
@@ -137,10 +138,10 @@ def test_a_lap_that_was_not_driven_to_its_end_teaches_nothing():
     for _ in range(2):
         lap(learning)
     lap(learning, seconds=1.0)
-    before = learning.rehearsal.correction.copy()
+    before = learning.feature("rehearsal").learned.correction.copy()
     _, results = lap(learning)
     assert "not driven to its end" in results[0].message
-    assert np.array_equal(learning.rehearsal.correction, before)
+    assert np.array_equal(learning.feature("rehearsal").learned.correction, before)
 
 
 def test_a_lap_without_poses_teaches_nothing():
@@ -149,7 +150,7 @@ def test_a_lap_without_poses_teaches_nothing():
     for k in range(5):
         learning.step(k * DT, Measurement())
     learning.start(BEND, 0.0)
-    assert learning.rehearsal.laps == 0
+    assert learning.feature("rehearsal").learned.laps == 0
     assert "at 0.00 s it was STOPPED" in learning.step(0.0, Measurement()).message
 
 
@@ -158,10 +159,10 @@ def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not(
     for pose in ((0.0, 0.0, 0.0), (2.0, -1.0, 1.0), (5.0, 3.0, -2.0)):
         lap(learning, reference=starting_at(BEND, pose))
     learning.start(starting_at(BEND, (0.0, 0.0, 3.0)), 0.0)
-    assert learning.rehearsal.laps == 3
+    assert learning.feature("rehearsal").learned.laps == 3
     learning.start(load_trajectory("circle"), 0.0)
-    assert learning.rehearsal.laps == 0
-    assert not learning.rehearsal.correction.any()
+    assert learning.feature("rehearsal").learned.laps == 0
+    assert not learning.feature("rehearsal").learned.correction.any()
 
 
 def test_false_poses_teach_nothing():
@@ -176,8 +177,9 @@ def test_false_poses_teach_nothing():
                 by, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change
             )
         by.start(BEND, 0.0)
-    assert learning.rehearsal.laps == 2
-    assert np.abs(learning.rehearsal.correction - clean.rehearsal.correction)[:, :2].max() < 0.003
+    assert learning.feature("rehearsal").learned.laps == 2
+    found, undisturbed = (by.feature("rehearsal").learned.correction for by in (learning, clean))
+    assert np.abs(found - undisturbed)[:, :2].max() < 0.003
 
 
 def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
@@ -205,7 +207,7 @@ def test_reset_forgets():
     lap(learning)
     learning.reset()
     learning.start(BEND, 0.0)
-    assert learning.rehearsal.laps == 0
+    assert learning.feature("rehearsal").learned.laps == 0
 
 
 def test_a_corrected_reference_moves_as_its_poses_do():
@@ -291,7 +293,7 @@ def test_limits_are_kept(floor):
 
 def test_no_motion_nearby_is_better():
     """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
-    floor, price, rng = "p4_asphalt", CONFIG.drivable, np.random.default_rng(5)
+    floor, price, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
     found = planned(floor)
     step, given = found.times[1], found.reference
     # What gives the reference's twist where nothing slips sideways, by Newton's method on the paper's law.
@@ -356,15 +358,15 @@ def test_a_least_turn_radius_is_kept():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"drivable.iterations": 1}, "the solver ended with maximum iterations exceeded"),
-        ({"drivable.max_shift": 0.002}, "mm at most"),
-        ({"drivable.min_shift": 0.09}, "mm at most"),
+        ({"rehearsal.drivable.iterations": 1}, "the solver ended with maximum iterations exceeded"),
+        ({"rehearsal.drivable.max_shift": 0.002}, "mm at most"),
+        ({"rehearsal.drivable.min_shift": 0.09}, "mm at most"),
     ],
 )
 def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, words):
     controller = Controller(load_config("ssm", SETTINGS | settings))
     floor_lap(controller, "p4_concrete", CORNER)
-    rehearsal = controller.rehearsal
+    rehearsal = controller.feature("rehearsal").learned
     assert rehearsal.begin(CORNER, 0.0) is CORNER
     assert words in rehearsal.said
     assert "tracked as it is given" in rehearsal.said
@@ -373,7 +375,7 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
 
 def test_a_solver_that_fails_says_so():
     with pytest.raises(NotDrivableError, match="iterations"):
-        planned("p4_concrete", config=load_config("ssm", {"drivable.iterations": 1}))
+        planned("p4_concrete", config=load_config("ssm", {"rehearsal.drivable.iterations": 1}))
     blink = lay_segments([Segment(v=0.0, omega=0.0, duration=0.01)], TrajectoryLimits.of_robot(), name="blink")
     with pytest.raises(NotDrivableError, match="nothing to plan"):
         planned("p4_concrete", blink)
@@ -414,27 +416,27 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
     controller = Controller(CONFIG)
     floor_lap(controller, "p4_concrete", CORNER)
     controller.start(CORNER, 0.0)
-    learned = controller.rehearsal.slip
+    learned = controller.feature("rehearsal").learned.slip
     assert first_slip(controller) == learned
     assert learned.yaw_gain * learned.omega_gain == pytest.approx(0.606, abs=0.05)
     assert learned.v_offset == 0.0
     controller.update(limits={"omega": 1.9})
     controller.step(0.1, make_plant("model:ssm", "p4_grass").measure())
     controller.start(CORNER, 0.0)
-    assert first_slip(controller) == controller.rehearsal.slip
-    assert controller.rehearsal.config.limits.omega == 1.9
+    assert first_slip(controller) == controller.feature("rehearsal").learned.slip
+    assert controller.feature("rehearsal").learned.config.limits.omega == 1.9
     controller.reset()
     controller.start(CORNER, 0.0)
     assert first_slip(controller) == Slip()
-    assert controller.rehearsal.laps == 0
+    assert controller.feature("rehearsal").learned.laps == 0
 
 
 def test_slip_that_is_not_estimated_stays_as_configured():
     off = {f"estimator.{name}_uncertainty": 0.0 for name in CURVED_SLIPS} | {"compensation.side_slip": False}
     controller = Controller(load_config("ssm", SETTINGS | off))
     floor_lap(controller, "p4_concrete", CORNER)
-    controller.rehearsal.begin(CORNER, 0.0)
-    learned = controller.rehearsal.slip
+    controller.feature("rehearsal").learned.begin(CORNER, 0.0)
+    learned = controller.feature("rehearsal").learned.slip
     assert learned == replace(
         Slip(), omega_gain=learned.omega_gain, yaw_gain=learned.yaw_gain, longitudinal_gain=learned.longitudinal_gain
     )
@@ -447,13 +449,13 @@ def test_what_makes_it_worse_is_forgotten():
         floor_lap(controller, "p4_concrete", CORNER)
     floor_lap(controller, "p4_concrete_left", CORNER)
     controller.start(CORNER, 0.0)
-    assert "forgotten" in controller.rehearsal.said
-    assert controller.rehearsal.laps == 0
-    assert controller.rehearsal.slip == Slip()
+    assert "forgotten" in controller.feature("rehearsal").learned.said
+    assert controller.feature("rehearsal").learned.laps == 0
+    assert controller.feature("rehearsal").learned.slip == Slip()
 
 
 def test_another_reference_is_driven_by_the_same_floor():
     controller = Controller(CONFIG)
     floor_lap(controller, "p4_concrete", load_trajectory("square"))
-    assert isinstance(controller.rehearsal, FloorRehearsal)
-    assert controller.rehearsal.begin(CORNER, 0.0) is not CORNER
+    assert isinstance(controller.feature("rehearsal").learned, FloorRehearsal)
+    assert controller.feature("rehearsal").learned.begin(CORNER, 0.0) is not CORNER

@@ -7,6 +7,7 @@ from ros_parts import stack
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc import Controller
+from diffdrive_mpc_extras.predicted_error import predict_error
 
 
 def test_it_answers_what_the_controller_predicts():
@@ -14,7 +15,7 @@ def test_it_answers_what_the_controller_predicts():
         answer = s.trigger("predict_error")
         assert answer.success, answer.message
         predicted = json.loads(answer.message)
-        expected = Controller("ssm").predict_error("s", "own")
+        expected = predict_error(Controller("ssm"), "s", "own")
         widest = expected.widest("lateral")
         assert (predicted["reference"], predicted["population"], predicted["warnings"]) == ("s", "own", [])
         assert predicted["lateral"]["words"] == widest.sentence

@@ -12,7 +12,7 @@ from ros_parts import stack
 
 from diffdrive_mpc.mpc import Controller, Mode
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
 
 pytest.importorskip("rclpy")
 
@@ -230,11 +230,11 @@ def test_a_combination_that_is_refused_does_not_pass_for_fresh():
     seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
     tell(1)
     assert not seen.fault and seen.obstacles.accepted == 1
-    inbox.now += 0.9 * controller.config.free_space.max_age
+    inbox.now += 0.9 * free_space_of(controller.config).max_age
     seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
     tell(4)
     assert "5 convex pieces" in said[-1] and (seen.obstacles.accepted, seen.obstacles.refused) == (1, 1)
-    inbox.now += 0.2 * controller.config.free_space.max_age
+    inbox.now += 0.2 * free_space_of(controller.config).max_age
     assert "obstacles is" in seen.fault and "costmap" not in seen.fault
     tell(1)
     assert not seen.fault

@@ -72,7 +72,7 @@ FACTORS = {
     "scenario": {"scenario": "@/short.yaml"},
     "world": {"world": "@/short.yaml", "plant": "mujoco"},
     "value of the configuration": {"config.model": "@/model.yaml"},
-    "turn costs": {"config.energy.turn_costs": "@/costs.yaml", "config.energy.weight": 0.1},
+    "turn costs": {"config.expert.energy.turn_costs": "@/costs.yaml", "config.expert.energy.weight": 0.1},
 }
 
 

@@ -130,7 +130,9 @@ def slows_down(controller, t):
 
 def meets_somebody(controller, t):
     """Somebody crosses the path slowly."""
-    controller.set_obstacles(Surroundings(discs=[MovingDisc(2.2, 0.08 * t - 0.8, 0.3, 0.0, 0.08)], time=t))
+    controller.feature("free_space").set_obstacles(
+        Surroundings(discs=[MovingDisc(2.2, 0.08 * t - 0.8, 0.3, 0.0, 0.08)], time=t)
+    )
 
 
 WAITS = {

@@ -16,13 +16,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from diffdrive_mpc.bench.command_line.echo import echo
+from diffdrive_mpc.core_sources import core_texts, require
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.mpc.core.sources import core_texts
 from diffdrive_mpc_lab.formulas import generate_plant
 from diffdrive_mpc_lab.numbers import generated_texts, report_fields
 from diffdrive_mpc_lab.pool import page_data
+
+require(1)
 
 FOLDER = Path(__file__).parent
 _FLAGS = (

@@ -6,8 +6,8 @@ from typing import Any
 
 import casadi as ca
 
+from diffdrive_mpc.core_sources import GeneratedC, generate
 from diffdrive_mpc.models.pose import arc_displacement
-from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
 from diffdrive_mpc.sim.plants.surface import BodySlip
 
 FLOOR = ("longitudinal_gain", "yaw_gain", "wheel_yaw_gain", "side_slip")

@@ -13,6 +13,7 @@ import numpy as np
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference
 from diffdrive_mpc.bench.peers.tracking_peer import MODEL, slew_step
+from diffdrive_mpc.core_sources import build_problem, chosen_model, constant_fields, load_core
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.load import load_linear_model
@@ -20,8 +21,6 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.core.library import constant_fields, load_core
-from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory

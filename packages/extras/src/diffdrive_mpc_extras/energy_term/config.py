@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Self
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.mpc.config.group import Group, NotNegative
+from diffdrive_mpc.models.named_file import is_file
+from diffdrive_mpc.mpc.config.group import FeatureGroup, NotNegative
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
-class Energy(Group):
+class Energy(FeatureGroup):
     """What turns cost this robot on its floor, and what the plan makes of it."""
 
     weight: NotNegative = Field(
@@ -27,3 +30,27 @@ class Energy(Group):
         if (self.weight or self.use_min_radius) and not self.turn_costs:
             raise ValueError("turn_costs: say which; shipped are fsu_bot-default and others, torque writes yours")
         return self
+
+    @property
+    def is_enabled(self) -> bool:
+        """True if the configuration weighs turns or takes the radius from their costs."""
+        return bool(self.weight) or self.use_min_radius
+
+    def relative_to(self, folder: Path) -> Energy:
+        """Return the group with turn costs of `folder`, if a file there has their name."""
+        path = folder / self.turn_costs
+        if not self.turn_costs or Path(self.turn_costs).is_absolute() or not is_file(path):
+            return self
+        return self.model_copy(update={"turn_costs": str(path)})
+
+    def check_files(self) -> None:
+        """Raise UntrustedFileError or ConfigError if the turn costs cannot be read."""
+        from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415 - loads CasADi
+
+        if self.turn_costs:
+            load_turn_costs(self.turn_costs)
+
+
+def energy_of(config: ControllerConfig) -> Energy:
+    """Return the group of a configuration, with its defaults if the configuration does not name it."""
+    return config.feature_group("energy", Energy)

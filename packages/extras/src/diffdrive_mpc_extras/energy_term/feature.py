@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from diffdrive_mpc import Term
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature
-from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc_extras.energy_term.config import Energy, energy_of
 
 if TYPE_CHECKING:
     from diffdrive_mpc_extras.turn_costs import TurnCosts
@@ -51,10 +52,10 @@ def energy_function(costs: TurnCosts) -> ca.Function:
 
 def energy_terms(config: ControllerConfig) -> tuple[Term, ...]:
     """The term of a configuration; none with a weight of zero."""
-    if not config.energy.weight:
+    if not energy_of(config).weight:
         return ()
     function = energy_function(_load(config))
-    return (Term(NAME, function, "residual", defaults=(config.energy.weight,)),)
+    return (Term(NAME, function, "residual", defaults=(energy_of(config).weight,)),)
 
 
 def with_least_radius(config: ControllerConfig) -> ControllerConfig:
@@ -65,14 +66,14 @@ def with_least_radius(config: ControllerConfig) -> ControllerConfig:
     ConfigError
         If there are no such turn costs, or the robot has no torque for any turn.
     """
-    if not config.energy.use_min_radius or config.limits.min_commanded_radius is not None:
+    if not energy_of(config).use_min_radius or config.limits.min_commanded_radius is not None:
         return config
     costs = _load(config)
     radius = costs.least_radius()
     if math.isinf(radius):
         raise ConfigError(
-            f"energy.use_min_radius: by the turn costs '{costs.name}' the motors have no torque for any turn; give "
-            "limits.min_commanded_radius, or other turn costs"
+            f"expert.energy.use_min_radius: by the turn costs '{costs.name}' the motors have no torque for any turn; "
+            "give limits.min_commanded_radius, or other turn costs"
         )
     if radius == 0.0:
         return config
@@ -83,11 +84,13 @@ def with_least_radius(config: ControllerConfig) -> ControllerConfig:
 def _load(config: ControllerConfig) -> TurnCosts:
     from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415 - most configurations name none
 
-    return load_turn_costs(config.energy.turn_costs)
+    return load_turn_costs(energy_of(config).turn_costs)
 
 
 class EnergyFeature(Feature):
     """See `Feature`."""
+
+    schema = Energy
 
     @classmethod
     def prepare(cls, config: ControllerConfig) -> ControllerConfig:
@@ -98,6 +101,3 @@ class EnergyFeature(Feature):
     def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
         """See `Feature`."""
         return energy_terms(config)
-
-
-FEATURE = EnergyFeature

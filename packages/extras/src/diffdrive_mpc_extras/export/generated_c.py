@@ -7,12 +7,19 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from diffdrive_mpc import Term
+from diffdrive_mpc.core_sources import (
+    HARD_KINDS,
+    OUTPUT,
+    STEP,
+    Problem,
+    constant_fields,
+    load_core,
+    parameter_places,
+    term_name,
+)
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import plain_line
-from diffdrive_mpc.mpc.core.generate import OUTPUT, STEP, term_name
-from diffdrive_mpc.mpc.core.library import constant_fields, load_core
-from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, Problem
-from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 

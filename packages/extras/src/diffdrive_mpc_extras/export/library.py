@@ -8,19 +8,20 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from diffdrive_mpc import Term, core_sources
+from diffdrive_mpc.core_sources import SIZES, all_terms, build_problem, chosen_model, core_texts, generated_functions
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc.mpc.core.generate import generated_functions
-from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
 from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
-from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
-from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 from diffdrive_mpc_extras.export.generated_c import constants_text, operations_bound, sizes_text, trajectory_texts
+from diffdrive_mpc_extras.free_space.config import free_space_of
+
+core_sources.require(1)
 
 _SOURCES = Path(__file__).parent / "sources"
 
@@ -88,10 +89,10 @@ def export_controller(
         backend at every tick.
     """
     _check(config.solver)
-    if config.free_space.enabled:
+    if free_space_of(config).is_enabled:
         raise ConfigError(
-            "free_space.enabled: an exported controller sees no surroundings; set it to false, and keep the robot "
-            "clear of things by other means"
+            "expert.free_space.enabled: an exported controller sees no surroundings; set it to false, and keep the "
+            "robot clear of things by other means"
         )
     chosen = chosen_model(config, model)
     config = prepared(config)

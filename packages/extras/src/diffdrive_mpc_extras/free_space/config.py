@@ -7,12 +7,13 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
+from diffdrive_mpc.mpc.config.group import FeatureGroup, NotNegative, Positive
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc_extras.free_space.footprint import Footprint
 
 
-class FreeSpace(Group):
-    """Obstacles and corridors that `Controller.set_obstacles` is told of; see docs/worlds.md."""
+class FreeSpace(FeatureGroup):
+    """Obstacles and corridors that the feature's `set_obstacles` takes; see docs/worlds.md."""
 
     enabled: bool = Field(False, description="keep clear of what the controller sees; false: it sees nothing [-]")
     footprint: str = Field(
@@ -100,3 +101,8 @@ class FreeSpace(Group):
         if not (isinstance(listed, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in listed)):
             raise ValueError("footprint: give its corners as [[x, y], [x, y], ...]")
         return listed
+
+
+def free_space_of(config: ControllerConfig) -> FreeSpace:
+    """Return the group of a configuration, with its defaults if the configuration does not name it."""
+    return config.feature_group("free_space", FreeSpace)

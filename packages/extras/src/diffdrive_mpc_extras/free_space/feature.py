@@ -3,52 +3,40 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+from diffdrive_mpc import Term
+from diffdrive_mpc.core_sources import parameter_places
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.terms import Term, half_space_function, parameter_places
 from diffdrive_mpc.mpc.step_result import StepResult
-from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
+from diffdrive_mpc_extras.free_space.half_space import half_space_function, load_free_space
 from diffdrive_mpc_extras.free_space.keeper import FreeSpaceKeeper
 from diffdrive_mpc_extras.free_space.surroundings import Surroundings
 
-# The rows of free space among the soft limits: one shipped term for each, whose C comes with the core.
-
-
 _ANYWHERE = (0.0, 0.0, 0.0, 0.0, 1.0)
+"""Parameters of a half-space that holds every point."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShippedTerm(Term):
-    """A term whose function is in the compiled library.
-
-    Attributes
-    ----------
-    symbol
-        Its name there.
-    """
-
-    symbol: str = ""
-
-
-def half_space_terms(config: FreeSpace) -> tuple[ShippedTerm, ...]:
-    """The rows of a configuration; none unless it is enabled."""
+def half_space_terms(config: FreeSpace) -> tuple[Term, ...]:
+    """Return the rows of half-spaces of a configuration; none unless it is enabled."""
     if not config.enabled:
         return ()
-    function = half_space_function()
+    function, (ffi, lib) = half_space_function(), load_free_space()
+    compiled = ffi.addressof(lib, "ddmpc_f_half_space")
     return tuple(
-        ShippedTerm(f"free_space_{row}", function, "soft", 0.0, None, _ANYWHERE, symbol="ddmpc_f_half_space")
-        for row in range(config.rows)
+        Term(f"free_space_{row}", function, "soft", 0.0, None, _ANYWHERE, compiled) for row in range(config.rows)
     )
 
 
 class KeepClear(Feature):
     """See `Feature`."""
+
+    schema = FreeSpace
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> None:
         super().__init__(config, model)
@@ -57,7 +45,7 @@ class KeepClear(Feature):
     @classmethod
     def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
         """See `Feature`."""
-        return half_space_terms(config.free_space)
+        return half_space_terms(free_space_of(config))
 
     def attach(self, host: Host) -> None:
         """See `Feature`."""
@@ -103,6 +91,3 @@ class KeepClear(Feature):
         if kept.mode is not result.mode:
             self.host.pursuit.stand()
         return kept
-
-
-FEATURE = KeepClear

@@ -1,7 +1,7 @@
 /* What the robot keeps clear of: convex pieces around it, half-spaces between them and its plan, and its way to rest.
  *
- * It is compiled into the library beside the core, and is no part of an exported controller. As core.h it is read by
- * Python, too: no field and no function here has a name or a shape anywhere else. */
+ * It is compiled together with the core into a library of its own, see half_space.py. As core.h it is read by Python, too:
+ * no field and no function here has a name or a shape anywhere else. */
 #ifndef DDMPC_FREE_SPACE_H
 #define DDMPC_FREE_SPACE_H
 
@@ -87,7 +87,7 @@ int ddmpc_roll(const ddmpc_controller *controller, const real *commands, int cou
 /* The same with the covariance (count + 1, 9) of the poses. */
 int ddmpc_spread(const ddmpc_controller *controller, const real *commands, int count, real *covariance);
 
-/* Half-space as a term: see mpc/problem/formulas.py. */
+/* Half-space as a term: see half_space.py. */
 int ddmpc_f_half_space(const real **arg, real **res, long long *iw, real *w, int mem);
 
 #endif

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.half_space import load_free_space
 from diffdrive_mpc_extras.free_space.path_table import PathTable
 from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps
 
@@ -148,7 +148,7 @@ class Guide:
         offsets = np.zeros(len(stations))
         cost = np.empty(len(stations) * (2 * cells + 1) * _SLOPES)
         known, origin = np.empty(cost.size), np.zeros(cost.size, dtype=np.intc)
-        ffi, lib = load_core()
+        ffi, lib = load_free_space()
         round_ = ffi.new(
             "ddmpc_round *",
             {

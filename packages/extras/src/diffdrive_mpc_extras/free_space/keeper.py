@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffdrive_mpc.core_sources import Tick
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.terms import PARAMETERS
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc_extras.free_space.bent_reference import BentReference
+from diffdrive_mpc_extras.free_space.config import free_space_of
 from diffdrive_mpc_extras.free_space.crossing import Crossing, crossing
 from diffdrive_mpc_extras.free_space.footprint import Footprint
 from diffdrive_mpc_extras.free_space.guide import Guide
+from diffdrive_mpc_extras.free_space.half_space import PARAMETERS, load_free_space
 from diffdrive_mpc_extras.free_space.path_table import PathTable
 from diffdrive_mpc_extras.free_space.pieces import Known, Pieces, PlacedFootprint, address, least_gaps, pieces_of
 from diffdrive_mpc_extras.free_space.surroundings import Surroundings
@@ -61,7 +62,8 @@ class FreeSpaceKeeper:
 
     def __init__(self, config: ControllerConfig, tick: Tick, first: int) -> None:
         self._tick, self._first = tick, first
-        settings = config.free_space
+        ffi, self._lib = load_free_space()
+        settings = free_space_of(config)
         self._footprint = PlacedFootprint(Footprint(settings.corners, settings.footprint_radius))
         self._pieces: Pieces | None = None
         self._known: Known = {}
@@ -80,8 +82,8 @@ class FreeSpaceKeeper:
         self._owner = np.full((stages, settings.rows), -1, dtype=np.intc)
         self._spread = np.zeros((stages, 9))
         self._stages: FloatArray = np.asarray(np.arange(stages) * config.sample_time)
-        self._keeping = tick.ffi.new("ddmpc_keeping *")
-        self._planning = tick.ffi.new("ddmpc_keeping *")
+        self._keeping = ffi.new("ddmpc_keeping *")
+        self._planning = ffi.new("ddmpc_keeping *")
         self.configure(config)
         self._last: StepResult | None = None
         self._braked = False
@@ -89,7 +91,7 @@ class FreeSpaceKeeper:
 
     def configure(self, config: ControllerConfig) -> None:
         """Use other limits from now on."""
-        self._config, self._settings = config, config.free_space
+        self._config, self._settings = config, free_space_of(config)
         settings = self._settings
         for keeping, margin in (
             (self._keeping, settings.margin),
@@ -304,7 +306,7 @@ class FreeSpaceKeeper:
             here = self._last.estimate.pose
         guess, guide, here = (np.ascontiguousarray(array, dtype=float) for array in (guess, guide, here))
         times = self._since(t) + self._stages
-        self._tick.lib.ddmpc_half_spaces(
+        self._lib.ddmpc_half_spaces(
             self._footprint.struct,
             self._pieces.struct,
             self._planning,
@@ -327,7 +329,7 @@ class FreeSpaceKeeper:
         commands = np.tile(result.command, (len(self._spread) - 1, 1)) if planned is None else np.array(planned)
         commands[0] = result.command
         commands = np.ascontiguousarray(commands)
-        self._tick.lib.ddmpc_spread(self._tick.c, address(commands), len(commands), address(self._spread, "real *"))
+        self._lib.ddmpc_spread(self._tick.c, address(commands), len(commands), address(self._spread, "real *"))
 
     def _ramp(self, sent: FloatArray) -> FloatArray:
         """The command (2,) next to zero that braking reaches in a sample."""
@@ -347,7 +349,7 @@ class FreeSpaceKeeper:
         less = np.arange(count)[:, None] * step
         commands = np.sign(command) * np.maximum(np.abs(command) - less, 0.0)
         poses, twists = np.empty((count + 1, 3)), np.empty((count + 1, 2))
-        self._tick.lib.ddmpc_roll(
+        self._lib.ddmpc_roll(
             self._tick.c, address(commands), count, address(poses, "real *"), address(twists, "real *")
         )
         return poses, twists
@@ -359,7 +361,7 @@ class FreeSpaceKeeper:
         times = self._since(t) + np.arange(count) * self._config.sample_time
         speeds = np.abs(twists[:, 0]) + np.abs(twists[:, 1]) * self._footprint.footprint.reach
         spread = np.ascontiguousarray(self._spread[np.minimum(np.arange(count), len(self._spread) - 1)])
-        return self._tick.lib.ddmpc_sweep(
+        return self._lib.ddmpc_sweep(
             self._footprint.struct,
             self._pieces.struct,
             self._keeping,

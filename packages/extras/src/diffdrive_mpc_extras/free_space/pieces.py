@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc_extras.free_space.config import FreeSpace
 from diffdrive_mpc_extras.free_space.footprint import Footprint
+from diffdrive_mpc_extras.free_space.half_space import load_free_space
 from diffdrive_mpc_extras.free_space.polygons import convex_pieces
 from diffdrive_mpc_extras.free_space.surroundings import (
     Corridor,
@@ -57,7 +57,7 @@ class Pieces:
 
     def __post_init__(self) -> None:
         """Lay them out in memory."""
-        ffi, _ = load_core()
+        ffi, _ = load_free_space()
         count = len(self.corners)
         ends = np.cumsum([0, *(len(corners) for corners in self.corners)]).astype(np.intc)
         corner = np.concatenate([*self.corners, np.zeros((1, 2))])
@@ -113,7 +113,7 @@ class PlacedFootprint:
 
     def __post_init__(self) -> None:
         """Lay it out."""
-        ffi, _ = load_core()
+        ffi, _ = load_free_space()
         kept = np.ascontiguousarray(self.footprint.corners)
         struct = ffi.new(
             "ddmpc_footprint *",
@@ -303,7 +303,7 @@ def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatAr
 
 def address(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
     """Where an array lies, for C."""
-    return load_core()[0].cast(kind, array.ctypes.data)
+    return load_free_space()[0].cast(kind, array.ctypes.data)
 
 
 def least_gaps(
@@ -312,7 +312,7 @@ def least_gaps(
     """(k,) least gaps at poses (k, 3), at most `enough` [m], and the nearest pieces; -1 where there is none so near."""
     placed, instants = np.ascontiguousarray(poses, dtype=float), np.ascontiguousarray(times, dtype=float)
     gaps, nearest = np.empty(len(placed)), np.empty(len(placed), dtype=np.intc)
-    load_core()[1].ddmpc_clearances(
+    load_free_space()[1].ddmpc_clearances(
         footprint.struct,
         pieces.struct,
         len(placed),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc_extras.predicted_error.calibration import (
     CalibratedRanges,
     Direction,
@@ -132,14 +134,14 @@ def check_lag(lag: FloatArray, calibrated: CalibratedRanges) -> None:
             )
 
 
-def predict_error(
+def predict_tubes(
     reference: Reference,
     config: ControllerConfig,
     lag: FloatArray,
     population: str,
     calibration: ErrorCalibration | None = None,
 ) -> PredictedError:
-    """Predict the tracking error of a reference; see `Controller.predict_error`, which checks it before.
+    """Predict the tracking error of a checked reference; see `predict_error`, which checks it.
 
     Parameters
     ----------
@@ -180,6 +182,44 @@ def predict_error(
         _tube(features, drives.along),
         _warnings(sample.twist, calibration.calibrated),
     )
+
+
+def predict_error(
+    controller: Controller,
+    reference: Reference | str | Path,
+    population: str = "drawn",
+    calibration: str | Path | None = None,
+) -> PredictedError:
+    """Predict the tracking error of a reference before it is driven; nothing of the controller changes.
+
+    Parameters
+    ----------
+    controller
+        Controller that would drive it.
+    reference
+        Trajectory, name or path, as for `Controller.start`.
+    population
+        Drives that count: "drawn", robots of the market whose users know what the configuration says; "own", the robot
+        of the configuration, with uncertain load, link, floor and poses.
+    calibration
+        Calibration file that has the population; by default the shipped one.
+
+    Returns
+    -------
+    PredictedError
+        Tubes in which 95 % of the drives stay at each place, and on the whole path; with `warnings` if the path is
+        faster than those of the calibration.
+
+    Raises
+    ------
+    ArgumentError, ConfigError, ValueError
+        As `Controller.start`, and if there is no such population, the model's numbers are assumed or its lag is outside
+        the calibrated range, or the reference lasts no time or over two hours.
+    """
+    check_origin(controller.model)
+    checked = controller.checked_reference(reference)
+    calibrated = load_calibration(calibration)
+    return predict_tubes(checked, controller.config, controller.model.lag, population, calibrated)
 
 
 def _warnings(twist: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.table import Table, millis
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc_extras.predicted_error.calibration import Direction
-from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError
+from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
 _DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
@@ -29,7 +29,7 @@ def predict_into(
     """
     loaded = load_config(config)
     controller = Controller(loaded)
-    predicted = controller.predict_error(load_trajectory(trajectory, loaded), population, calibration)
+    predicted = predict_error(controller, load_trajectory(trajectory, loaded), population, calibration)
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / ROWS) as draft:
         write_rows(predicted, draft)

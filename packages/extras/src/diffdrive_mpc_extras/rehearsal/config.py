@@ -6,36 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
-
-
-class Rehearsal(Group):
-    """What laps teach when the same reference is started again; see docs/tuning.md."""
-
-    enabled: bool = Field(False, description="correct a reference driven again by what its last laps taught [-]")
-    by: Literal["laps", "floor"] = Field(
-        "laps",
-        description="laps: by the errors of its last laps; floor: by what can be driven on the floor as its slip was "
-        "learned, see group drivable [-]",
-    )
-    gain: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.3, description="least share of a lap's error that enters the correction; the first laps count alike [-]"
-    )
-    forgetting: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="share of the correction that is lost at each lap [-]"
-    )
-    smoothing: Annotated[float, Field(ge=0.02, le=5)] = Field(
-        0.1, description="time over which errors and the correction are averaged, without delay [s]"
-    )
-    max_correction: Positive = Field(0.03, description="largest correction of the position [m]")
-    max_heading_correction: Positive = Field(0.1, description="largest correction of the heading [rad]")
-    max_correction_rate: Positive = Field(0.1, description="largest rate of the correction of the position [m/s]")
-    floor_change: Positive = Field(
-        0.1, description="change of the gains of slip, averaged over a lap, at which what was learned is forgotten [-]"
-    )
-    worse: Positive = Field(
-        1.2, description="error of a lap over that of the first at which what was learned is forgotten [-]"
-    )
+from diffdrive_mpc.mpc.config.group import FeatureGroup, Group, NotNegative, Positive
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 class DrivableWeights(Group):
@@ -60,3 +32,38 @@ class DrivableWeights(Group):
     iterations: Annotated[int, Field(ge=1, le=10_000)] = Field(
         300, description="of the solver; where they do not do, the reference is tracked as it is given [-]"
     )
+
+
+class Rehearsal(FeatureGroup):
+    """What laps teach when the same reference is started again; see docs/tuning.md."""
+
+    enabled: bool = Field(False, description="correct a reference driven again by what its last laps taught [-]")
+    by: Literal["laps", "floor"] = Field(
+        "laps",
+        description="laps: by the errors of its last laps; floor: by what can be driven on the floor as its slip was "
+        "learned, see the group drivable [-]",
+    )
+    gain: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.3, description="least share of a lap's error that enters the correction; the first laps count alike [-]"
+    )
+    forgetting: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0, description="share of the correction that is lost at each lap [-]"
+    )
+    smoothing: Annotated[float, Field(ge=0.02, le=5)] = Field(
+        0.1, description="time over which errors and the correction are averaged, without delay [s]"
+    )
+    max_correction: Positive = Field(0.03, description="largest correction of the position [m]")
+    max_heading_correction: Positive = Field(0.1, description="largest correction of the heading [rad]")
+    max_correction_rate: Positive = Field(0.1, description="largest rate of the correction of the position [m/s]")
+    floor_change: Positive = Field(
+        0.1, description="change of the gains of slip, averaged over a lap, at which what was learned is forgotten [-]"
+    )
+    worse: Positive = Field(
+        1.2, description="error of a lap over that of the first at which what was learned is forgotten [-]"
+    )
+    drivable: DrivableWeights = DrivableWeights()
+
+
+def rehearsal_of(config: ControllerConfig) -> Rehearsal:
+    """Return the group of a configuration, with its defaults if the configuration does not name it."""
+    return config.feature_group("rehearsal", Rehearsal)

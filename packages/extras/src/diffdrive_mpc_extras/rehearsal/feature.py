@@ -11,6 +11,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc_extras.rehearsal.config import Rehearsal, rehearsal_of
 from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
@@ -24,12 +25,13 @@ class Rehearse(Feature):
         What was learned of a reference that is driven again, or of the floor.
     """
 
+    schema = Rehearsal
     restarts_on_switch = True
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> None:
         super().__init__(config, model)
         self.learned: LapLearner | FloorRehearsal
-        if config.rehearsal.by == "floor":
+        if rehearsal_of(config).by == "floor":
             self.learned = FloorRehearsal(config, FeedForward.of(model, config.sample_time).inverse_gain)
         else:
             self.learned = LapLearner(config)
@@ -59,6 +61,3 @@ class Rehearse(Feature):
         """Slip that was learned of the floor is what the next estimate begins with."""
         if isinstance(self.learned, FloorRehearsal):
             self.host.tick.begin_with(astuple(self.learned.slip))
-
-
-FEATURE = Rehearse

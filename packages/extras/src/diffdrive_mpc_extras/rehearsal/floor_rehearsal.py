@@ -2,7 +2,7 @@
 
 The estimate of slip is taken from each tick of a lap, weighted by how certain it is. At the next start, of any
 reference, the estimate begins with it, and the motion nearest to the reference that the floor allows is tracked in its
-place (`trajectories/drivable.py`); errors still count against the reference as it was given.
+place (`drivable.py`); errors still count against the reference as it was given.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import configured_slip
 from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc.mpc.trajectories.drivable import Drivable, NotDrivableError, nearest_drivable
+from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
+from diffdrive_mpc_extras.rehearsal.drivable import Drivable, NotDrivableError, nearest_drivable
 from diffdrive_mpc_extras.rehearsal.rehearsal import same_motion
 
 _DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN)
@@ -32,7 +33,7 @@ class FloorRehearsal:
     Parameters
     ----------
     config
-        Its groups rehearsal and drivable, and what the path depends on.
+        Its group rehearsal, and what the path depends on.
     inverse_gain
         (2, 2) inverse of the velocity model's steady-state gain.
 
@@ -95,7 +96,7 @@ class FloorRehearsal:
             return reference
         beside, heading = drivable.pose - drivable.reference.pose, drivable.reference.pose[:, 2]
         self.time, self.correction = drivable.times, np.column_stack([*ahead_and_left(beside, heading), beside[:, 2]])
-        return drivable.as_reference(reference.name, self.config.rehearsal.smoothing)
+        return drivable.as_reference(reference.name, rehearsal_of(self.config).smoothing)
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Learn from the tick at `t` [s]; returns `result`, at the first tick with what was prepared in its message."""
@@ -119,7 +120,7 @@ class FloorRehearsal:
             error = float(np.sqrt(np.mean(np.sum(off[:, :2] ** 2, axis=1))))
             if not self.correction.any():
                 self._error_as_given = error
-            elif error > self.config.rehearsal.worse * self._error_as_given:
+            elif error > rehearsal_of(self.config).worse * self._error_as_given:
                 before = f"{1e3 * self._error_as_given:.1f} mm as it was given"
                 self._begin_anew(f"what was learned is forgotten: error {1e3 * error:.1f} mm, {before}")
                 return
@@ -130,7 +131,7 @@ class FloorRehearsal:
 
     def _prepared(self, reference: Reference) -> Drivable | None:
         """The motion to track instead of `reference`, if there is one; says what was found."""
-        bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
+        bounds, learned = rehearsal_of(self.config).drivable, f"slip learned from {self.laps} laps"
         if reference.duration > _LONGEST:
             self.said = f"{learned}, {_AS_GIVEN}: it is longer than {_LONGEST:g} s"
             return None

@@ -19,11 +19,12 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc_extras.rehearsal.feature import Rehearse
 from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc_extras.rehearsal.lap_parts import lap_parts
 from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
-_ENABLED = "rehearsal.enabled"
+_ENABLED = "expert.rehearsal.enabled"
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,13 @@ def drive_laps(
         done = None if on_tick is None else _after(lap, laps, on_tick)
         plant = build_plant(replace(case, seed=seed, surface=floor))
         runs.append(simulate(controller, plant, reference, keep_plans=keep_plans, on_tick=done))
-    return Laps(tuple(runs), controller.rehearsal if isinstance(controller, Controller) else None)
+    return Laps(tuple(runs), _learner(controller))
+
+
+def _learner(controller: object) -> LapLearner | FloorRehearsal | None:
+    """Return what the feature rehearsal has learned; None without it."""
+    feature = controller.features.get("rehearsal") if isinstance(controller, Controller) else None
+    return feature.learned if isinstance(feature, Rehearse) else None
 
 
 def _after(lap: int, laps: int, on_tick: Callable[[int, int], None]) -> Callable[[int, int], None]:

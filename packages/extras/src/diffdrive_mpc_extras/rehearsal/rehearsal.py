@@ -27,6 +27,7 @@ from diffdrive_mpc.mpc.core.tick import numbers
 from diffdrive_mpc.mpc.problem.formulas import SLOW
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
 
 # Share of the only lap that is trusted: what differs from lap to lap is not known yet.
 _FIRST_TRUST = 0.5
@@ -73,7 +74,7 @@ class LapLearner:
     """
 
     def __init__(self, config: ControllerConfig) -> None:
-        self._settings, self._dt = config.rehearsal, config.sample_time
+        self._settings, self._dt = rehearsal_of(config), config.sample_time
         self._most_jump = config.estimator.max_position_jump
         self.forget()
 

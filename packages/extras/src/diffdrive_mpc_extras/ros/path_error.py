@@ -22,7 +22,7 @@ from diffdrive_mpc_extras.predicted_error.predicted_error import (
     PredictedError,
     check_lag,
     check_origin,
-    predict_error,
+    predict_tubes,
 )
 
 _SLOWER = (0.8, 0.6, 0.4, 0.2)
@@ -58,7 +58,7 @@ class ErrorPredictor:
 
     def predict(self, reference: Reference, config: ControllerConfig) -> PredictedError:
         """The prediction; raises ValueError where the reference lasts no time, or over two hours."""
-        return predict_error(reference, config, self.lag, self.population, self.calibration)
+        return predict_tubes(reference, config, self.lag, self.population, self.calibration)
 
     def summary(self, reference: Reference, config: ControllerConfig) -> str:
         """The prediction in one line of JSON, see `_summary`."""

@@ -34,7 +34,8 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc_extras.free_space import MovingDisc, OccupancyGrid, Surroundings
-from diffdrive_mpc_extras.free_space.config import FreeSpace
+from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
+from diffdrive_mpc_extras.free_space.feature import KeepClear
 from diffdrive_mpc_extras.free_space.pieces import PreparedGrid, prepared_grid
 from diffdrive_mpc_extras.free_space.surroundings import check_disc
 
@@ -149,7 +150,8 @@ class SurroundingsInput:
         log: Callable[[str], None],
     ) -> None:
         self._controller, self._inbox, self._aside, self._log = controller, inbox, aside, log
-        self._free_space = controller.config.free_space
+        self._free_space = free_space_of(controller.config)
+        self._keep_clear: KeepClear = controller.feature("free_space")
         self.costmap, self.obstacles = TopicWatch("costmap"), TopicWatch("obstacles")
         used = ((self.costmap, settings.use_costmap), (self.obstacles, settings.use_obstacles))
         self.topics = [topic for topic, uses in used if uses]
@@ -165,7 +167,7 @@ class SurroundingsInput:
         for watch in self.topics:
             watch.restart()
         if self.topics:
-            self._controller.set_obstacles(Surroundings(time=self._inbox.now - 2.0 * self._free_space.max_age))
+            self._keep_clear.set_obstacles(Surroundings(time=self._inbox.now - 2.0 * self._free_space.max_age))
 
     @property
     def fault(self) -> str:
@@ -226,7 +228,7 @@ class SurroundingsInput:
         since = self._stamps.get(self.obstacles.name, oldest) - oldest
         discs = [MovingDisc(x - vx * since, y - vy * since, r, vx, vy) for x, y, r, vx, vy in self._discs.tolist()]
         try:
-            self._controller.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
+            self._keep_clear.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
             # What cannot be used together must not spoil the messages to come, nor pass for fresh.
             watch.take_back(self._kept[2].get(watch.name))

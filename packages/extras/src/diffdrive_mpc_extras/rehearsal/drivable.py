@@ -32,6 +32,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.formulas import aim, body_twist, displacement, turned_tighter, wheel_twist
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
 
 # Ticks to an interval: less than any lag, so a path of cubics through its ends is close enough.
 _TICKS = 2
@@ -106,7 +107,7 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
     slip
         Of the floor.
     config
-        Its groups drivable, limits and wheels, and the sample time.
+        Its groups rehearsal.drivable, limits and wheels, and the sample time.
     inverse_gain
         (2, 2) inverse of the velocity model's steady-state gain.
 
@@ -129,7 +130,7 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
         "ipopt.sb": "yes",
         "ipopt.tol": _TOLERANCE,
         "ipopt.mu_strategy": "adaptive",  # less than half the iterations where limits press
-        "ipopt.max_iter": config.drivable.iterations,
+        "ipopt.max_iter": rehearsal_of(config).drivable.iterations,
     }
     solver = ca.nlpsol("drivable", "ipopt", problem.program(), options)
     solution = np.array(solver(**problem.bounds(), x0=problem.guess)["x"]).ravel()
@@ -165,7 +166,7 @@ class _Problem:
 
     def program(self) -> dict[str, Any]:
         """The program as `casadi.nlpsol` takes it."""
-        N, h, price = self._count, self._step, self._config.drivable
+        N, h, price = self._count, self._step, rehearsal_of(self._config).drivable
         free_poses, free_wheels = ca.MX.sym("poses", 3, N), ca.MX.sym("wheels", 2, N - 1)
         poses = ca.horzcat(self._given.pose[0], free_poses)
         wheels = ca.horzcat(self.wheels[0], free_wheels, self.wheels[-1])

@@ -1,0 +1,68 @@
+"""Configuration groups of features, whose schemas installed packages register as entry points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import InitErrorDetails
+
+from diffdrive_mpc.models.plug_ins import known_packages, missing_part, plug_in, plug_in_names
+from diffdrive_mpc.mpc.config.group import FeatureGroup
+
+
+def is_feature(name: str) -> bool:
+    """Return True if a package of this project or an installed package has a feature of this name."""
+    return name in plug_in_names("features") or name in known_packages()["features"]
+
+
+def installed_schemas() -> dict[str, type[FeatureGroup]]:
+    """Import all installed features and return the schemas of their groups by name."""
+    return {name: _schema(name) for name in plug_in_names("features")}
+
+
+def _schema(name: str) -> type[FeatureGroup]:
+    schema: type[FeatureGroup] = plug_in("features", name).schema
+    return schema
+
+
+def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
+    """Return the groups of features by name, checked against their schemas.
+
+    A group of a feature that is not installed is left out if it asks for nothing, such as `{enabled: false}`.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        With the place of each mistake.
+    ValueError
+        If a group asks for a feature that is not installed; the message names the package.
+    """
+    checked: dict[str, FeatureGroup] = {}
+    details: list[InitErrorDetails] = []
+    for name, values in groups.items():
+        if name not in plug_in_names("features"):
+            if _asks_for_nothing(values):
+                continue
+            raise ValueError(f"{missing_part('features', name)}; or leave out expert.{name}")
+        try:
+            checked[name] = _schema(name).model_validate(values)
+        except ValidationError as error:
+            details += [_at(name, detail) for detail in error.errors()]
+    if details:
+        raise ValidationError.from_exception_data("features", details)
+    return checked
+
+
+def _asks_for_nothing(values: object) -> bool:
+    """Return True if a group is switched off: `enabled` is false, or without it all values are zero or empty."""
+    if not isinstance(values, Mapping):
+        return False
+    return not values["enabled"] if "enabled" in values else not any(values.values())
+
+
+def _at(name: str, detail: Any) -> InitErrorDetails:  # noqa: ANN401 - a typed dictionary of pydantic
+    """Return an error of a group as one of the whole configuration."""
+    placed = InitErrorDetails(type=detail["type"], loc=(name, *detail["loc"]), input=detail["input"])
+    return placed | {"ctx": detail["ctx"]} if "ctx" in detail else placed

@@ -1,0 +1,103 @@
+"""Configurations of earlier versions: keys with another name, and keys that are constants or entries of a list now."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, get_origin
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.mpc.config.fixed_values import FILE, fixed_values
+from diffdrive_mpc.mpc.config.schema import Estimator
+
+CURVED_SLIPS = tuple(name for name, field in Estimator.model_fields.items() if get_origin(field.annotation) is list)
+"""Kinds of slip that the estimator's group holds as one list each."""
+_FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
+_ENTRIES = ("", "_uncertainty", "_drift")
+"""Endings of the former keys of a curved slip, in the order of its present list."""
+
+
+@cache
+def former_keys() -> Mapping[str, str]:
+    """Return the present names of keys by their former ones; `fixed_values.yaml` has those of constants."""
+    data: dict[str, str] = read_yaml(Path(__file__).with_name("former_keys.yaml"))
+    return data
+
+
+def present_place(key: str) -> str:
+    """Return what has the value of a former key now, in the words of a message; empty for a present key."""
+    present = former_keys().get(key, key)
+    if present in fixed_values():
+        return f"the constant {present} of {FILE}"
+    group, _, name = key.partition(".")
+    for entry, ending in enumerate(_ENTRIES[1:], start=2):
+        if group == "estimator" and name.removesuffix(ending) in CURVED_SLIPS and name.endswith(ending):
+            return f"entry {entry} of expert.estimator.{name.removesuffix(ending)}"
+    return "" if present == key else present
+
+
+def with_present_names(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
+    """Return groups side by side with present names of their keys, and without those that are constants now.
+
+    Raises
+    ------
+    ConfigError
+        If a former key states another value than the constant that replaced it.
+    """
+    present = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
+    for old, new in former_keys().items():
+        group, name = old.split(".")
+        if isinstance(present.get(group), dict) and name in present[group]:
+            value = present[group].pop(name)
+            *groups, name = new.split(".")
+            level = present
+            for inner in groups:
+                level = level.setdefault(inner, {})
+            level.setdefault(name, value)
+    if present.get("drivable") == {}:
+        del present["drivable"]
+    _drop_constants(present, where)
+    if isinstance(present.get("estimator"), dict):
+        _join_curved_slips(present["estimator"])
+    solver = present.get("solver")
+    if isinstance(solver, dict) and _FORMER_SOLVER & solver.keys():
+        present["solver"] = _with_method(solver)
+    return present
+
+
+def _drop_constants(data: dict[str, Any], where: str) -> None:
+    for key, constant in fixed_values().items():
+        group, name = key.split(".")
+        values = data.get(group)
+        if isinstance(values, dict) and name in values:
+            value = values.pop(name)
+            if value != constant:
+                raise ConfigError(
+                    f"{where}: {key}: {value} differs from the constant {constant} of {FILE} that replaced this key; "
+                    "leave it out"
+                )
+
+
+def _join_curved_slips(estimator: dict[str, Any]) -> None:
+    """Put the start, the uncertainty and the drift of curved slip into one list for each kind."""
+    for slip in CURVED_SLIPS:
+        stated = {entry: f"{slip}{ending}" for entry, ending in enumerate(_ENTRIES) if f"{slip}{ending}" in estimator}
+        whole = estimator.get(slip)
+        if not stated or (len(stated) == 1 and isinstance(whole, list)):
+            continue
+        joined = whole if isinstance(whole, list) else [0.0, 0.0, 0.0]
+        values = {entry: estimator.pop(key) for entry, key in stated.items()}
+        values = {entry: value for entry, value in values.items() if not isinstance(value, list)}
+        estimator[slip] = [values.get(entry, value) for entry, value in enumerate(joined)]
+
+
+def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `solver` with one `method` for the strategy and the backend of earlier files, and OSQP's own group."""
+    joined = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
+    if solver.keys() & {"strategy", "backend"}:
+        strategy = solver.get("strategy", "auto")
+        joined["method"] = solver.get("backend", "daqp") if strategy == "backend" else strategy
+    if "check_every" in solver and isinstance(joined.get("osqp", {}), Mapping):
+        joined["osqp"] = {**joined.get("osqp", {}), "check_termination": solver["check_every"]}
+    return joined
