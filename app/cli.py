@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.app.former_names import WithFormerNames
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 
@@ -50,7 +50,7 @@ _COMMANDS = {
     "animate": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
     "tune": CommandEntry("Your robot", "robot"),
-    "node": CommandEntry("Robot", "ros", passed_on=True),
+    "node": CommandEntry("Robot", "node", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
     "doctor": CommandEntry("Robot", "ros"),
     "schema": CommandEntry("Files", "schema"),

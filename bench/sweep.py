@@ -1,4 +1,4 @@
-"""Read `KEY=VALUE` and `KEY=V1,V2,...` as they are typed on the command line."""
+"""Run every combination of models, trajectories, seeds and configuration values."""
 
 from __future__ import annotations
 
@@ -10,82 +10,33 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, Overrides, check_count
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.bench.runner import available_cores, run_tasks
-from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import load_pandas, wrong_type
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, Trajectory
+from diffdrive_mpc.mpc.config.typed_settings import parsed_settings
 from diffdrive_mpc.sim.loop import simulate
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-def parse_setting(text: str) -> tuple[str, list[object]]:
-    """Split `KEY=V1,V2,...` into the dotted key and its values.
-
-    Raises ConfigError if there is no key, no value, or the values are no YAML.
-    """
-    key, equals, listed = text.partition("=")
-    if not equals or not key.strip() or not listed.strip():
-        raise ConfigError(f"--set {text}: write KEY=VALUE or KEY=V1,V2,..., for instance weights.across=100,200")
-    try:
-        values = parse_yaml(f"[{listed}]")
-    except yaml.YAMLError as error:
-        raise ConfigError(f"--set {text}: '{listed}' cannot be read as values separated by commas") from error
-    if not values or any(isinstance(value, (list, dict)) for value in values):
-        raise ConfigError(f"--set {text}: each value must be a number, a word, true or false; groups have dotted keys")
-    if _plain(key.strip()) == "model":
-        raise ConfigError(f"--set {text}: models are chosen with --model (simulate) or --models (bench)")
-    return key.strip(), [_number(value) for value in values]
-
-
-def single_settings(texts: Sequence[str]) -> Overrides:
-    """Settings with one value each, as `simulate` takes them; raises ConfigError as `sweep_settings` does."""
-    combinations = sweep_settings(texts)
-    if len(combinations) > 1:
-        raise ConfigError("--set: one value for each key here; to compare several values use 'bench'")
-    return combinations[0]
-
-
 def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
-    """Every combination of the values of several settings, in the order given; one empty combination without any.
+    """Return every combination of the values of several settings, in order; one empty combination without any.
 
-    Raises ConfigError as for `parse_setting`, and if a key or a value is given twice.
+    Raises ConfigError as for `parsed_settings`, and if there are too many combinations.
     """
-    parsed = [parse_setting(text) for text in texts]
-    keys = [key for key, _ in parsed]
-    plain_keys = [_plain(key) for key in keys]
-    for key, values in parsed:
-        if plain_keys.count(_plain(key)) > 1:
-            raise ConfigError(f"--set {key}: given twice; list its values in one: {key}=V1,V2")
-        if len(set(values)) < len(values):
-            raise ConfigError(f"--set {key}: a value is listed twice")
+    parsed = parsed_settings(texts)
     check_count(math.prod(len(values) for _, values in parsed))
+    keys = [key for key, _ in parsed]
     return [tuple(zip(keys, combination, strict=True)) for combination in itertools.product(*(v for _, v in parsed))]
-
-
-def _plain(key: str) -> str:
-    from diffdrive_mpc.mpc.config.rooms import plain_key  # noqa: PLC0415 - who sets nothing needs no configuration
-
-    return plain_key(key)
-
-
-def _number(value: object) -> object:
-    """YAML 1.1 reads 1e-3, without a dot, as text."""
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
 
 
 # `diffdrive_mpc.sweep`: every combination of models, trajectories, seeds and configuration values, as a table.

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import typer
 
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from studies.commands import studies
 from studies.commands.shipped_models import shipped_models_app
 

@@ -23,7 +23,7 @@ assert controller.step(0.0, Measurement()).mode.name == "STOPPED"
 """
 COMMAND = "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.app.cli import main\ntry: main()\nexcept SystemExit: pass"
 COMPLETION = """
-from diffdrive_mpc.bench.command_line.completion import choices
+from diffdrive_mpc.app.command_line.completion import choices
 import diffdrive_mpc.app.cli
 assert choices("setting")("horizon") and choices("model")("s")
 """
@@ -65,6 +65,34 @@ def test_a_simulation_loads_no_more_of_us_than_it_is_allowed():
     loaded = json.loads(run("-c", f"{code}\nimport json; print(json.dumps({files}))").splitlines()[-1])
     ours = [name for name in loaded if len(Path(name).read_text(encoding="utf-8").splitlines()) > 3]
     assert 100 < len(ours) <= 140
+
+
+NODE = """
+import os, signal
+from rclpy.executors import SingleThreadedExecutor
+spin_once, spins = SingleThreadedExecutor.spin_once, iter(range(50))
+def spin_or_end(self, **options):
+    if next(spins, None) is None:
+        os.kill(os.getpid(), signal.SIGINT)
+    spin_once(self, **options)
+SingleThreadedExecutor.spin_once = spin_or_end
+"""
+
+
+def test_an_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_diagnosis(monkeypatch):
+    """Count all modules of the package, empty ones included, with the shipped configuration."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    command = COMMAND.format(["node", "--autostart", "--ros-args", "-p", "discovery_wait:=0.0"])
+    # The loop of the executor begins after the activation.
+    activated, *loaded = (
+        run("-c", f"{NODE}{command}\nprint(next(spins, 'activated'), *sys.modules)").splitlines()[-1].split()
+    )
+    assert activated == "activated"
+    ours = {name for name in loaded if name.partition(".")[0] == "diffdrive_mpc"}
+    assert "diffdrive_mpc.mpc.ros.control_loop" in ours
+    assert len(ours) <= 160
+    folders = ("sim", "bench", "models.logs.diagnosis")
+    assert not [name for name in ours if name.removeprefix("diffdrive_mpc.").startswith(folders)]
 
 
 def test_a_robot_needs_neither_mujoco_nor_matplotlib():

@@ -173,7 +173,7 @@ def test_a_public_class_has_a_name_of_its_own():
 
 def test_text_goes_to_the_terminal_by_two_doors_that_escape_it():
     """Names come from files, and files from anybody: only `echo` and the console of `bench/progress.py` print."""
-    doors = {ROOT / "bench/command_line/echo.py": "typer.echo(", ROOT / "bench/progress.py": "Console("}
+    doors = {ROOT / "app/command_line/echo.py": "typer.echo(", ROOT / "bench/progress.py": "Console("}
     for package in ALLOWED.keys() - {"studies"}:
         for path in (ROOT / package).rglob("*.py"):
             printed = set(re.findall(r"\btyper\.s?echo\(|\b_?(?:Plain)?Console\(", path.read_text(encoding="utf-8")))

@@ -12,7 +12,7 @@ import numpy as np
 from diffdrive_mpc.app.animation.film import STILL, WRITERS, Film, film_path
 from diffdrive_mpc.app.animation.playback import Playback
 from diffdrive_mpc.app.animation.recording import read_recording
-from diffdrive_mpc.bench.command_line.echo import echo
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.commands.options import RobotName
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
 
 config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain controller configurations.")
 
@@ -79,9 +79,9 @@ def schema(
 
     With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
     """
+    from diffdrive_mpc.app.command_line.file_kinds import KINDS  # noqa: PLC0415
     from diffdrive_mpc.app.config_report import print_schema  # noqa: PLC0415
     from diffdrive_mpc.app.schemas.generate import schema_text  # noqa: PLC0415
-    from diffdrive_mpc.bench.command_line.file_kinds import KINDS  # noqa: PLC0415
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
 

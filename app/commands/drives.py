@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import Jobs, out_folder, out_option
 from diffdrive_mpc.app.commands.options import (
     ConfigFile,
     Mapping,
@@ -17,9 +20,6 @@ from diffdrive_mpc.app.commands.options import (
     with_dimensions,
 )
 from diffdrive_mpc.bench.case import HORIZONS
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import Jobs, out_folder, out_option
 
 if TYPE_CHECKING:
     from diffdrive_mpc.app.animation.animate import FilmFile

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.options import out_option
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.options import out_option
 
 log_app = typer.Typer(no_args_is_help=True, help="Open logs in Foxglove, PlotJuggler and Rerun.")
 

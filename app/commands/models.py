@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.former_names import WithFormerNames
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
 
 models_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="List, show and check velocity models.")
 

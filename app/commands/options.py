@@ -5,13 +5,15 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
-from diffdrive_mpc.bench.command_line.completion import Completer, choices, offers
-from diffdrive_mpc.bench.command_line.options import file_option
+from diffdrive_mpc.app.command_line.completion import Completer, choices, offers
+from diffdrive_mpc.app.command_line.options import file_option
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.bench.case import Dimension
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -97,6 +99,8 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
         Whether the options take lists: `values` are texts by the plural, None where one is not given. Otherwise they
         are values by the dimension's name.
     """
+    from diffdrive_mpc.bench.case import DIMENSIONS  # noqa: PLC0415 - the node's command loads no bench
+
     make = _list_option if several else _single_option
     added = [make(dimension) for dimension in DIMENSIONS if not names or dimension.name in names]
 

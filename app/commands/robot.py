@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_folder, out_option
 from diffdrive_mpc.app.commands.options import Mapping, RobotName, Scheduler
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
 
 IDENTIFY_EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
 _DEFAULT_OUT = "identified"

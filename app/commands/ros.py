@@ -7,50 +7,12 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from diffdrive_mpc.app.commands.options import Settings, ros_arguments, with_dimensions
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import file_option
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import file_option
+from diffdrive_mpc.app.commands.options import ros_arguments, with_dimensions
 
-NODE_EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
 ROBOT_EXAMPLE = "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive"
-
-
-def node(
-    context: typer.Context,
-    *,
-    config: Annotated[
-        str,
-        typer.Option(
-            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, "
-            "or the configuration file that was simulated with.",
-            autocompletion=choices("config"),
-        ),
-    ] = "ssm",
-    trajectory: Annotated[
-        str,
-        typer.Option(
-            help="a shipped name such as circle, or the path of a file; empty: references come by topic.",
-            autocompletion=choices("trajectory"),
-        ),
-    ] = "circle",
-    settings: Settings = None,
-    autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,
-    drive: Annotated[
-        bool, typer.Option("--drive", help="The same, and drive as soon as measurements arrive: stand clear.")
-    ] = False,
-) -> None:
-    """Drive a robot through ROS 2, until interrupted. What follows `--ros-args` goes to ROS: remappings, parameters."""
-    from diffdrive_mpc.bench.sweep import single_settings  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
-
-    arguments = ros_arguments(context)
-    own = NodeSettings(config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive)
-    overrides = single_settings(settings or [])
-    from diffdrive_mpc.mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
-
-    run(arguments, own, dict(overrides))
 
 
 @with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "world", "seed")

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
 
 SCHEMA_EXAMPLE = "Example: diffdrive-mpc schema trajectory --out trajectory.schema.json"
 
@@ -32,7 +32,7 @@ def schema(
 
     With a first line `# yaml-language-server: $schema=FILE` in a YAML file, editors complete and check its keys.
     """
-    from diffdrive_mpc.bench.command_line.file_kinds import kind_of  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.command_line.file_kinds import kind_of  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
 
@@ -56,7 +56,7 @@ def schema(
 
 
 def _list_kinds() -> None:
-    from diffdrive_mpc.bench.command_line.file_kinds import KINDS  # noqa: PLC0415
+    from diffdrive_mpc.app.command_line.file_kinds import KINDS  # noqa: PLC0415
     from diffdrive_mpc.bench.progress import output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.table import Table  # noqa: PLC0415
 

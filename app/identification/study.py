@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.app.identification.page import identification_page
 from diffdrive_mpc.app.identification.trial_drives import (
@@ -19,7 +20,6 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_table,
 )
 from diffdrive_mpc.app.identification.verdict import DRIVES, TrialVerdict, judge_by_drives
-from diffdrive_mpc.bench.command_line.echo import echo
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged

@@ -31,13 +31,13 @@ from diffdrive_mpc.bench.case import Overrides
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.study import Report, Study, carry_out
-from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.logs.record import BoolArray
 from diffdrive_mpc.models.whole_file import check_not_read
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.step_result import LearnedDeadTime, StepResult
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 

@@ -17,8 +17,8 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.tune.tune_file import TunePlan
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures

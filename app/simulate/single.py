@@ -19,9 +19,9 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.run_row import RunOutcome, who_drives
-from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.run import NO_SOLVER

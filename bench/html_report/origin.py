@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from diffdrive_mpc.bench.case import Case, label
-from diffdrive_mpc.bench.command_line.options import command_line
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.html_report.page import ConfigurationView, Origin
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.run_row import who_drives
+from diffdrive_mpc.models.typed_command import command_line
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 

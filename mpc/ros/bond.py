@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any
 
@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from diffdrive_mpc.mpc.ros.conversions import message_type, subscribe_bounded
+from diffdrive_mpc.mpc.ros.node_part import NodePart
 
 TOPIC = "bond"
 # As bondcpp has them, and Nav2's nodes set them [s].
@@ -153,3 +154,39 @@ class Bond:
 
 def _ignore(_: str) -> None:
     """What is no message of a bond is nobody's heartbeat."""
+
+
+class BondPart(NodePart):
+    """Bond of the active node with the lifecycle manager, if its type is installed."""
+
+    bond: Bond | None = None
+
+    def activate(self) -> None:
+        """Begin a bond."""
+        self._close()
+        period = self.running()[1].settings.bond_heartbeat_period
+        if not period:
+            return
+        if message_type("bond", "Status") is None:
+            words = "no bond with a lifecycle manager: bond is not installed; set its bond_timeout to 0"
+            self.node.get_logger().info(words)
+            return
+        self.bond = Bond(self.node, period)
+
+    def deactivate(self) -> None:
+        """End the bond; it tells the manager until the manager has answered."""
+        if self.bond is not None:
+            self.bond.leave()
+
+    def tear_down(self) -> None:
+        """End the bond without waiting for the manager."""
+        self._close()
+
+    def diagnostics(self) -> Mapping[str, str]:
+        """Return the state of the bond."""
+        return {} if self.bond is None else {"bond": self.bond.words}
+
+    def _close(self) -> None:
+        if self.bond is not None:
+            self.bond.close()
+            self.bond = None

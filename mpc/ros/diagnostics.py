@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
-from diffdrive_mpc.mpc.ros.bond import Bond
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.ros.latency import Durations
-from diffdrive_mpc.mpc.ros.recording import ActivationRecording
+from diffdrive_mpc.mpc.ros.node_part import NodePart
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc_extras.ros.drive_energy import DriveEnergy
 
 
 def diagnostics(
@@ -24,10 +22,7 @@ def diagnostics(
     time: int,
     lifecycle: str,
     loop: ControlLoop | None,
-    recording: ActivationRecording | None = None,
-    bond: Bond | None = None,
-    surroundings: Sequence[TopicWatch] = (),
-    energy: DriveEnergy | None = None,
+    parts: Iterable[NodePart] = (),
 ) -> DiagnosticArray:
     """One status named after the node.
 
@@ -41,34 +36,25 @@ def diagnostics(
         Label of the lifecycle state.
     loop
         The control loop; None while the node is not active.
-    recording
-        The recording of the drive; None where there is none.
-    bond
-        The bond with a lifecycle manager; None where there is none.
-    surroundings
-        The topics that tell what lies around the robot.
-    energy
-        Of the drive; None where nothing is known of it.
+    parts
+        Parts of the node, with values and warnings of their own.
     """
     status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
     values = {"lifecycle": lifecycle}
     if loop is not None:
-        values |= _values(loop) | _watches(surroundings, loop.inbox.now)
+        values |= _values(loop)
         status.level = _level(loop)
         if loop.last is not None:
             objection = "" if loop.objection in loop.last.message else loop.objection
             words = "; ".join(filter(None, [loop.last.message, objection, loop.inbox.fault, loop.warning]))
             status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
-    if energy is not None and loop is not None:
-        values |= energy.values() | _watches(energy.topics, loop.inbox.now)
-        if energy.fault and status.level == DiagnosticStatus.OK:
-            status.level, status.message = DiagnosticStatus.WARN, f"{status.message}; {energy.fault}"
-    if bond is not None:
-        values["bond"] = bond.words
-    if recording is not None:
-        values["recording"] = recording.words
-        if recording.incomplete and status.level == DiagnosticStatus.OK:
-            status.level, status.message = DiagnosticStatus.WARN, f"{status.message}; recording: {recording.words}"
+    for part in parts:
+        if loop is not None:
+            values |= _watches(part.topics, loop.inbox.now)
+        values |= part.diagnostics()
+        fault = part.fault
+        if fault and status.level == DiagnosticStatus.OK:
+            status.level, status.message = DiagnosticStatus.WARN, f"{status.message}; {fault}"
     status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
     array = DiagnosticArray(status=[status])
     array.header.stamp = time_message(time)

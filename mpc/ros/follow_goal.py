@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +25,9 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.planned.lay import Laid, lay_poses, poses_left
-from diffdrive_mpc_extras.ros.path_error import ErrorPredictor, lay_within_limit
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.mpc.ros.node_part import PathCheck
 
 _STANDING = 0.02
 """A slower robot stands [m/s]."""
@@ -125,15 +129,14 @@ def lay_for_robot(
     limits: TrajectoryLimits,
     settings: NodeSettings,
     config: ControllerConfig,
-    predictor: ErrorPredictor | None = None,
+    checks: Sequence[PathCheck] = (),
 ) -> Laid | None:
-    """What is done beside the loop, see `lay_poses`; None where the robot is at the goal, and too short a rest to lay.
+    """Lay a path in the side process, see `lay_poses`; None if the robot is at the goal and the rest is too short.
 
-    With a `predictor`, the path keeps to `follow_error_limit`. Raises ConfigError for any other path that cannot be
-    laid.
+    The path keeps to the conditions in `checks`. Raises ConfigError for any other path that cannot be laid.
     """
 
-    def lay(limits: TrajectoryLimits) -> Laid:
+    def laid(limits: TrajectoryLimits) -> Laid:
         return lay_poses(
             poses,
             limits,
@@ -144,10 +147,11 @@ def lay_for_robot(
             backwards=settings.follow_backwards,
         )
 
+    lay: Callable[[TrajectoryLimits], Laid] = laid
+    for check in checks:
+        lay = partial(check.lay, lay, config, abs(twist[0]))
     try:
-        if predictor is None:
-            return lay(limits)
-        return lay_within_limit(lay, limits, settings, predictor, config, abs(twist[0]))
+        return lay(limits)
     except ConfigError:
         left = poses_left(poses, robot)
         length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())
@@ -203,8 +207,6 @@ class Following:
         Lays a path beside the loop.
     transform
         Brings poses (n, 3) from a frame, at a time [ns], into that of control; FrameError says why it cannot.
-    predictor
-        Predicts errors of paths that have to keep to `follow_error_limit`; None where there is no limit.
     """
 
     def __init__(
@@ -215,10 +217,9 @@ class Following:
         gain: Callable[[], FloatArray],
         lay: Lay,
         transform: Callable[[FloatArray, str, int], FloatArray],
-        predictor: ErrorPredictor | None = None,
     ) -> None:
         self._loop, self._settings, self._config, self._gain = loop, settings, config, gain
-        self._lay, self._transform, self._predictor = lay, transform, predictor
+        self._lay, self._transform = lay, transform
         self._coming: FollowGoal | None = None
         self._driven: FollowGoal | None = None
 
@@ -282,7 +283,7 @@ class Following:
         goal.asked_at = loop.inbox.now
         limits = path_limits(config, self._gain(), self._settings)
         self._lay(
-            (goal.poses, robot, twist, limits, self._settings, config, self._predictor),
+            (goal.poses, robot, twist, limits, self._settings, config),
             lambda laid: self._begin(goal, laid, twist[0]),
             lambda why: self._refuse(goal, _not_laid(why), why),
         )
@@ -388,9 +389,8 @@ class Following:
         words = f"{gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
         if _within(gap, settings):
             assert goal.laid is not None
-            share = goal.laid.speed_share
-            slowed = f"; driven at {100 * share:g} % of its speed for follow_error_limit" if share < 1.0 else ""
-            return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}{slowed}")
+            note = f"; {goal.laid.note}" if goal.laid.note else ""
+            return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}{note}")
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
     def _code(self, tick: LoopTick) -> Code:

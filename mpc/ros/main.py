@@ -13,6 +13,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from threadpoolctl import threadpool_limits
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
@@ -81,5 +82,5 @@ def main() -> None:
     """Entry point of the colcon package: everything comes from ROS parameters."""
     try:
         run(sys.argv)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, DiffdriveMpcError) as error:
         sys.exit(f"error: {error}")

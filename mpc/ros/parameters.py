@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import wraps
 from types import NoneType
-from typing import Any, Literal, Protocol, TypeVar, get_args, get_origin
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
@@ -19,10 +19,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.settings import FORMER_SETTINGS, NodeSettings
 
 Value = bool | int | float | str
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -32,64 +33,114 @@ NONE = 0.0
 """What stands for None in a parameter: ROS parameters have a type, and None has none."""
 
 
-def fields(schema: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Every field of `schema` that is a parameter by its dotted key, groups resolved; lists come by file only.
+class _Entry(NamedTuple):
+    """Field with its dotted key, and its value in the instance; the value of a schema is None."""
 
-    Those of a controller come room by room, see `mpc.config.rooms`.
+    key: str
+    field: FieldInfo
+    value: object
+
+
+def fields(config: BaseModel | type[BaseModel]) -> list[tuple[str, FieldInfo]]:
+    """Return every field that is a parameter by its dotted key, groups resolved; lists come by file only.
+
+    Those of a controller come room by room, see `mpc.config.rooms`. The groups of parts and features are those that
+    an instance has; a schema has none.
     """
-    declared = list(_fields(schema))
-    if schema is not ControllerConfig:
+    return [(entry.key, entry.field) for entry in _entries(config)]
+
+
+def _entries(config: BaseModel | type[BaseModel]) -> list[_Entry]:
+    declared = list(_leaves(config))
+    if ControllerConfig not in (config, type(config)):
         return declared
-    named = [(shown_key(key), field) for key, field in declared]
-    return sorted(named, key=lambda entry: entry[0].startswith(f"{EXPERT}."))
+    named = [entry._replace(key=shown_key(entry.key)) for entry in declared]
+    return sorted(named, key=lambda entry: entry.key.startswith(f"{EXPERT}."))
 
 
-def _fields(schema: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    for name, field in schema.model_fields.items():
-        kind = field.annotation
-        if get_origin(kind) is list:
-            continue
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            yield from _fields(kind, f"{prefix}{name}.")
-        else:
-            yield prefix + name, field
+_PREFIXES = {"parts": "parts.", "features": ""}
+"""Prefix of the keys in a mapping from names to groups, by the field that holds the mapping."""
 
 
-def from_file_only(config: BaseModel) -> dict[str, object]:
-    """What of `config` is no parameter: its lists, such as the terms of the user."""
-    kinds = {name: field.annotation for name, field in type(config).model_fields.items()}
-    return {name: getattr(config, name) for name, kind in kinds.items() if get_origin(kind) is list}
+def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_Entry]:
+    """Yield the fields of all groups with plain keys; lists are left out."""
+    for name, field in (config if isinstance(config, type) else type(config)).model_fields.items():
+        kind, value = field.annotation, None if isinstance(config, type) else getattr(config, name)
+        if name in _PREFIXES:
+            for group_name, group in (value or {}).items():
+                yield from _leaves(group, f"{prefix}{_PREFIXES[name]}{group_name}.")
+        elif isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from _leaves(kind if value is None else value, f"{prefix}{name}.")
+        elif get_origin(kind) is not list:
+            yield _Entry(prefix + name, field, value)
+
+
+def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the lists of an instance, which are no parameters, with plain keys."""
+    for name, value in config if isinstance(config, BaseModel) else ():
+        groups = {name: value} if isinstance(value, BaseModel) else value if name in _PREFIXES else {}
+        if isinstance(value, list):
+            yield prefix + name, value
+        for group_name, group in groups.items():
+            yield from _lists(group, f"{prefix}{_PREFIXES.get(name, '')}{group_name}.")
 
 
 def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tuple[str, ...] = ()) -> None:
-    """Declare every field of the schema of `config` but those in `skip`, with the values of `config` as defaults.
+    """Declare every field of `config` but those in `skip`, with the values of `config` as defaults.
 
     Raises
     ------
     rclpy.exceptions.ParameterException
         If an override from the command line or a parameter file has another type, or lies out of range.
     """
-    _take_other_names(node, config)
+    if isinstance(config, ControllerConfig):
+        present = {plain_key(key): key for key, _ in fields(config)}
+        _take_overrides(node, lambda name: present.get(plain_key(name), name))
     parameters = [
-        (key, _to_parameter(_value(config, key)), descriptor(field, read_only=read_only))
-        for key, field in fields(type(config))
+        (key, _to_parameter(value), descriptor(field, read_only=read_only))
+        for key, field, value in _entries(config)
         if key not in skip
     ]
     node.declare_parameters("", parameters)
 
 
-def _take_other_names(node: Node, config: BaseModel) -> None:
-    """Take what a parameter file or the command line states under a former name or in the other room; each is told.
+def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> NodeSettings:
+    """Return `settings` with a group for each part that the parameters or the controller's features name.
 
-    ROS passes over a parameter that nobody declares: a limit that a file states would be lost without a word.
+    Raises
+    ------
+    MissingPackageError
+        If no installed package has a part that the parameters name.
     """
-    if not isinstance(config, ControllerConfig):
-        return
-    present = {plain_key(key): key for key, _ in fields(ControllerConfig)}
-    # The overrides of a node have no public name in rclpy 7.1. Under their present names they are checked as all are.
-    overrides = getattr(node, "_parameter_overrides", {})
+    overrides = _overrides(node)
+    for name in FORMER_SETTINGS.keys() & overrides.keys():
+        # Files of version 0.2.0 that state the default must not require the package of the part.
+        if overrides[name].value == FORMER_SETTINGS[name][1]:
+            part = FORMER_SETTINGS[name][0]
+            node.get_logger().warning(f"parameter {name} is parts.{part}.{name} now; it states the default")
+            del overrides[name]
+    _take_overrides(node, lambda name: f"parts.{FORMER_SETTINGS[name][0]}.{name}" if name in FORMER_SETTINGS else name)
+    named = [name.split(".")[1] for name in overrides if name.startswith("parts.")]
+    installed = plug_in_names("node_parts")
+    named += [name for name in features if name in installed]
+    groups = {name: plug_in("node_parts", name).schema() for name in dict.fromkeys(named)}
+    return settings.model_copy(update={"parts": {**groups, **settings.parts}})
+
+
+def _overrides(node: Node) -> dict[str, Parameter]:
+    """Return the values of the command line and parameter files; they have no public name in rclpy 7.1."""
+    overrides: dict[str, Parameter] = getattr(node, "_parameter_overrides", {})
+    return overrides
+
+
+def _take_overrides(node: Node, present_name: Callable[[str], str]) -> None:
+    """Take overrides that are stated under a former name or in the other room, with a warning for each.
+
+    ROS ignores a parameter that no node declares: a limit in a file would be lost without a word.
+    """
+    overrides = _overrides(node)
     for name, parameter in list(overrides.items()):
-        key = present.get(plain_key(name), name)
+        key = present_name(name)
         if key == name:
             continue
         taken = key not in overrides
@@ -132,37 +183,29 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
     return described
 
 
-def read(
-    node: Node,
-    schema: type[Schema],
-    changes: Mapping[str, object] | None = None,
-    fixed: Mapping[str, object] | None = None,
-) -> Schema:
-    """The declared parameters of `schema` as its checked instance, with `changes` in place of some.
+def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object] | None = None) -> Schema:
+    """Return the declared parameters as a checked instance, with `changes` in place of some.
 
-    `fixed` holds the values of fields that are no parameters, see `from_file_only`; their defaults are used without.
+    The parameters are those of `config`, from which lists are taken, too, as they are no parameters.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If a value does not fit the schema.
     """
-    data: dict[str, Any] = dict(fixed or {})
-    for key, field in fields(schema):
+    values = dict(_lists(config))
+    for key, field in fields(config):
         value = (changes or {})[key] if key in (changes or {}) else node.get_parameter(key).value
-        *groups, name = plain_key(key).split(".")
+        values[plain_key(key)] = None if _optional(field) and value == NONE else value
+    data: dict[str, Any] = {}
+    for key, value in values.items():
+        *groups, name = key.split(".")
         level = data
         for group in groups:
             level = level.setdefault(group, {})
-        level[name] = None if _optional(field) and value == NONE else value
+        level[name] = value
+    schema = config if isinstance(config, type) else type(config)
     return check(schema, data, "parameters", shown_key if schema is ControllerConfig else str)
-
-
-def _value(config: BaseModel, key: str) -> object:
-    value: object = config
-    for name in plain_key(key).split("."):
-        value = getattr(value, name)
-    return value
 
 
 def _to_parameter(value: object) -> Value:
@@ -195,7 +238,6 @@ def _metadata(field: FieldInfo) -> Iterator[object]:
 
 
 _WHILE_DRIVING = ("weights.", "limits.")
-_KNOWN = {name for schema in (NodeSettings, ControllerConfig) for name, _ in fields(schema)} | {"use_sim_time"}
 
 
 class ParameterChanges:
@@ -205,10 +247,10 @@ class ParameterChanges:
     ----------
     node
         The node.
+    settings, config
+        Settings and configuration as declared.
     running
-        The controller that drives; None while the node is not active.
-    fixed
-        What of the controller's configuration is no parameter.
+        Returns the controller that drives; None while the node is not active.
     changed
         Called when weights or limits of the controller that drives have changed.
 
@@ -221,24 +263,27 @@ class ParameterChanges:
     def __init__(
         self,
         node: Node,
+        settings: NodeSettings,
+        config: ControllerConfig,
         running: Callable[[], Controller | None],
-        fixed: Mapping[str, object] | None = None,
-        changed: Callable[[], None] = lambda: None,
+        changed: Callable[[], None],
     ) -> None:
-        self._node, self._running, self._fixed, self._changed = node, running, fixed, changed
+        self._node, self._settings, self._config = node, settings, config
+        self._running, self._changed = running, changed
+        self._known = {name for part in (settings, config) for name, _ in fields(part)} | {"use_sim_time"}
         self.pending = False
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        changes = _ours(parameters)
+        changes = self._declared(parameters)
         fixed = [name for name, value in changes.items() if self._is_fixed_now(name, value)]
         if fixed:
             reason = f"{fixed[0]} cannot change while the node is active; pause, deactivate, set it, activate"
             return SetParametersResult(successful=False, reason=reason)
         try:
-            read(self._node, NodeSettings, changes)
-            config = read(self._node, ControllerConfig, changes, self._fixed)
+            read(self._node, self._settings, changes)
+            config = read(self._node, self._config, changes)
             if any(not plain_key(name).startswith(_WHILE_DRIVING) for name in changes):
                 Controller(config)
             controller = self._running()
@@ -256,16 +301,15 @@ class ParameterChanges:
 
     def _apply(self, parameters: list[Parameter]) -> None:
         """Between two ticks while active, else at the next activation."""
-        changes = _ours(parameters)
+        changes = self._declared(parameters)
         self.pending = self.pending or bool(changes)
         controller = self._running()
         if controller is not None and changes:
-            controller.update(*_groups(changes, read(self._node, ControllerConfig, fixed=self._fixed)))
+            controller.update(*_groups(changes, read(self._node, self._config)))
             self._changed()
 
-
-def _ours(parameters: Iterable[Parameter]) -> dict[str, Any]:
-    return {item.name: item.value for item in parameters if item.name in _KNOWN}
+    def _declared(self, parameters: Iterable[Parameter]) -> dict[str, Any]:
+        return {item.name: item.value for item in parameters if item.name in self._known}
 
 
 def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[str, float]]:

@@ -25,6 +25,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.tabled import table_of
@@ -227,3 +228,76 @@ def _model_text(model: str) -> str:
         return Path(model).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return ""
+
+
+class RecordingPart(NodePart):
+    """Records of ticks on topics, and the recording of an activation; it is the last part, after all columns."""
+
+    recording: ActivationRecording | None = None
+    records: TickRecords | None = None
+    _recorded: Begun | None = None
+
+    def activate(self) -> None:
+        """Begin a recording if the settings ask for it."""
+        tools = self.running()[1]
+        self.records, self._recorded = TickRecords(tools.controller), None
+        self.recording = self._begin(tools) if tools.settings.record else None
+
+    def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
+        """Publish and record the tick."""
+        loop, tools = self.running()
+        begun, recording = loop.begun, self.recording
+        if begun is not None and begun is not self._recorded:
+            self._recorded = begun
+            if recording is not None:
+                recording.reference(begun, time)
+        if begun is not None and (tools.publishers.recorded or recording is not None):
+            self._publish(begun, tick, time)
+        if recording is not None:
+            recording.tick(tick, time, loop.inbox, row)
+
+    def deactivate(self) -> None:
+        """End the recording."""
+        if self.recording is not None:
+            self.recording.close()
+            self.recording = None
+
+    def diagnostics(self) -> Mapping[str, str]:
+        """Return the state of the recording."""
+        return {} if self.recording is None else {"recording": self.recording.words}
+
+    @property
+    def fault(self) -> str:
+        """Reason why the recording is incomplete; empty if it is complete."""
+        recording = self.recording
+        return f"recording: {recording.words}" if recording is not None and recording.incomplete else ""
+
+    def after_diagnostics(self, message: DiagnosticArray, time: int) -> None:
+        """Record the message."""
+        if self.recording is not None:
+            self.recording.diagnostics(message, time)
+
+    def _begin(self, tools: NodeTools) -> ActivationRecording | None:
+        """Return the recording of this activation; None, with a warning, if none can begin."""
+        try:
+            # Two robots that are activated in the same second must not write one file.
+            folder = tools.settings.record_folder + self.node.get_namespace().rstrip("/")
+            settings = tools.settings.model_copy(update={"record_folder": folder})
+            return ActivationRecording(settings, tools.controller.config, tools.inbox.frame, self.node.get_logger())
+        except Exception as error:  # the robot also drives without a recording
+            self.node.get_logger().warning(f"nothing is recorded: {error}")
+            return None
+
+    def _publish(self, begun: Begun, tick: LoopTick, time: int) -> None:
+        """Publish and record what a replay of the tick needs; a fault ends this for the activation."""
+        if self.records is None or self.tools is None:
+            return
+        try:
+            lines = self.records.lines(begun, tick)
+            self.tools.publishers.record(lines)
+            if self.recording is not None:
+                self.recording.record(lines, time)
+        except Exception as error:
+            self.records = None
+            words = f"its ticks cannot be replayed from here on: {type(error).__name__}: {error}"
+            self.node.get_logger().warning(words)

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import Empty
+
+from diffdrive_mpc.mpc.ros.command_output import command_topic
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
+from diffdrive_mpc.mpc.ros.publishers import deaf_to_commands, publishers_of
 
 _CLAIM = "_diffdrive_mpc"
 """Below the topic of the commands: whoever of this project drives by it has a publisher there, which never sends."""
@@ -17,6 +23,8 @@ _UNKNOWN = "_UNKNOWN_"
 """In the name of a node whose publisher was found before it; it takes so long at most until both are [s]."""
 _CHRISTENING = 4.0
 _NAMELESS = "a node not known by name yet"
+_PERIOD = 0.2
+"""Period of looking for rivals while the node is active [s]."""
 
 
 class Others(NamedTuple):
@@ -125,3 +133,82 @@ def publish_too(others: Others, topic: str) -> str:
 
 def _names(names: Sequence[str]) -> str:
     return " and ".join(names)
+
+
+class RivalWatch(NodePart):
+    """Objections and warnings about other nodes that publish commands or inputs, or that misread the commands."""
+
+    rivals: Rivals | None = None
+    _timer: Any = None
+
+    def configure(self, tools: NodeTools) -> None:
+        """Prepare the claim of the topic of the commands."""
+        self.rivals = Rivals(self.node, command_topic(tools.settings))
+
+    def check_activation(self) -> None:
+        """Claim the topic of the commands; raise RefusedError if the robot must not be driven."""
+        assert self.rivals is not None
+        assert self.tools is not None
+        objection = self._objection(self.tools, self.rivals, self.rivals.claim(self.tools.settings.discovery_wait))
+        if objection:
+            self.rivals.release()
+            raise RefusedError(objection)
+
+    def activate(self) -> None:
+        """Look for rivals now and periodically."""
+        self._look_around()
+        self._timer = self.node.create_timer(_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def deactivate(self) -> None:
+        """Release the topic of the commands."""
+        self.node.destroy_timer(self._timer)
+        if self.rivals is not None:
+            self.rivals.release()
+
+    def tear_down(self) -> None:
+        """Release the topic of the commands."""
+        if self.rivals is not None:
+            self.rivals.release()
+            self.rivals = None
+
+    def _objection(self, tools: NodeTools, rivals: Rivals, others: Others) -> str:
+        """Return the reason why the robot must not be driven while `others` publish; empty if it may."""
+        objection = drive_too(others, rivals.topic)
+        if not objection and others.foreign and tools.settings.exclusive_cmd_vel:
+            objection = f"{publish_too(others, rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
+        if not objection and tools.settings.exclusive_inputs:
+            objection = self._shared_input(tools)
+        return objection
+
+    def _shared_input(self, tools: NodeTools) -> str:
+        return speak_together(self.node, (subscription.topic_name for _, subscription in tools.watched))
+
+    def _look_around(self) -> None:
+        """Pass objection and warnings to the loop, which brakes for an objection."""
+        if self.loop is None or self.tools is None or self.rivals is None:
+            return
+        loop, tools, topic = self.loop, self.tools, self.rivals.topic
+        others, before = self.rivals.others(), (loop.objection, loop.warning)
+        loop.objection = self._objection(tools, self.rivals, others)
+        warnings = (
+            "" if loop.objection else publish_too(others, topic),
+            # With exclusive inputs the objection has covered them.
+            "" if loop.objection or tools.settings.exclusive_inputs else self._shared_input(tools),
+            deaf_to_commands(self.node, topic, stamped=tools.settings.stamped),
+            self._out_of_step(loop, tools),
+        )
+        loop.warning = "; ".join(filter(None, warnings))
+        if (loop.objection, loop.warning) != before and (loop.objection or loop.warning):
+            self.node.get_logger().warning("; ".join(filter(None, (loop.objection, loop.warning))))
+        for watch, subscription in tools.watched:
+            watch.source = "" if watch.accepted else publishers_of(self.node, subscription)
+
+    def _out_of_step(self, loop: ControlLoop, tools: NodeTools) -> str:
+        """Warn if the simulated clock does not advance in steps of the period."""
+        if not (self.node.get_parameter("use_sim_time").value and loop.times.out_of_step):
+            return ""
+        return (
+            "the simulated clock does not advance in steps of this node's sample_time, "
+            f"{1e3 * tools.controller.config.sample_time:.4g} ms: "
+            "start the simulated robot with the same configuration (robot --config FILE)"
+        )

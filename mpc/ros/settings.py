@@ -5,17 +5,28 @@ Units stand in brackets at the end of each description. Nothing here needs ROS.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.checked_yaml import StrictModel, check
+from diffdrive_mpc.models.plug_ins import plug_in
+from diffdrive_mpc.mpc.config.group import Group
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Frame = Annotated[str, Field(min_length=1)]
 Rate = Annotated[float, Field(gt=0, le=50)]
 Share = Annotated[float, Field(gt=0, le=1)]
+
+
+class PartSettings(Group):
+    """Base of the settings of a part from another package."""
+
+    enabled: bool = Field(
+        True, description="use this part; the node loads it when a key of it is stated or its feature is configured [-]"
+    )
 
 
 class NodeSettings(StrictModel, strict=True):
@@ -85,26 +96,7 @@ class NodeSettings(StrictModel, strict=True):
     use_speed_limit: bool = Field(
         True, description="keep to the limits of the speed on `speed_limit`, where nav2_msgs is installed [-]"
     )
-    use_costmap: bool = Field(
-        False,
-        description="keep clear of what is occupied on `costmap` (nav_msgs/OccupancyGrid), in the frame of control; "
-        "needs free_space.enabled [-]",
-    )
-    use_obstacles: bool = Field(
-        False,
-        description="keep clear of the discs on `obstacles` (sensor_msgs/PointCloud2 with x, y, radius, vx, vy) in the "
-        "frame of control; needs free_space.enabled [-]",
-    )
     use_imu: bool = Field(True, description="use the yaw rate on `imu` [-]")
-    use_battery: bool = Field(
-        False, description="measure power and energy by `battery_state` (sensor_msgs/BatteryState), for diagnostics [-]"
-    )
-    battery_discharge_negative: bool = Field(
-        True, description="its current is negative while the battery gives, as ROS has it; false: positive [-]"
-    )
-    battery_timeout: Positive = Field(
-        2.0, description="between two readings further apart no energy is counted; an older one is named [s]"
-    )
     odom_frame: Frame = Field("odom", description="frame_id that odometry must have [-]")
     map_frame: Frame = Field(
         "map", description="frame_id that poses must have; with pose_source tf the frame that control is in [-]"
@@ -167,23 +159,21 @@ class NodeSettings(StrictModel, strict=True):
     follow_most_poses: Annotated[int, Field(ge=2, le=100_000)] = Field(
         10_000, description="a path of more poses is refused [-]"
     )
+    parts: Mapping[str, SerializeAsAny[PartSettings]] = Field(
+        {}, description="settings of parts from other packages by name, written parts.<name>.<key> [-]"
+    )
 
-    follow_error_limit: NotNegative = Field(
-        0.0,
-        description="a path is slowed or refused if its predicted lateral tube, of the share of drives that the "
-        "calibration states (95 % as shipped), is wider than this; 0: never [m]",
-    )
-    follow_error_response: Literal["slow", "refuse"] = Field(
-        "slow",
-        description="what is done with such a path; slow: driven slower, and refused where a fifth of its speed is "
-        "still too much [-]",
-    )
-    error_population: str = Field(
-        "drawn", min_length=1, description="whose drives a predicted error is for: drawn or own [-]"
-    )
-    error_calibration: str = Field(
-        "", description="calibration file of predicted errors, for a twin of your own; empty: the shipped one [-]"
-    )
+    @field_validator("parts", mode="before")
+    @classmethod
+    def _with_schema_of_part(cls, parts: object) -> object:
+        if not isinstance(parts, Mapping):
+            return parts
+        return {
+            name: check(plug_in("node_parts", name).schema, group, f"parts.{name}")
+            if isinstance(group, Mapping)
+            else group
+            for name, group in parts.items()
+        }
 
     @model_validator(mode="after")
     def _one_source_of_poses(self) -> NodeSettings:
@@ -208,3 +198,20 @@ class NodeSettings(StrictModel, strict=True):
     def control_frame(self) -> str:
         """Frame that control is in."""
         return self.odom_frame if self.poses_from == "odometry" else self.map_frame
+
+
+# Parameters of version 0.2.0 that are keys of a part now.
+
+
+FORMER_SETTINGS: Mapping[str, tuple[str, bool | float | str]] = {
+    "use_costmap": ("free_space", False),
+    "use_obstacles": ("free_space", False),
+    "use_battery": ("energy", False),
+    "battery_discharge_negative": ("energy", True),
+    "battery_timeout": ("energy", 2.0),
+    "follow_error_limit": ("predicted_error", 0.0),
+    "follow_error_response": ("predicted_error", "slow"),
+    "error_population": ("predicted_error", "drawn"),
+    "error_calibration": ("predicted_error", ""),
+}
+"""Part and default by the former name of a parameter; its name is `parts.<part>.<former name>` now."""

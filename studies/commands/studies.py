@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_folder, out_option
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
-from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option
 
 if TYPE_CHECKING:
     from diffdrive_mpc.bench.study import Study

@@ -6,9 +6,11 @@ Run as ``python -m studies.documents.declared_tables``, from the top of the repo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import chain
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.mpc.config.described import FieldRow, feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key
@@ -52,7 +54,7 @@ def parameter_tables() -> str:
         If a parameter has no advice, or an advice no parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
-    keys = [plain_key(row.key) for row in schema_rows(NodeSettings) + _controller_rows()]
+    keys = [plain_key(row.key) for row in [*node_rows(), *chain(*part_rows().values()), *_controller_rows()]]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:
         if name not in known:
@@ -60,8 +62,21 @@ def parameter_tables() -> str:
     groups: dict[str, list[FieldRow]] = {}
     for row in _controller_rows():
         groups.setdefault(row.key.rpartition(".")[0], []).append(row)
-    tables = [_table("The node", schema_rows(NodeSettings), advice)]
+    tables = [_table("The node", node_rows(), advice)]
+    tables += [_table(f"Part {name} of the node", rows, advice) for name, rows in part_rows().items()]
     return "\n\n".join([*tables, *(_table(_title(group), rows, advice) for group, rows in groups.items())])
+
+
+def node_rows() -> list[FieldRow]:
+    """Return the parameters of the node without those of its parts."""
+    return [row for row in schema_rows(NodeSettings) if row.key != "parts"]
+
+
+def part_rows() -> dict[str, list[FieldRow]]:
+    """Return the parameters of each installed part of the node by its name."""
+    return {
+        name: schema_rows(plug_in("node_parts", name).schema, f"parts.{name}.") for name in plug_in_names("node_parts")
+    }
 
 
 def _title(group: str) -> str:

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from PIL import Image
 
-from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import whole_file
 from studies.documents.browser import open_report, opened_browser

@@ -6,8 +6,8 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.schemas.generate import schema_text
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.models.file_kind import FileKind
 
 _HEAD = """# What may stand in a file for a model, a path, a log, a floor, a campaign?

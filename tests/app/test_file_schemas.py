@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 from commands import invoke
 from diffdrive_mpc import ModelError, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.schemas.generate import json_schema
 from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path

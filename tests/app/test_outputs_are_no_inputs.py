@@ -11,9 +11,9 @@ import pytest
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.command_line.options import named_inputs
 from diffdrive_mpc.models.input_file import read_input, reading
 from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.typed_command import named_inputs
 from diffdrive_mpc.models.whole_file import whole_file
 
 _POSES = "t,x,y,theta\n" + "".join(f"{0.1 * i:.1f},{0.02 * i:.2f},0,0\n" for i in range(50))

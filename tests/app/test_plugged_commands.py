@@ -10,7 +10,7 @@ from diffdrive_mpc.app.cli import command_line
 from diffdrive_mpc.models import plug_ins
 
 COMMAND = """
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 
 def greet(*, name: str = "all") -> None:
     \"\"\"Print a greeting; nothing else.\"\"\"

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
-from diffdrive_mpc.bench.sweep import parse_setting, single_settings, sweep_settings
+from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.typed_settings import parse_setting, single_settings
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from diffdrive_mpc import ConfigError, load_config
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from fuzz import configs, runner, yaml_files
 from fuzz.case import FINDINGS, FaultError, draw, saved_findings
 from fuzz.controller import CONFIGS, EXTRAS

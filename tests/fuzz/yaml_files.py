@@ -14,8 +14,8 @@ import numpy as np
 import yaml
 
 from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.file_kind import PACKAGE

@@ -8,9 +8,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.sweep import parse_setting
 from diffdrive_mpc.models.checked_yaml import DEEPEST, ConfigError, parse_yaml, read_yaml
 from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.mpc.config.typed_settings import parse_setting
 
 BOMB = "\n".join(["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)])
 UNFIT = [

@@ -1,20 +1,15 @@
 """Goals of follow_path beside the loop, without ROS: what becomes of them when nobody answers, who ends whom."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.ros import follow_goal
 from diffdrive_mpc.mpc.ros.control_loop import LoopState, LoopTick
 from diffdrive_mpc.mpc.ros.follow_goal import Code, FollowGoal, Following, GoalOutcome, lay_for_robot, path_limits
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
-from diffdrive_mpc_extras.predicted_error.calibration import ErrorScale, load_calibration
-from diffdrive_mpc_extras.ros.path_error import ErrorPredictor
 
 X = np.linspace(0.0, 1.0, 21)
 STRAIGHT = np.column_stack([X, 0 * X, 0 * X])
@@ -220,63 +215,6 @@ def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
     loop.inbox.now = 1.1 * SETTINGS.follow_patience
     following.after(standing())
     assert (goal.end.code, goal.end.words) == (Code.TF_ERROR, "no pose arrives")
-
-
-BENT = np.column_stack([2 * X, 0.3 * np.sin(6 * X), np.arctan(0.9 * np.cos(6 * X))])
-
-
-def error_limit(limit, response="slow", v=0.0):
-    """Lay a bent path whose predicted error at full speed is 63 mm, by coefficients that stay as they are."""
-    scale = ErrorScale(coefficients={"floor": 0.01, "turning": 0.07}, at_each_place=1.0, everywhere=1.0)
-    shipped = load_calibration()
-    population = shipped.populations["own"].model_copy(update={"lateral": scale})
-    calibration = shipped.model_copy(update={"populations": {"own": population}})
-    settings = NodeSettings(follow_error_limit=limit, follow_error_response=response, error_population="own")
-    predictor = replace(ErrorPredictor.of(Controller("ssm"), settings), calibration=calibration)
-    limits = path_limits(CONFIG, np.eye(2), settings)
-    return lay_for_robot(BENT, BENT[0], (v, 0.0), limits, settings, CONFIG, predictor), predictor
-
-
-def test_a_path_is_slowed_until_its_predicted_error_keeps_to_the_limit():
-    laid, predictor = error_limit(1.0)
-    assert laid.speed_share == 1.0
-    width = predictor.predict(laid.reference, CONFIG).lateral.everywhere.max()
-    slow, _ = error_limit(0.7 * width)
-    assert slow.speed_share in (0.4, 0.6) and slow.reference.duration > 1.5 * laid.reference.duration
-    assert predictor.predict(slow.reference, CONFIG).lateral.everywhere.max() <= 0.7 * width
-
-
-def test_a_moving_robot_is_slowed_no_further_than_it_drives():
-    """A reference that begins below its speed would pull it back."""
-    laid, predictor = error_limit(1.0)
-    width = predictor.predict(laid.reference, CONFIG).lateral.everywhere.max()
-    limit = path_limits(CONFIG, np.eye(2), SETTINGS).v
-    driven, _ = error_limit(0.7 * width, v=0.39 * limit)
-    assert driven.speed_share >= 0.4
-    assert driven.reference.sample([0.0]).twist[0, 0] == pytest.approx(0.39 * limit, rel=0.02)
-    with pytest.raises(ConfigError, match="follow_error_limit"):
-        error_limit(0.7 * width, v=0.9 * limit)
-
-
-@pytest.mark.parametrize(
-    ("limit", "response", "words"),
-    [
-        (0.04, "refuse", r"^path: its predicted error is [\d.]+ mm, follow_error_limit is 40.0 mm \(lateral: worst"),
-        (0.005, "slow", r"mm, follow_error_limit is 5.0 mm .*; at 20 % of this speed: its predicted error is 21.1 mm"),
-    ],
-)
-def test_a_path_that_no_allowed_speed_brings_inside_is_refused(limit, response, words):
-    with pytest.raises(ConfigError, match=words) as error:
-        error_limit(limit, response)
-    assert "\n" not in str(error.value)
-
-
-def test_a_path_faster_than_the_calibration_is_not_known_to_keep_to_the_limit():
-    settings = NodeSettings(follow_error_limit=10.0, follow_error_response="refuse", follow_speed_share=1.0)
-    predictor = ErrorPredictor.of(Controller("ssm"), settings)
-    limits = path_limits(CONFIG, np.eye(2), settings)
-    with pytest.raises(ConfigError, match=r"^path: the path's speed reaches 1\.\d+ m/s"):
-        lay_for_robot(3 * STRAIGHT, np.zeros(3), (0.0, 0.0), limits, settings, CONFIG, predictor)
 
 
 def test_paths_are_driven_inside_what_the_robot_reaches():

@@ -148,7 +148,7 @@ def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     s, manager = managed
     assert s.trigger("start").success
     manager.live(1.5)
-    assert s.node._bond.words == "bound"
+    assert s.node.parts["bond"].bond.words == "bound"
     first = manager.heard[-1]
     assert (first.active, first.id, first.instance_id) == (True, "diffdrive_mpc", manager.sister)
     assert first.heartbeat_period == pytest.approx(0.1)
@@ -160,7 +160,7 @@ def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     count = len(manager.heard)
     s.base.until(lambda: len(manager.heard) > count + 2, "more of it")
     manager.say(active=False)
-    s.base.until(lambda: s.node._bond.protocol.state is BondState.DEAD, "the end")
+    s.base.until(lambda: s.node.parts["bond"].bond.protocol.state is BondState.DEAD, "the end")
     # Activated again it is another side of the same bond.
     manager.heard.clear()
     assert s.change(Transition.TRANSITION_ACTIVATE)
@@ -185,14 +185,14 @@ def test_bonds_of_others_are_no_concern_of_it(managed):
     other.say(active=False)
     for _ in range(50):
         s.base.spin()
-    assert s.node._bond.protocol.state is BondState.WAITING
-    assert not s.node._bond.protocol.lost
+    assert s.node.parts["bond"].bond.protocol.state is BondState.WAITING
+    assert not s.node.parts["bond"].bond.protocol.lost
     assert manager.heard[-1].active
 
 
 def test_without_a_period_there_is_no_bond(ros_types):
     with stack(bond_heartbeat_period=0.0) as s:
-        assert s.node._bond is None
+        assert s.node.parts["bond"].bond is None
 
 
 def test_where_bond_is_not_installed_it_says_so_once(monkeypatch, capfd):
@@ -204,4 +204,4 @@ def test_where_bond_is_not_installed_it_says_so_once(monkeypatch, capfd):
         s.node.get_logger().set_level(30)
         said = capfd.readouterr().err
         assert said.count("no bond with a lifecycle manager: bond is not installed") == 1
-        assert s.node._bond is None
+        assert s.node.parts["bond"].bond is None

@@ -58,7 +58,7 @@ def test_a_planners_grid_path_is_driven_to_its_goal(parts):
         follow.tick(10)
         assert not np.any(follow.base.commands[-1]) and str(follow.made.loop.state) == "IDLE"
         # The same goal again is reached where it is, also where something in the server's thread fails meanwhile.
-        fault = follow.made.node._door._side.create_timer(0.05, lambda: 1 / 0)
+        fault = follow.made.node.parts["follow_path"].server._side.create_timer(0.05, lambda: 1 / 0)
         since = len(follow.base.commands)
         follow.client.send("again", path[-2:])
         assert follow.ended("again")["status"] == parts.SUCCEEDED
@@ -185,7 +185,7 @@ def test_goals_of_all_kinds_are_answered_while_other_clients_are_killed(parts):
         results = answered_once(follow.client, names)
         assert {result["code"] for result in results.values()} == {0, 102, 103}
         # Nothing is left behind, and the next goal is driven.
-        door = follow.made.node._door
+        door = follow.made.node.parts["follow_path"].server
         follow.until(lambda: not (np.any(follow.base.commands[-1]) or door._open), "rest")
         start = pose(follow)
         follow.client.send("b", start + X[:21, None] * [math.cos(start[2]), math.sin(start[2]), 0.0])
@@ -304,33 +304,6 @@ def test_a_hold_and_a_pause_keep_the_goal_and_deactivation_ends_it(parts):
         follow.base.until(lambda: follow.client.of("b", "rejected"), "no")
 
 
-BEND = np.column_stack([X, 0.3 * np.sin(3 * X), np.arctan(0.9 * np.cos(3 * X))])
-
-
-@pytest.mark.parametrize("response", ["refuse", "slow"])
-def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slower(parts, response):
-    """The limit is three quarters of the error that is predicted for the path at full speed."""
-    from diffdrive_mpc import Controller
-    from diffdrive_mpc.mpc.ros.follow_goal import lay_for_robot, path_limits
-    from diffdrive_mpc.mpc.ros.settings import NodeSettings
-    from diffdrive_mpc_extras.predicted_error import predict_error
-
-    controller, settings = Controller("ssm"), NodeSettings()
-    limits = path_limits(controller.config, controller.model.dc_gain, settings)
-    laid = lay_for_robot(BEND, BEND[0], (0.0, 0.0), limits, settings, controller.config)
-    limit = 0.75 * float(predict_error(controller, laid.reference, "own").lateral.everywhere.max())
-    with parts.following(follow_error_limit=limit, follow_error_response=response, error_population="own") as follow:
-        follow.client.send("a", BEND)
-        result = follow.ended("a", pace=0.2 * parts.DT)
-        if response == "refuse":
-            assert (result["status"], result["code"]) == (parts.ABORTED, 103)
-            assert f"follow_error_limit is {1e3 * limit:.1f} mm (lateral: worst after" in result["words"]
-            assert not np.any(follow.base.commands)
-        else:
-            assert (result["status"], result["code"]) == (parts.SUCCEEDED, 0)
-            assert 0.2 * limits.v < commanded(follow, 0)[:, 0].max() < 0.85 * limits.v
-
-
 def test_goals_in_a_row_leave_nothing_behind(parts):
     rng = np.random.default_rng(7)
     with parts.following(follow_feedback_rate=20.0) as follow:
@@ -348,7 +321,7 @@ def test_goals_in_a_row_leave_nothing_behind(parts):
             gap = pose(follow) - path[-1]
             assert np.hypot(*gap[:2]) < 0.03 and abs(math.remainder(gap[2], math.tau)) < 0.03
         assert threading.active_count() == threads
-        assert follow.made.node._door._open == []
+        assert follow.made.node.parts["follow_path"].server._open == []
 
 
 def test_where_the_type_is_missing_the_node_says_so_and_drives():
@@ -357,7 +330,7 @@ def test_where_the_type_is_missing_the_node_says_so_and_drives():
         "from ros_parts import stack\n"
         "with stack(drive=True) as made:\n"
         "    made.base.run(30)\n"
-        "    print(max(v for v, _ in made.base.commands) > 0.2, made.node._door)\n"
+        "    print(max(v for v, _ in made.base.commands) > 0.2, made.node.parts['follow_path'].server)\n"
     )
     folder = __file__.rpartition("/")[0]
     ran = subprocess.run(

@@ -78,7 +78,7 @@ def localised(ros_types):
         s = Stack(**parameters)
         made.append(s)
         robot = Localised(s, TFMessage, map_to_odom, ahead)
-        s.base.until(lambda: (s.base.silent(1), s.node._frames.accepted > 3)[1], "transforms")
+        s.base.until(lambda: (s.base.silent(1), s.node._inbox.frames.accepted > 3)[1], "transforms")
         return robot
 
     yield make
@@ -285,7 +285,7 @@ def test_a_goal_of_follow_path_in_the_map_is_brought_to_odom_and_driven(ros_type
     start = (1.0, 2.0, 0.7)
     with following(use_tf=True, trajectory="''") as f:
         robot = Localised(f.made, TFMessage, start)
-        f.until(lambda: f.made.node._frames.accepted > 3, "transforms")
+        f.until(lambda: f.made.node._inbox.frames.accepted > 3, "transforms")
         f.client.send("nowhere", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], frame="nowhere")
         assert f.ended("nowhere")["code"] == 102
         f.client.send("a", [placed(start, (x, 0.0, 0.0)) for x in np.linspace(0.0, 1.0, 41)], frame="map")

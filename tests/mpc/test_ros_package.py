@@ -214,10 +214,18 @@ def had(node, name=None):
     return {("execute", action.match(each)[1]) if "/_action/" in each else (rule, each) for rule, each in found}
 
 
+OF_PARTS = {
+    ("subscribe", "/battery_state"),
+    ("subscribe", "/costmap"),
+    ("subscribe", "/obstacles"),
+    ("reply", "/diffdrive_mpc/predict_error"),
+}
+"""Topics and services of the parts in the package diffdrive-mpc-extras."""
+
+
 def test_the_policy_allows_the_node_what_it_has_and_nothing_else(ros_types):
-    parameters = {"use_costmap": True, "use_obstacles": True, "use_battery": True, "pose_source": "tf"}
-    with stack({"free_space.enabled": True}, **parameters) as s:
-        found = had(s.node) | had(s.node, "diffdrive_mpc_follow_path")
+    with stack(pose_source="tf") as s:
+        found = had(s.node) | had(s.node, "diffdrive_mpc_follow_path") | OF_PARTS
     # Instead of transforms, with use_pose_topic.
     found.add(("subscribe", "/pose"))
     assert allowed("node") == found
@@ -228,10 +236,9 @@ def test_the_policy_allows_the_node_what_it_has_and_nothing_else(ros_types):
 
 
 def test_without_the_types_that_have_no_wheel_the_node_has_nothing_that_the_policy_does_not_allow():
-    parameters = {"use_costmap": True, "use_obstacles": True, "use_battery": True, "pose_topic": True}
-    with stack({"free_space.enabled": True}, **parameters) as s:
+    with stack(pose_topic=True) as s:
         found = had(s.node)
-        assert len(found) > 30 and found <= allowed("node")
+        assert len(found) > 30 and found <= allowed("node") - OF_PARTS
 
 
 @pytest.mark.parametrize("enclave", ["monitor", "robot"])

@@ -79,7 +79,7 @@ def test_a_folder_that_cannot_be_written_is_a_warning_and_the_robot_drives(tmp_p
     with stack(drive=True, record=True, record_folder=str(tmp_path / "file")) as s:
         s.base.run(60)
         assert s.loop.last.command[0] > 0.1
-        assert s.node._recording.incomplete
+        assert s.node.parts["recording"].recording.incomplete
     assert "recording has ended: " in capfd.readouterr().err
 
 
@@ -91,7 +91,7 @@ def test_a_fault_in_recording_ends_the_recording_and_not_the_drive(tmp_path, mon
         s.base.run(20)
         monkeypatch.setattr(recording, "decided_cells", broken)
         s.base.run(40)
-        assert s.loop.last.command[0] > 0.1 and s.node._recording.incomplete
+        assert s.loop.last.command[0] > 0.1 and s.node.parts["recording"].recording.incomplete
     assert "recording has ended: KeyError: 'nobody thought of this'" in capfd.readouterr().err
     (path,) = tmp_path.iterdir()
     assert not read_drive_log(path).cut
@@ -103,9 +103,9 @@ def test_a_fault_in_what_makes_ticks_replayable_ends_that_alone(tmp_path, monkey
 
     with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
         s.base.run(20)
-        monkeypatch.setattr(s.node._records, "lines", broken)
+        monkeypatch.setattr(s.node.parts["recording"].records, "lines", broken)
         s.base.run(40)
-        assert s.loop.last.command[0] > 0.1 and not s.node._recording.incomplete
+        assert s.loop.last.command[0] > 0.1 and not s.node.parts["recording"].recording.incomplete
     assert capfd.readouterr().err.count("its ticks cannot be replayed from here on: KeyError") == 1
 
 
@@ -116,7 +116,7 @@ def test_where_no_recording_can_begin_the_robot_drives(tmp_path, monkeypatch, ca
     monkeypatch.setattr(recording.DriveRecorder, "__init__", none_left)
     with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
         s.base.run(20)
-        assert s.node._recording is None and s.loop.last.result is not None
+        assert s.node.parts["recording"].recording is None and s.loop.last.result is not None
     assert "nothing is recorded: " in capfd.readouterr().err
 
 

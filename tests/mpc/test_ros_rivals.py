@@ -64,7 +64,7 @@ def test_a_second_node_of_this_project_on_the_same_topic_is_not_activated(name):
                 "/diffdrive_mpc/change_state",
                 ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE)),
             ) if name != "diffdrive_mpc" else s.node.trigger_deactivate()
-            s.base.until(lambda: not second.node._rivals.others().project, "the end of the claim")
+            s.base.until(lambda: not second.node.parts["rivals"].rivals.others().project, "the end of the claim")
             assert second.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
         finally:
             second.close()
@@ -197,7 +197,7 @@ def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():
         assert s.node.trigger_activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
         assert "/fake_base publishes on /cmd_vel too" in s.node.failure
         s.base.node.destroy_publisher(teleop)
-        s.base.until(lambda: not s.node._rivals.others().foreign, "its end")
+        s.base.until(lambda: not s.node.parts["rivals"].rivals.others().foreign, "its end")
         assert s.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
 
 

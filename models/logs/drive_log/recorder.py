@@ -12,9 +12,10 @@ import sys
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
 
 # Writes a drive in a process of its own: what it is handed over a socket, until the other end closes, however it
 # ends.
@@ -31,6 +32,8 @@ _NICENESS = 10
 
 def main(descriptor: int) -> None:
     """Write what comes through the socket `descriptor`, from its first parcel on, which says where to and how."""
+    from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter  # noqa: PLC0415 - the node does not write
+
     # It does not interrupt, on its core, the loop that hands it something.
     os.nice(_NICENESS)
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

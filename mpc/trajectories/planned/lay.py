@@ -186,15 +186,15 @@ class Laid:
         Furthest distance of the reference from the planner's line [m], beyond where it leads onto it.
     begins
         Distance of the robot from where the reference begins [m].
-    speed_share
-        Share of the speeds that the limits allow, where it was slowed for its predicted error [-].
+    note
+        Remark for the result of a goal, such as a reduced speed; empty if there is none.
     """
 
     reference: SplineTrajectory
     length: float
     deviation: float
     begins: float
-    speed_share: float = 1.0
+    note: str = ""
 
 
 def lay_poses(

@@ -12,7 +12,7 @@ import pytest
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models.plug_ins import known_packages, plug_in
 
 PACKAGE = "diffdrive-mpc-extras"

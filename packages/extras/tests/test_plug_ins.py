@@ -1,6 +1,6 @@
 """What is registered is found, and what it names is there."""
 
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models.file_kind import FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.plug_ins import plug_ins

@@ -72,7 +72,7 @@ class Watched:
 @pytest.fixture
 def battery(request):
     """A robot that drives, with a battery."""
-    parameters = {"use_battery": True, "diagnostics_rate": 20.0, **getattr(request, "param", {})}
+    parameters = {"parts.energy.use_battery": True, "diagnostics_rate": 20.0, **getattr(request, "param", {})}
     with stack(drive=True, **parameters) as s:
         watched = Watched(s)
         s.base.until(lambda: watched.battery.get_subscription_count() == 1, "the node's subscription")
@@ -111,7 +111,7 @@ def test_what_the_battery_cannot_mean_is_named_and_not_counted(battery):
     assert battery.s.base.run(20)[-1, 0] > 0.1
 
 
-@pytest.mark.parametrize("battery", [{"battery_timeout": 0.3}], indirect=True)
+@pytest.mark.parametrize("battery", [{"parts.energy.battery_timeout": 0.3}], indirect=True)
 def test_a_silent_battery_is_named_and_its_gap_is_not_counted(battery):
     battery.drive(10, 12.0, -2.0)
     battery.s.base.run(30)
@@ -124,9 +124,9 @@ def test_a_silent_battery_is_named_and_its_gap_is_not_counted(battery):
     assert "battery" not in battery.heard().message
 
 
-@pytest.mark.parametrize("battery", [{}, {"battery_discharge_negative": False}], indirect=True)
+@pytest.mark.parametrize("battery", [{}, {"parts.energy.battery_discharge_negative": False}], indirect=True)
 def test_a_sign_that_cannot_be_is_named_with_its_remedy(battery):
-    other = battery.s.node.get_parameter("battery_discharge_negative").value
+    other = battery.s.node.get_parameter("parts.energy.battery_discharge_negative").value
     battery.drive(170, 12.0, 2.0 if other else -2.0)
     battery.s.base.until(lambda: "the other sign" in battery.heard().message, "the word")
     remedy = f"set battery_discharge_negative to {str(not other).lower()}"
@@ -142,12 +142,21 @@ def test_without_either_nothing_is_said_or_heard():
 
 
 def test_unknown_turn_costs_end_the_transition_with_a_sentence():
-    with pytest.raises(ValueError, match="unknown turn costs 'no_robot'"), stack(**{"energy.turn_costs": "no_robot"}):
+    with (
+        pytest.raises(ValueError, match="unknown turn costs 'no_robot'"),
+        stack(**{"energy.turn_costs": "no_robot", "parts.energy.enabled": True}),
+    ):
         pass
 
 
 def test_the_recording_holds_the_battery_and_what_was_said(tmp_path):
-    with stack(drive=True, record=True, record_folder=str(tmp_path), use_battery=True, diagnostics_rate=20.0) as s:
+    with stack(
+        drive=True,
+        record=True,
+        record_folder=str(tmp_path),
+        diagnostics_rate=20.0,
+        **{"parts.energy.use_battery": True},
+    ) as s:
         watched = Watched(s)
         s.base.until(lambda: watched.battery.get_subscription_count() == 1, "the node's subscription")
         watched.drive(60, 12.0, -2.0)

@@ -9,9 +9,11 @@ from std_srvs.srv import Trigger
 from diffdrive_mpc import Controller
 from diffdrive_mpc_extras.predicted_error import predict_error
 
+PART = {"parts.predicted_error.enabled": True}
+
 
 def test_it_answers_what_the_controller_predicts():
-    with stack(trajectory="s", error_population="own") as s:
+    with stack(trajectory="s", **{"parts.predicted_error.error_population": "own"}) as s:
         answer = s.trigger("predict_error")
         assert answer.success, answer.message
         predicted = json.loads(answer.message)
@@ -25,7 +27,7 @@ def test_it_answers_what_the_controller_predicts():
 
 def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
     service, asked = "/diffdrive_mpc/predict_error", []
-    with stack(drive=True) as s:
+    with stack(drive=True, **PART) as s:
         s.base.run(20)
         monkeypatch.setattr(s.node._aside, "submit", lambda *job: asked.append(job))
         client = s.base.node.create_client(Trigger, service)
@@ -54,7 +56,7 @@ def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
     ],
 )
 def test_it_says_why_nothing_is_predicted(parameters, words):
-    with stack(**parameters) as s:
+    with stack(**PART, **parameters) as s:
         answer = s.trigger("predict_error")
         assert not answer.success and words in answer.message
 
@@ -62,9 +64,12 @@ def test_it_says_why_nothing_is_predicted(parameters, words):
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({"config": "kinematic", "follow_error_limit": 0.05}, "follow_error_limit is set, and model 'kinematic': its"),
-        ({"error_population": "mine"}, "unknown population 'mine': give drawn or own"),
-        ({"error_calibration": "/nowhere.yaml"}, "/nowhere.yaml"),
+        (
+            {"config": "kinematic", "parts.predicted_error.follow_error_limit": 0.05},
+            "follow_error_limit is set, and model 'kinematic': its",
+        ),
+        ({"parts.predicted_error.error_population": "mine"}, "unknown population 'mine': give drawn or own"),
+        ({"parts.predicted_error.error_calibration": "/nowhere.yaml"}, "/nowhere.yaml"),
     ],
 )
 def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(parameters, words):

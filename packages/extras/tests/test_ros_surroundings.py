@@ -22,9 +22,13 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
 from diffdrive_mpc.mpc.ros.conversions import MessageError, time_message
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc_extras.free_space.surroundings import SurroundingsError
-from diffdrive_mpc_extras.ros.surroundings_input import SurroundingsInput, read_costmap, read_obstacles
+from diffdrive_mpc_extras.ros.surroundings_input import (
+    SurroundingsInput,
+    SurroundingsSettings,
+    read_costmap,
+    read_obstacles,
+)
 
 SEEING = {"free_space.enabled": True}
 
@@ -169,8 +173,13 @@ def test_bad_points_are_refused_in_one_line(name):
 
 def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the_robot(capfd):
     """At 20 Hz on both topics, while the robot drives: no exception, a command for each tick, few warnings."""
-    with stack(SEEING, trajectory="s", drive=True, use_costmap=True, use_obstacles=True) as s:
-        base, seen = s.base, s.node._surroundings
+    with stack(
+        SEEING,
+        trajectory="s",
+        drive=True,
+        **{"parts.free_space.use_costmap": True, "parts.free_space.use_obstacles": True},
+    ) as s:
+        base, seen = s.base, s.node.parts["free_space"].surroundings
         topics = (
             (seen.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
             (seen.obstacles, s.publisher(PointCloud2, "obstacles"), lambda now: cloud(now, POINT), BAD_CLOUDS),
@@ -221,7 +230,9 @@ def test_a_combination_that_is_refused_does_not_pass_for_fresh():
     inbox = SimpleNamespace(now=100.0, frame="odom", time_of=lambda stamp: stamp * 1e-9)
     aside = SimpleNamespace(submit=lambda _, job, arguments, done, failed: done(job(*arguments)))
     said = []
-    seen = SurroundingsInput(NodeSettings(use_costmap=True, use_obstacles=True), controller, inbox, aside, said.append)
+    seen = SurroundingsInput(
+        SurroundingsSettings(use_costmap=True, use_obstacles=True), controller, inbox, aside, said.append
+    )
 
     def tell(count):
         stamp = round(inbox.now * 1e9)
@@ -241,8 +252,8 @@ def test_a_combination_that_is_refused_does_not_pass_for_fresh():
 
 
 def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wall():
-    with stack(SEEING, trajectory="s", drive=True, use_costmap=True) as s:
-        base, seen = s.base, s.node._surroundings
+    with stack(SEEING, trajectory="s", drive=True, **{"parts.free_space.use_costmap": True}) as s:
+        base, seen = s.base, s.node.parts["free_space"].surroundings
         assert not base.run(20).any()
         assert "the surroundings are" in s.loop.last.message
         publisher = base.node.create_publisher(OccupancyGrid, "costmap", 1)
@@ -275,8 +286,10 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
 
 
 def test_large_messages_are_not_read_and_bad_ones_are_named():
-    with stack(SEEING, trajectory="s", use_costmap=True, use_obstacles=True) as s:
-        base, seen = s.base, s.node._surroundings
+    with stack(
+        SEEING, trajectory="s", **{"parts.free_space.use_costmap": True, "parts.free_space.use_obstacles": True}
+    ) as s:
+        base, seen = s.base, s.node.parts["free_space"].surroundings
         seen.take_costmap(bytes(300_000))
         assert "300000 bytes" in seen.costmap.last_refusal
         publisher = base.node.create_publisher(PointCloud2, "obstacles", qos_profile_sensor_data)
@@ -289,5 +302,5 @@ def test_large_messages_are_not_read_and_bad_ones_are_named():
 
 
 def test_topics_of_surroundings_need_a_controller_that_sees():
-    with pytest.raises(ValueError, match=r"set free_space\.enabled"), stack(use_costmap=True):
+    with pytest.raises(ValueError, match=r"set free_space\.enabled"), stack(**{"parts.free_space.use_costmap": True}):
         pass

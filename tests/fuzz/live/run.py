@@ -36,7 +36,12 @@ _MOST_GROWTH = 60.0
 LIVES: tuple[dict[str, object], ...] = (
     {"start_at_robot": True},
     {"start_at_robot": True, "pose_source": "tf", "use_sim_time": True},
-    {"start_at_robot": True, "use_costmap": True, "use_obstacles": True, "free_space.enabled": True},
+    {
+        "start_at_robot": True,
+        "parts.free_space.use_costmap": True,
+        "parts.free_space.use_obstacles": True,
+        "free_space.enabled": True,
+    },
     {"start_at_robot": True, "use_pose_topic": True, "drive_on_reference": True, "record": True},
     {"start_at_robot": False, "use_sim_time": True, "use_imu": False, "trajectory": "s"},
     {"start_at_robot": True, "use_tf": True},
@@ -227,7 +232,7 @@ def _named_fault(attacker: Attacker, random: Random, done: list[Any], result: Re
     if attacker.settings.get("pose_source") == "tf":
         lost = values["failure.max_pose_age"] + braking + _TICKS
         choices += [(f"tf {how}", lost) for how in ("lost", "not a number", "no orientation")]
-    if attacker.settings.get("use_costmap"):
+    if attacker.settings.get("parts.free_space.use_costmap"):
         # A robot that is told that it stands in something brakes at once.
         choices += [("costmap everywhere", 1.0 + braking), ("obstacles everywhere", 1.0 + braking)]
     if attacker.base.sim_time:

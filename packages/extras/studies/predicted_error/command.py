@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_option
+from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_option
 
 EXAMPLE = "Example: python -m studies predicted-error --out predicted --quick"
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.options import Jobs, out_option
 from diffdrive_mpc.bench.case import split_names
-from diffdrive_mpc.bench.command_line.options import Jobs, out_option
 
 EXAMPLE = "Example: python -m studies worlds --out results --quick --controllers mpc,rpp+stop"
 _QUICK_RUNS = 2

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from diffdrive_mpc.bench.command_line.echo import echo
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.core_sources import core_texts, require
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError

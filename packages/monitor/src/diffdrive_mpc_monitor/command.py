@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.app.commands.options import ros_arguments
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
 
 RulesFile = Annotated[str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")]
 

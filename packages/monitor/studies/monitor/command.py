@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.options import Jobs, out_option
+from diffdrive_mpc.app.command_line.options import Jobs, out_option
 
 EXAMPLE = "Example: python -m studies monitor --out watched --seeds 2 --hours 0.2"
 
@@ -31,7 +31,7 @@ def run(
     """
     from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
 
-    from diffdrive_mpc.bench.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning, market=market), out, jobs))

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
 from diffdrive_mpc.app.commands.options import Scheduler, TrustedFolders
-from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import Jobs, PluggedCommand, out_option
 
 Runs = Annotated[int | None, typer.Option(min=1, help="Number of runs.", show_default="that of the file")]
 

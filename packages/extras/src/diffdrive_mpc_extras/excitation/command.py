@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 
 _SLIP, _MODEL = "slip", "model"
 _SIDE, _SLIP_SECONDS, _SECONDS = 6.0, 90.0, 60.0

@@ -17,11 +17,11 @@ from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import staged
-from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.mpc import ControllerConfig, load_trajectory
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc_extras.export.emulation import emulate
 from diffdrive_mpc_extras.export.library import FILES, FOLDERS, Precision, export_controller
 

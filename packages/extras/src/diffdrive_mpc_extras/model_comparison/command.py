@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import INTERRUPTED
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.app.commands.options import Mapping
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import INTERRUPTED
-from diffdrive_mpc.bench.command_line.options import PluggedCommand
 
 _TWO_MINUTES = 120.0
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.options import PluggedCommand, out_option
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 
 
 def predict_error(

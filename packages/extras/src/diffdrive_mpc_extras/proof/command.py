@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.completion import choices
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
 from diffdrive_mpc.app.commands.options import Scheduler
-from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.options import Jobs, PluggedCommand, out_option
 from diffdrive_mpc_extras.campaign.command import Runs
 
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 from diffdrive_mpc.app.commands.options import ConfigFile, Scaled, Settings, with_dimensions
-from diffdrive_mpc.bench.command_line.options import PluggedCommand, out_option
 
 
 @with_dimensions()

@@ -7,15 +7,17 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
-from diffdrive_mpc.mpc.ros.control_loop import Begun
-from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds
-from diffdrive_mpc.mpc.ros.inbox import Inbox
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
+from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, MessageError, nanoseconds
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
+from diffdrive_mpc.mpc.ros.settings import PartSettings, Positive
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
-from diffdrive_mpc_extras.turn_costs import TurnCosts
+from diffdrive_mpc_extras.turn_costs import TurnCosts, load_turn_costs
 
 # No robot of this kind has more; what is beyond is a broken message.
 _MOST_VOLTS, _MOST_AMPERES = 1e3, 1e4
@@ -67,32 +69,52 @@ class EnergyMeter:
         self._last, self.power = time, power
 
 
-class DriveEnergy:
-    """What the drive costs, for diagnostics and recordings.
+class EnergySettings(PartSettings):
+    """Use of the battery's topic."""
 
-    Parameters
-    ----------
-    settings
-        Whether the battery is heard, its sign and timeout.
-    costs
-        Turn costs; None where nothing is predicted.
-    inbox
-        Whose clock counts.
-    sample_time
-        For which a command holds [s].
-    """
+    use_battery: bool = Field(
+        False,
+        description="measure power and energy by `battery_state` (sensor_msgs/BatteryState), for diagnostics [-]",
+    )
+    battery_discharge_negative: bool = Field(
+        True, description="the current is negative while the battery discharges, as in ROS; false: positive [-]"
+    )
+    battery_timeout: Positive = Field(
+        2.0, description="between two readings further apart no energy is counted; an older one is named [s]"
+    )
 
-    def __init__(self, settings: NodeSettings, costs: TurnCosts | None, inbox: Inbox, sample_time: float) -> None:
-        self._settings, self._costs, self._inbox, self._dt = settings, costs, inbox, sample_time
+
+class EnergyPart(NodePart):
+    """Power and energy of a drive in diagnostics and recordings: predicted from turn costs, measured by the battery."""
+
+    schema = EnergySettings
+
+    def __init__(self, node: PartHost) -> None:
+        super().__init__(node)
+        self._settings = EnergySettings()
+        self._costs: TurnCosts | None = None
+        self.battery = TopicWatch("battery")
+        self._measured = EnergyMeter(self._settings.battery_timeout)
+        self._drive: Begun | None = None
+        self._reading: tuple[float, float] | None = None
+        self._begin()
+
+    def configure(self, tools: NodeTools) -> None:
+        """Load the turn costs, and subscribe to the battery."""
+        settings = self._settings = tools.part_settings(EnergySettings)
+        file = tools.controller.config.energy.turn_costs
+        self._costs = load_turn_costs(file) if file else None
         self.battery = TopicWatch("battery")
         self._measured = EnergyMeter(settings.battery_timeout)
-        self._drive: Begun | None = None
-        self.restart()
+        self.topics = [self.battery] if settings.use_battery else []
+        if settings.use_battery:
+            take, refuse = self.take_battery, self.battery.refuse
+            self.subscribe(BatteryState, "battery_state", take, qos_profile_sensor_data, refuse, BATTERY_BYTES)
 
-    def restart(self) -> None:
-        """The node was activated: nothing has been heard or driven."""
+    def activate(self) -> None:
+        """Forget readings and energy of the last activation."""
         self.battery.restart()
-        self._reading: tuple[float, float] | None = None
+        self._reading, self._drive = None, None
         self._begin()
 
     def _begin(self) -> None:
@@ -101,16 +123,11 @@ class DriveEnergy:
         self._predicted, self._power = 0.0, math.nan
 
     @property
-    def topics(self) -> list[TopicWatch]:
-        """Those that are heard."""
-        return [self.battery] if self._settings.use_battery else []
-
-    @property
     def fault(self) -> str:
-        """Why what is measured cannot be relied on, in words; empty if it can."""
-        if not self._settings.use_battery:
+        """Reason why the measured energy is not reliable; empty if it is."""
+        if not self._settings.use_battery or self.loop is None:
             return ""
-        stale = self.battery.fault(self._inbox.now, self._settings.battery_timeout)
+        stale = self.battery.fault(self.loop.inbox.now, self._settings.battery_timeout)
         return stale or self.battery.reason or self._wrong_sign
 
     @property
@@ -132,9 +149,10 @@ class DriveEnergy:
                 raise MessageError("its voltage or current is no number: the robot does not measure it")
             if not (0 < voltage < _MOST_VOLTS and abs(current) < _MOST_AMPERES):
                 raise MessageError(f"{voltage:g} V and {current:g} A are no robot's; is it in V and A?")
-            now, stamp = self._inbox.now, nanoseconds(message.header.stamp)
+            inbox = self.require_tools().inbox
+            now, stamp = inbox.now, nanoseconds(message.header.stamp)
             # Drivers of batteries often leave the stamp out.
-            time = self._inbox.time_of(stamp) if stamp else now
+            time = inbox.time_of(stamp) if stamp else now
             self.battery.accept(time, now, self._settings.battery_timeout)
         except MessageError as error:
             self.battery.refuse(str(error))
@@ -143,27 +161,32 @@ class DriveEnergy:
         self._reading = voltage, drawn
         self._measured.take(time, voltage * drawn)
 
-    def tick(self, command: ArrayLike, drive: Begun | None) -> Mapping[str, Cell]:
-        """A command (2,) has been sent in this drive; what of a row the battery has told since the last tick.
+    def after_tick(self, tick: LoopTick, _time: int, row: dict[str, Cell]) -> None:
+        """Count the command, and add the last reading of the battery to the row.
 
-        A drive begins at zero, unless it goes on from another one.
+        A drive starts at zero energy unless it continues the previous drive.
         """
+        drive = None if self.loop is None else self.loop.begun
         if drive is not self._drive:
             self._drive = drive
             if drive is None or not drive.goes_on:
                 self._begin()
         if self._costs is not None:
-            self._commands.append(command)
-        reading, self._reading = self._reading, None
-        return {} if reading is None else {"battery_voltage_v": reading[0], "battery_current_a": reading[1]}
+            self._commands.append(tick.command)
+        if self._reading is not None:
+            row["battery_voltage_v"], row["battery_current_a"] = self._reading
+            self._reading = None
 
-    def values(self) -> dict[str, str]:
-        """For diagnostics. Commands are turned into energy here, many at once."""
-        values = {}
+    def diagnostics(self) -> Mapping[str, str]:
+        """Return power and energy; commands are converted here, many at once."""
+        values: dict[str, str] = {}
+        if self.loop is None:
+            return values
         if self._costs is not None:
+            sample_time = self.require_tools().controller.config.sample_time
             if self._commands:
                 power = self._costs.power(np.array(self._commands, dtype=float))
-                self._predicted, self._power = self._predicted + float(power.sum()) * self._dt, float(power[-1])
+                self._predicted, self._power = self._predicted + float(power.sum()) * sample_time, float(power[-1])
                 self._commands = []
             values["power predicted [W]"] = _number(self._power)
             values["energy of this drive predicted [J]"] = f"{self._predicted:.1f}"

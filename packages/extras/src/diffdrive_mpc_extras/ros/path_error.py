@@ -1,6 +1,6 @@
-"""The predicted error in the node: the limit that paths of `follow_path` keep to, and the answer of `~/predict_error`.
+"""Part of the node that predicts errors: for the limit of paths of `follow_path`, and for `~/predict_error`.
 
-Needs no ROS. A prediction takes about a millisecond for a path of a minute, so it is made in the side process.
+A prediction takes about a millisecond for a path of a minute, so the side process makes it.
 """
 
 from __future__ import annotations
@@ -8,12 +8,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
+
+from pydantic import Field
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.control_loop import RefusedError
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost, PathCheck
+from diffdrive_mpc.mpc.ros.settings import NotNegative, PartSettings
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
@@ -27,6 +35,27 @@ from diffdrive_mpc_extras.predicted_error.predicted_error import (
 
 _SLOWER = (0.8, 0.6, 0.4, 0.2)
 """Shares of speed and acceleration at which a path is tried that has too wide a tube at full speed [-]."""
+
+
+class PredictedErrorSettings(PartSettings):
+    """Predicted errors, and the limit of them for paths of `follow_path`."""
+
+    follow_error_limit: NotNegative = Field(
+        0.0,
+        description="a path is slowed or refused if its predicted lateral tube, of the share of drives that the "
+        "calibration states (95 % as shipped), is wider than this; 0: never [m]",
+    )
+    follow_error_response: Literal["slow", "refuse"] = Field(
+        "slow",
+        description="slow: such a path is driven slower, and refused if a fifth of its speed is still too fast; "
+        "refuse: it is refused [-]",
+    )
+    error_population: str = Field(
+        "drawn", min_length=1, description="drives that a predicted error is for: drawn or own [-]"
+    )
+    error_calibration: str = Field(
+        "", description="calibration file of predicted errors, for a twin of your own; empty: the shipped one [-]"
+    )
 
 
 @dataclass(frozen=True)
@@ -48,7 +77,7 @@ class ErrorPredictor:
     calibration: ErrorCalibration
 
     @classmethod
-    def of(cls, controller: Controller, settings: NodeSettings) -> ErrorPredictor:
+    def of(cls, controller: Controller, settings: PredictedErrorSettings) -> ErrorPredictor:
         """Read the calibration; ConfigError or ValueError where it cannot be used, or not for this model."""
         calibration = load_calibration(settings.error_calibration or None)
         calibration.population(settings.error_population)
@@ -88,37 +117,45 @@ def _summary(predicted: PredictedError, population: str) -> dict[str, object]:
     }
 
 
-def lay_within_limit(
-    lay: Callable[[TrajectoryLimits], Laid],
-    limits: TrajectoryLimits,
-    settings: NodeSettings,
-    predictor: ErrorPredictor,
-    config: ControllerConfig,
-    speed: float = 0.0,
-) -> Laid:
-    """Lay a path whose predicted error keeps to `follow_error_limit`, slower where the settings allow that.
+@dataclass(frozen=True)
+class ErrorLimit:
+    """Condition on paths: the predicted error keeps to `follow_error_limit`; see `PathCheck`."""
 
-    A reference that began below the present `speed` [m/s] of the robot would pull it back: a moving robot is slowed
-    no further than that, and otherwise refused, so that it stands when the next path comes.
+    predictor: ErrorPredictor
+    settings: PredictedErrorSettings
 
-    Raises ConfigError, which says by how much and where, if no allowed speed keeps to it.
-    """
-    slower = _SLOWER if settings.follow_error_response == "slow" else ()
-    shares = (1.0, *(share for share in slower if share * limits.v >= speed))
-    complaints = []
-    for share in shares:
-        laid = lay(_slowed(limits, share))
-        try:
-            complaint = _complaint(predictor.predict(laid.reference, config), settings.follow_error_limit)
-        except ValueError as error:
-            raise ConfigError(f"path: follow_error_limit cannot be checked: {error}") from error
-        if not complaint:
-            return replace(laid, speed_share=share)
-        complaints.append(complaint)
-    slowest = f"; at {100 * shares[-1]:g} % of this speed: {complaints[-1]}" if complaints[1:] else ""
-    raise ConfigError(
-        f"path: {complaints[0]}{slowest}. Plan an easier path, lower follow_speed_share, or raise follow_error_limit"
-    )
+    def lay(
+        self, lay: Callable[[TrajectoryLimits], Laid], config: ControllerConfig, speed: float, limits: TrajectoryLimits
+    ) -> Laid:
+        """Lay a path whose predicted error keeps to the limit, slower if the settings allow that.
+
+        A reference that began below the present `speed` [m/s] of the robot would pull it back: a moving robot is
+        slowed no further than that, and otherwise refused, so that it stands when the next path comes.
+
+        Raises
+        ------
+        ConfigError
+            If no allowed speed keeps to the limit, with the excess and its place.
+        """
+        limit = self.settings.follow_error_limit
+        slower = _SLOWER if self.settings.follow_error_response == "slow" else ()
+        shares = (1.0, *(share for share in slower if share * limits.v >= speed))
+        complaints = []
+        for share in shares:
+            laid = lay(_slowed(limits, share))
+            try:
+                complaint = _complaint(self.predictor.predict(laid.reference, config), limit)
+            except ValueError as error:
+                raise ConfigError(f"path: follow_error_limit cannot be checked: {error}") from error
+            if not complaint:
+                slowed = f"driven at {100 * share:g} % of its speed for follow_error_limit" if share < 1.0 else ""
+                return replace(laid, note=slowed)
+            complaints.append(complaint)
+        slowest = f"; at {100 * shares[-1]:g} % of this speed: {complaints[-1]}" if complaints[1:] else ""
+        raise ConfigError(
+            f"path: {complaints[0]}{slowest}. Plan an easier path, lower follow_speed_share, or raise "
+            "follow_error_limit"
+        )
 
 
 def _complaint(predicted: PredictedError, limit: float) -> str:
@@ -135,3 +172,67 @@ def _complaint(predicted: PredictedError, limit: float) -> str:
 def _slowed(limits: TrajectoryLimits, share: float) -> TrajectoryLimits:
     names = ("v", "omega", "v_acceleration", "omega_acceleration")
     return replace(limits, **{name: share * getattr(limits, name) for name in names})
+
+
+class PredictedErrorPart(NodePart):
+    """Service `~/predict_error`, and the limit of the predicted error of paths."""
+
+    schema = PredictedErrorSettings
+
+    def __init__(self, node: PartHost) -> None:
+        super().__init__(node)
+        self._settings = PredictedErrorSettings()
+        self._predictor: ErrorPredictor | None = None
+        self._unpredictable = ""
+        self._pending: set[Future] = set()
+        # The reentrant group lets ticks go on while the service awaits the side process.
+        group = ReentrantCallbackGroup()
+        node.create_service(Trigger, "~/predict_error", self._predict, callback_group=group)
+
+    def configure(self, tools: NodeTools) -> None:
+        """Load the calibration; without a limit, a model without a prediction is accepted."""
+        settings = self._settings = tools.part_settings(PredictedErrorSettings)
+        self._predictor, self._unpredictable = None, ""
+        try:
+            self._predictor = ErrorPredictor.of(tools.controller, settings)
+        except ConfigError:
+            raise
+        except ValueError as error:
+            if settings.follow_error_limit:
+                raise RefusedError(f"follow_error_limit is set, and {error}") from error
+            self._unpredictable = str(error)
+
+    def tear_down(self) -> None:
+        """Answer the pending requests."""
+        for future in self._pending:
+            future.set_result((False, "the node was deactivated and cleaned up"))
+
+    def path_check(self) -> PathCheck | None:
+        """Return the limit of the predicted error."""
+        if self._predictor is None or not self._settings.follow_error_limit:
+            return None
+        return ErrorLimit(self._predictor, self._settings)
+
+    async def _predict(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Predict the error of the present reference in the side process."""
+        try:
+            loop, tools = self.running()
+            if self._predictor is None:
+                raise RefusedError(self._unpredictable)
+            if loop.reference is None:
+                raise RefusedError("there is no reference yet; send one, or set the parameter trajectory")
+        except ValueError as error:
+            response.success, response.message = False, str(error)
+            return response
+        future = Future()
+        self._pending.add(future)
+        tools.side_process.submit(
+            "predict_error",
+            ErrorPredictor.summary,
+            (self._predictor, loop.reference, tools.controller.config),
+            lambda words: future.set_result((True, words)),
+            lambda why: future.set_result((False, why)),
+        )
+        response.success, response.message = await future
+        self._pending.discard(future)
+        return response

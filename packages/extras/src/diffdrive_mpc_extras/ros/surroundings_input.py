@@ -15,12 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid as GridMessage
+from pydantic import Field
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.conversions import (
     LONGEST_NAME,
     MessageError,
@@ -30,7 +33,9 @@ from diffdrive_mpc.mpc.ros.conversions import (
     too_long,
 )
 from diffdrive_mpc.mpc.ros.inbox import Inbox
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
+from diffdrive_mpc.mpc.ros.reference_input import nothing
+from diffdrive_mpc.mpc.ros.settings import PartSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc_extras.free_space import MovingDisc, OccupancyGrid, Surroundings
@@ -124,6 +129,21 @@ def read_obstacles(raw: bytes) -> SeenDiscs:
     return SeenDiscs(discs, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
+class SurroundingsSettings(PartSettings):
+    """Topics that show the surroundings."""
+
+    use_costmap: bool = Field(
+        False,
+        description="keep clear of occupied cells of `costmap` (nav_msgs/OccupancyGrid), in the control frame; needs "
+        "free_space.enabled [-]",
+    )
+    use_obstacles: bool = Field(
+        False,
+        description="keep clear of the discs on `obstacles` (sensor_msgs/PointCloud2 with x, y, radius, vx, vy) in the "
+        "control frame; needs free_space.enabled [-]",
+    )
+
+
 class SurroundingsInput:
     """Puts together what the topics tell, and lets the controller see it.
 
@@ -143,7 +163,7 @@ class SurroundingsInput:
 
     def __init__(
         self,
-        settings: NodeSettings,
+        settings: SurroundingsSettings,
         controller: Controller,
         inbox: Inbox,
         aside: SideProcess,
@@ -246,3 +266,36 @@ class SurroundingsInput:
         if now - self._warned.get(watch.name, -math.inf) >= _WARN_EVERY:
             self._warned[watch.name] = now
             self._log(watch.reason)
+
+
+class FreeSpacePart(NodePart):
+    """Costmap and obstacles for the controller; without fresh ones the robot does not drive."""
+
+    schema = SurroundingsSettings
+
+    surroundings: SurroundingsInput | None = None
+
+    def configure(self, tools: NodeTools) -> None:
+        """Subscribe to the topics in use."""
+        settings = tools.part_settings(SurroundingsSettings)
+        if not (settings.use_costmap or settings.use_obstacles):
+            return
+        if not tools.controller.config.free_space.enabled:
+            raise RefusedError("use_costmap or use_obstacles is set: set free_space.enabled, too")
+        warn = self.node.get_logger().warning
+        seen = SurroundingsInput(settings, tools.controller, tools.inbox, tools.side_process, warn)
+        self.surroundings, self.topics = seen, seen.topics
+        if settings.use_costmap:
+            self.subscribe_raw(GridMessage, "costmap", seen.take_costmap)
+        if settings.use_obstacles:
+            self.subscribe_raw(PointCloud2, "obstacles", seen.take_obstacles, qos_profile_sensor_data)
+        tools.side_process.prepare(nothing)
+
+    def activate(self) -> None:
+        """Forget the surroundings of the last activation."""
+        if self.surroundings is not None:
+            self.surroundings.restart()
+
+    def tear_down(self) -> None:
+        """Forget the surroundings."""
+        self.surroundings, self.topics = None, ()

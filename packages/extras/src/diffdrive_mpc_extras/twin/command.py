@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
 from diffdrive_mpc.app.commands.options import Mapping
-from diffdrive_mpc.bench.command_line.options import Jobs, PluggedCommand, out_option
 
 
 def twin(

@@ -10,9 +10,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from diffdrive_mpc.bench.case import AS_FILED
-from diffdrive_mpc.bench.peers import PEERS
-
 if TYPE_CHECKING:
     from diffdrive_mpc.models.file_kind import FileKind
 
@@ -64,12 +61,16 @@ def _plants() -> Offered:
 
 
 def _controllers() -> Offered:
+    from diffdrive_mpc.bench.peers import PEERS  # noqa: PLC0415 - the node's command loads no bench
+
     yield "mpc", "the predictive controller"
     for name in PEERS:
         yield name, "a peer"
 
 
 def _timings() -> Offered:
+    from diffdrive_mpc.bench.case import AS_FILED  # noqa: PLC0415 - the node's command loads no bench
+
     timing = _schema("trajectory")["$defs"]["SegmentFile"]["properties"]["timing"]
     yield from ((word, "") for word in timing["enum"])
     yield AS_FILED, "what the file says"
@@ -105,7 +106,7 @@ def _kinds() -> Offered:
 
 
 def _kinds_of_files() -> Mapping[str, FileKind]:
-    from diffdrive_mpc.bench.command_line.file_kinds import KINDS  # noqa: PLC0415 - who completes nothing needs none
+    from diffdrive_mpc.app.command_line.file_kinds import KINDS  # noqa: PLC0415 - who completes nothing needs none
 
     return KINDS
 

@@ -12,9 +12,9 @@ from typing import Any, ClassVar, NoReturn, TextIO
 import typer
 from typer.core import TyperGroup
 
-from diffdrive_mpc.bench.command_line.echo import echo
-from diffdrive_mpc.bench.command_line.options import typed
+from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.models.typed_command import typed
 
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""

@@ -1,0 +1,54 @@
+"""The command that is being carried out, as it was typed."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from diffdrive_mpc.models.input_file import reading
+
+OUTPUTS: dict[str, frozenset[str]] = {
+    "--out": frozenset(),
+    "--log": frozenset({"simulate", "excite"}),
+    "--animate": frozenset(),
+    "--rerun": frozenset(),
+    "--record": frozenset(),
+    "--to": frozenset({"log"}),
+}
+"""Options that name what is written, and by which commands; of all where there is none."""
+_TYPED: ContextVar[tuple[str, ...] | None] = ContextVar("typed", default=None)
+_PROGRAM: ContextVar[str] = ContextVar("program", default="diffdrive-mpc")
+
+
+@contextmanager
+def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[None]:
+    """Within, `command_line` tells these arguments of `program`, and no file that they name to be read is written."""
+    before, program_before = _TYPED.set(tuple(arguments)), _PROGRAM.set(program)
+    try:
+        with reading(named_inputs(arguments)):
+            yield
+    finally:
+        _TYPED.reset(before)
+        _PROGRAM.reset(program_before)
+
+
+def named_inputs(arguments: Sequence[str]) -> list[str]:
+    """What in a command may name a file to be read: every word, and part of one, but what follows an output option."""
+    outputs = {option for option, commands in OUTPUTS.items() if not commands or commands & set(arguments[:1])}
+    parts: list[str] = []
+    for before, word in zip(("", *arguments), arguments, strict=False):
+        option, equals, value = word.partition("=")
+        if before in outputs or (equals and option in outputs):
+            continue
+        parts += [word, value] if equals else [word]
+        parts += re.split("[,:]", value or word)
+    return [part for part in parts if part]
+
+
+def command_line() -> str:
+    """The command, to be pasted into a shell; what called instead where there is none."""
+    arguments = _TYPED.get()
+    return "called from Python" if arguments is None else f"{_PROGRAM.get()} {shlex.join(arguments)}"

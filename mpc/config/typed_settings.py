@@ -1,0 +1,62 @@
+"""Read `KEY=VALUE` and `KEY=V1,V2,...` as typed on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import yaml
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
+from diffdrive_mpc.mpc.config.rooms import plain_key
+
+
+def parse_setting(text: str) -> tuple[str, list[object]]:
+    """Split `KEY=V1,V2,...` into the dotted key and its values.
+
+    Raises ConfigError if there is no key, no value, or the values are no YAML.
+    """
+    key, equals, listed = text.partition("=")
+    if not equals or not key.strip() or not listed.strip():
+        raise ConfigError(f"--set {text}: write KEY=VALUE or KEY=V1,V2,..., for instance weights.across=100,200")
+    try:
+        values = parse_yaml(f"[{listed}]")
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {text}: '{listed}' cannot be read as values separated by commas") from error
+    if not values or any(isinstance(value, (list, dict)) for value in values):
+        raise ConfigError(f"--set {text}: each value must be a number, a word, true or false; groups have dotted keys")
+    if plain_key(key.strip()) == "model":
+        raise ConfigError(f"--set {text}: models are chosen with --model (simulate) or --models (bench)")
+    return key.strip(), [_number(value) for value in values]
+
+
+def parsed_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
+    """Return the keys of several settings with their values, in the order of `texts`.
+
+    Raises ConfigError as `parse_setting`, and if a key or a value is given twice.
+    """
+    parsed = [parse_setting(text) for text in texts]
+    plain_keys = [plain_key(key) for key, _ in parsed]
+    for key, values in parsed:
+        if plain_keys.count(plain_key(key)) > 1:
+            raise ConfigError(f"--set {key}: given twice; list its values in one: {key}=V1,V2")
+        if len(set(values)) < len(values):
+            raise ConfigError(f"--set {key}: a value is listed twice")
+    return parsed
+
+
+def single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
+    """Return settings with one value each, as `simulate` takes them; raises ConfigError as `parsed_settings`."""
+    parsed = parsed_settings(texts)
+    if any(len(values) > 1 for _, values in parsed):
+        raise ConfigError("--set: one value for each key here; to compare several values use 'bench'")
+    return tuple((key, values[0]) for key, values in parsed)
+
+
+def _number(value: object) -> object:
+    """YAML 1.1 reads 1e-3, without a dot, as text."""
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value

@@ -1,0 +1,99 @@
+"""Part of the node that offers the action `follow_path`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.ros.control_loop import LoopTick
+from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
+from diffdrive_mpc.mpc.ros.reference_input import nothing
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
+from diffdrive_mpc.mpc.ros.transforms.frames import moved_poses
+from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer
+
+
+class FollowPathPart(NodePart):
+    """Action server of the node, and the goals of the present activation."""
+
+    server: FollowPathServer | None = None
+    _following: Following | None = None
+
+    def configure(self, tools: NodeTools) -> None:
+        """Start the action server if it is wanted and its type is installed."""
+        if not tools.settings.follow_path:
+            return
+        try:
+            from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer  # noqa: PLC0415 - needs nav2_msgs
+        except ImportError as error:
+            self.node.get_logger().info(f"no action follow_path: {error} (it needs nav2_msgs)")
+            return
+        self.server = FollowPathServer(self.node, tools.settings)
+
+    def activate(self) -> None:
+        """Accept goals."""
+        if self.server is None:
+            return
+        loop, tools = self.running()
+        controller, side_process = tools.controller, tools.side_process
+        checks = tuple(check for part in self.node.parts.values() if (check := part.path_check()) is not None)
+
+        def lay(
+            arguments: tuple[object, ...], done: Callable[[Laid | None], None], failed: Callable[[str], None]
+        ) -> None:
+            side_process.submit("follow_path", lay_for_robot, (*arguments, checks), done, failed)
+
+        side_process.prepare(nothing)
+        self._following = Following(
+            loop,
+            tools.settings,
+            lambda: controller.config,
+            lambda: controller.model.dc_gain,
+            lay,
+            lambda poses, frame, stamp: in_control_frame(tools.inbox, poses, frame, stamp),
+        )
+        self.server.open(self._following)
+
+    def tick(self, tick: LoopTick) -> None:
+        """Judge the goal that is driven."""
+        if self._following is not None:
+            self._following.after(tick)
+
+    def deactivate(self) -> None:
+        """End all goals, and refuse new ones."""
+        if self.server is not None:
+            self.server.shut("the node was deactivated")
+        self._following = None
+
+    def tear_down(self) -> None:
+        """Stop the action server."""
+        if self.server is not None:
+            self.server.close()
+            self.server = None
+
+
+def in_control_frame(inbox: Inbox, poses: FloatArray, frame: str, stamp: int) -> FloatArray:
+    """Return poses (n, 3) of `frame` in the control frame, as the frames lie now.
+
+    They do not move with their frame: a planner sends a newer path after a correction of the localisation.
+
+    Raises
+    ------
+    FrameError
+        If the transform is not known.
+    """
+    if inbox.frames is None:
+        if frame != inbox.frame:
+            raise FrameError(f"the path is in '{frame}', control in '{inbox.frame}': plan in that frame, or set use_tf")
+        return poses
+    try:
+        placement = inbox.frames.placement(frame, stamp)
+        return poses if placement is None else moved_poses(poses, placement.motion())
+    except TransformError as error:
+        raise FrameError(str(error)) from error

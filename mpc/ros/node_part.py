@@ -1,0 +1,230 @@
+"""Hooks by which features attach to the node.
+
+A package registers a subclass of `NodePart` as an entry point of the group `diffdrive_mpc.node_parts`. The name of the
+entry is that of the part and of its parameters, `parts.<name>.<key>`. The node loads the parts that its settings name,
+and those of the controller's features that have a part of the same name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+from diffdrive_mpc.models.logs.drive_log.tick import Cell
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopTick, RefusedError
+from diffdrive_mpc.mpc.ros.conversions import SENSOR_BYTES, subscribe_bounded
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.publishers import Publishers
+from diffdrive_mpc.mpc.ros.settings import NodeSettings, PartSettings
+from diffdrive_mpc.mpc.ros.side_process import SideProcess
+from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
+
+_Settings = TypeVar("_Settings", bound=PartSettings)
+
+
+class PathCheck(Protocol):
+    """Condition on paths of `follow_path`; it is pickled for the side process."""
+
+    def lay(
+        self,
+        lay: Callable[[TrajectoryLimits], Laid],
+        config: ControllerConfig,
+        speed: float,
+        limits: TrajectoryLimits,
+    ) -> Laid:
+        """Return a laid path that keeps to the condition.
+
+        Parameters
+        ----------
+        lay
+            Lays the path within limits of speed and acceleration.
+        config
+            Configuration of the controller.
+        speed
+            Present speed of the robot [m/s].
+        limits
+            Limits of the path without the condition.
+
+        Raises
+        ------
+        ConfigError
+            If no path within the limits keeps to it.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class NodeTools:
+    """Objects of a configured node that its parts share."""
+
+    settings: NodeSettings
+    controller: Controller
+    inbox: Inbox
+    publishers: Publishers
+    side_process: SideProcess
+    watched: Sequence[tuple[TopicWatch, Subscription]]
+    """Inputs of the controller with their subscriptions."""
+
+    def part_settings(self, schema: type[_Settings]) -> _Settings:
+        """Return the settings of the part with this schema."""
+        return next(group for group in self.settings.parts.values() if isinstance(group, schema))
+
+
+class PartHost(LifecycleNode):
+    """Lifecycle node with parts.
+
+    Attributes
+    ----------
+    label
+        Label of the lifecycle state.
+    parts
+        Parts by name, in the order in which their hooks are called.
+    """
+
+    label: str
+    parts: dict[str, NodePart]
+
+    def configure_parts(self, tools: NodeTools) -> None:
+        """Give the parts their tools, and configure them."""
+        for part in self.parts.values():
+            part.tools = tools
+            part.configure(tools)
+
+    def activate_parts(self, loop: ControlLoop) -> None:
+        """Give the parts the loop, and activate them."""
+        for part in self.parts.values():
+            part.loop = loop
+            part.activate()
+
+    def deactivate_parts(self) -> None:
+        """Take the loop from the parts, and deactivate them."""
+        for part in self.parts.values():
+            part.loop = None
+            part.deactivate()
+
+    def tear_down_parts(self) -> None:
+        """Take the tools from the parts, and destroy what they built."""
+        for part in self.parts.values():
+            part.tools = None
+            part.tear_down()
+            part.unsubscribe()
+
+
+class NodePart:
+    """Feature of the node; hooks do nothing unless a subclass overrides them.
+
+    A part is built together with its node, so that it can offer services in every lifecycle state.
+
+    Parameters
+    ----------
+    node
+        The node.
+
+    Attributes
+    ----------
+    schema
+        Schema of the part's parameters; None for a built-in part, which uses `NodeSettings`.
+    tools
+        Objects of the configured node; None while the node is unconfigured.
+    loop
+        Control loop of the active node; None while the node is not active.
+    topics
+        Inputs of the part that diagnostics show.
+    """
+
+    schema: ClassVar[type[PartSettings] | None] = None
+
+    def __init__(self, node: PartHost) -> None:
+        self.node = node
+        self.tools: NodeTools | None = None
+        self.loop: ControlLoop | None = None
+        self.topics: Sequence[TopicWatch] = ()
+        self._subscriptions: list[Subscription] = []
+
+    def configure(self, tools: NodeTools) -> None:
+        """Build what needs the configured node; raise ValueError to refuse the transition."""
+
+    def check_activation(self) -> None:
+        """Raise ValueError if the node must not become active."""
+
+    def activate(self) -> None:
+        """Prepare for the first tick of an activation."""
+
+    def deactivate(self) -> None:
+        """End the activation; the robot has been sent its last command."""
+
+    def tear_down(self) -> None:
+        """Destroy what `configure` built, or a part of it if that failed."""
+
+    def change_limits(self) -> None:
+        """React to changed weights or limits of the active controller."""
+
+    def tick(self, tick: LoopTick) -> None:
+        """Act on the decision of a tick before its command is sent."""
+
+    def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
+        """Act on a tick at `time` [ns] after its command was sent; add columns to the `row` of the recording."""
+
+    def path_check(self) -> PathCheck | None:
+        """Return the condition on paths of `follow_path`; None without a condition."""
+        return None
+
+    def diagnostics(self) -> Mapping[str, str]:
+        """Return values for diagnostics by name."""
+        return {}
+
+    @property
+    def fault(self) -> str:
+        """Warning for diagnostics; empty if there is none."""
+        return ""
+
+    def after_diagnostics(self, message: DiagnosticArray, time: int) -> None:
+        """Act on a message of diagnostics that was published at `time` [ns]."""
+
+    # Helpers for subclasses.
+
+    def require_tools(self) -> NodeTools:
+        """Return the tools of the configured node."""
+        assert self.tools is not None
+        return self.tools
+
+    def running(self) -> tuple[ControlLoop, NodeTools]:
+        """Return loop and tools of the active node; raise RefusedError if it is not active."""
+        if self.loop is None or self.tools is None:
+            raise RefusedError(f"the node is {self.node.label}; activate it first")
+        return self.loop, self.tools
+
+    def subscribe(
+        self,
+        kind: type[Any],
+        topic: str,
+        take: Callable[[Any], None],
+        qos: QoSProfile | int,
+        refuse: Callable[[str], None],
+        max_bytes: int = SENSOR_BYTES,
+    ) -> None:
+        """Subscribe to messages of at most `max_bytes` until the part is torn down."""
+        made = subscribe_bounded(self.node, kind, topic, take, qos, refuse=refuse, most=max_bytes)
+        self._subscriptions.append(made)
+
+    def subscribe_raw(
+        self, kind: type[Any], topic: str, take: Callable[[bytes], None], qos: QoSProfile | int = 1
+    ) -> None:
+        """Subscribe to serialised messages until the part is torn down."""
+        self._subscriptions.append(self.node.create_subscription(kind, topic, take, qos, raw=True))
+
+    def unsubscribe(self) -> None:
+        """Destroy the subscriptions."""
+        for subscription in self._subscriptions:
+            self.node.destroy_subscription(subscription)
+        self._subscriptions.clear()

@@ -1,0 +1,130 @@
+"""Parts of the node that take references and speed limits from topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
+from diffdrive_mpc.mpc.ros.conversions import check_frame, message_type, too_long
+from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
+from diffdrive_mpc.mpc.ros.reference_input import (
+    MOST_BYTES,
+    MOST_TRAJECTORY_BYTES,
+    SpeedLimit,
+    StatedReference,
+    nothing,
+    read_path,
+    read_speed_limit,
+    read_timed_trajectory,
+    read_trajectory,
+    timed_trajectory_type,
+)
+
+_TOPICS = "set_path", "set_trajectory", "set_timed_trajectory"
+
+
+class ReferencePart(NodePart):
+    """References from topics: the side process reads them, and the loop drives along them."""
+
+    def configure(self, _tools: NodeTools) -> None:
+        """Subscribe to the topics whose types are installed."""
+        self.subscribe_raw(Path, _TOPICS[0], self._reader(read_path))
+        self.subscribe_raw(MultiDOFJointTrajectory, _TOPICS[1], self._reader(read_trajectory))
+        timed = timed_trajectory_type()
+        if timed is not None:
+            self.subscribe_raw(timed, _TOPICS[2], self._reader(read_timed_trajectory, MOST_TRAJECTORY_BYTES))
+
+    def after_diagnostics(self, _message: DiagnosticArray, _time: int) -> None:
+        """Start the side process once a node publishes references."""
+        if self.loop is not None and any(self.node.count_publishers(topic) for topic in _TOPICS):
+            self.running()[1].side_process.prepare(nothing)
+
+    def _reader(
+        self, read_reference: Callable[[bytes, Limits], StatedReference], max_bytes: int = MOST_BYTES
+    ) -> Callable[[bytes], None]:
+        """Return a callback that has the side process read references of at most `max_bytes`."""
+
+        def take(raw: bytes) -> None:
+            try:
+                loop, tools = self.running()
+            except RefusedError as error:
+                self._refuse(str(error))
+                return
+            if len(raw) > max_bytes:
+                self._refuse(too_long(len(raw), max_bytes))
+                return
+            arguments = raw, tools.controller.config.limits
+            tools.side_process.submit(
+                "reference", read_reference, arguments, lambda stated: self._offer(loop, stated), self._refuse
+            )
+
+        return take
+
+    def _refuse(self, reason: str) -> None:
+        self.node.get_logger().error(f"reference refused: {reason}")
+
+    def _offer(self, loop: ControlLoop, stated: StatedReference) -> None:
+        """Offer a reference to the loop that was active when it arrived; log the reason if it cannot be used."""
+        try:
+            if loop is not self.loop:
+                raise RefusedError("the node was deactivated while it was read")
+            inbox = loop.inbox
+            if inbox.frames is None:
+                parameter = "odom_frame, or map_frame with use_pose_topic; with use_tf it may be any that /tf knows"
+                check_frame(stated.frame, inbox.frame, parameter)
+                loop.offer(stated.reference)
+            else:
+                loop.offer(stated.reference, inbox.frames.placement(stated.frame, stated.stamp))
+        except ValueError as error:
+            self._refuse(str(error))
+        else:
+            self.node.get_logger().info(f"reference accepted: {stated.reference.duration:.1f} s")
+
+
+class SpeedLimitPart(NodePart):
+    """Speed limit from a topic; it also holds for later activations."""
+
+    _limit: SpeedLimit | None = None
+
+    def configure(self, tools: NodeTools) -> None:
+        """Subscribe to the topic if its type is installed."""
+        if not tools.settings.use_speed_limit:
+            return
+        kind = message_type("nav2_msgs", "SpeedLimit")
+        if kind is None:
+            self.node.get_logger().info("speed_limit is not heard: nav2_msgs is not installed")
+            return
+        self.subscribe(kind, "speed_limit", self._take, 10, self._refuse)
+
+    def activate(self) -> None:
+        """Apply the last limit."""
+        self.change_limits()
+
+    def change_limits(self) -> None:
+        """Apply the limit to the controller, as a share of the present maximum speed if it is a percentage."""
+        if self.tools is None or self._limit is None:
+            return
+        controller = self.tools.controller
+        wanted = self._limit.speed(self.node.get_parameter("limits.v").value)
+        if wanted != controller.speed_limit:
+            controller.limit_speed(wanted)
+            self.node.get_logger().info("speed limit off" if wanted is None else f"speed limit {wanted:.3g} m/s")
+
+    def _take(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
+        try:
+            limit = read_speed_limit(message)
+        except ValueError as error:
+            self._refuse(str(error))
+            return
+        if limit != self._limit:
+            self._limit = limit
+            self.change_limits()
+
+    def _refuse(self, reason: str) -> None:
+        self.node.get_logger().error(f"speed limit refused, the last one stays: {reason}")
