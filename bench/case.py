@@ -16,13 +16,13 @@ from typing import Annotated, Any
 from annotated_types import Ge
 
 from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.sim.plants.names import BUILT_IN, split_plant
 
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
-NO_SCENARIO, NO_MODEL, AS_FILED, NO_WORLD = "none", "none", "file", "none"
-"""The scenario in which nothing happens; the model of a peer without one; the timing that a trajectory file states; the
-world in which nothing stands."""
+NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
+"""The scenario without disturbances; the model of a peer without one; the timing that a trajectory file states."""
 MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
 MOST_CASES = 100_000
@@ -167,17 +167,13 @@ class Case:
         f"Of the trajectory: stop, commanded, smooth, or {AS_FILED} for what it says itself.",
         silent=True,
     )
-    plant: str = _dimension("plants", "mujoco", "mujoco, mujoco:ROBOT, model:NAME, or model:NAME+DEAD_TIME.")
+    plant: str = _dimension(
+        "plants", "mujoco", "mujoco, mujoco:ROBOT, model:NAME, model:NAME+DEAD_TIME, or world:NAME[@PLANT]."
+    )
     surface: str = _dimension("surfaces", "default", "Floor of the mujoco plant, slip of a model: plant.")
     sensors: str = _dimension("sensors", "default", "Sensor set.")
     scenario: str = _dimension(
         "scenarios", NO_SCENARIO, "What happens: none, push, ..., or the path of a file.", silent=True
-    )
-    world: str = _dimension(
-        "worlds",
-        NO_WORLD,
-        "What stands around: none, doorway, ..., drawn:SEED, drawn:SEED:through, or the path of a file.",
-        silent=True,
     )
     seed: int = _dimension(
         "seeds",
@@ -196,9 +192,9 @@ class Case:
     late: int = 0
 
     def __post_init__(self) -> None:
-        """A world has a way of its own: the trajectory is called after it where none is asked for."""
-        if self.world != NO_WORLD and self.trajectory == _trajectory_default():
-            object.__setattr__(self, "trajectory", self.world)
+        """Give the run the name of its plant as trajectory if it asks for none and the plant has its own."""
+        if self.trajectory == _trajectory_default() and split_plant(self.plant) is not None:
+            object.__setattr__(self, "trajectory", self.plant)
 
     @property
     def horizon(self) -> int | None:
@@ -256,7 +252,10 @@ def combinations(**values: Iterable[object]) -> list[Case]:
 
 
 def label(value: object) -> str:
-    """A value as it is, a path without folders and ending; "model:PATH+SECONDS" keeps what stands around the path."""
+    """Return a value; a path without folders and ending. "model:PATH+SECONDS" and "KIND:PATH@PLANT" keep the rest."""
+    inner, at, outer = str(value).rpartition("@")
+    if at and outer.partition(":")[0] in BUILT_IN:
+        return f"{label(inner)}@{label(outer)}"
     kind, separator, rest = str(value).rpartition(":")
     base = Path(rest).name
     for ending in (".yaml", ".yml", ".csv"):

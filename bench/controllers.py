@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
@@ -13,19 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, NO_WORLD, Case, Overrides, label
+from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, Case, Overrides, label
 from diffdrive_mpc.bench.drive import plant_settings
-from diffdrive_mpc.bench.peers import LAWS, PEERS, make_peer
+from diffdrive_mpc.bench.peers import PEERS, make_peer, takes_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped, load_model, model_path
+from diffdrive_mpc.models.plug_ins import known_packages, missing_part
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.features.registry import prepared
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
-from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot, plant_outline
+from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot
+from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plant import PlantAround
 
 # A plant that hears every command some ticks later than it would: a dead time that no controller was told of.
@@ -77,9 +79,7 @@ def build_plant(case: Case) -> Plant:
     options: dict[str, Any] = {}
     if case.controller not in PEERS:
         options = plant_settings(controller_config(case.model, case.config, settings_of(case)))
-    plant = make_plant(
-        case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world, **options
-    )
+    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, **options)
     return LatePlant(plant, case.late) if case.late > 0 else plant
 
 
@@ -98,27 +98,13 @@ def check_cases(cases: Iterable[Case]) -> None:
 
 
 def load_reference(case: Case) -> Trajectory:
-    """The trajectory of a case with its timing; raises ConfigError if either cannot be used.
+    """Return the trajectory of a case with its timing; raises ConfigError if either cannot be used.
 
-    With a top speed of its own, and scaled to the robot, it stops where the curvature jumps. In a world it is the way
-    that the world's file says, where it says one.
+    With a top speed, or scaled to the robot, it stops where the curvature jumps. A plant may have its own reference.
     """
-    if case.world != NO_WORLD:
-        from diffdrive_mpc_extras.worlds.world_file import load_world  # noqa: PLC0415 - most cases are in none
-
-        way = load_world(case.world, case.seed).way
-        if way is not None and case.trajectory != case.world:
-            raise ConfigError(
-                f"--trajectory {case.trajectory}: the world '{case.world}' has a way of its own; leave it out, or take "
-                "'way' out of a copy of the world's file"
-            )
-        if way is not None:
-            limits = TrajectoryLimits.of_controller(_config_of_robot(case).limits)
-            from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints  # noqa: PLC0415 - loads SciPy
-
-            return lay_waypoints(way.waypoints, limits, name=label(case.world), speed=way.speed, timing="smooth")
-        if case.trajectory == case.world:
-            raise ConfigError(f"--world {case.world}: it has no way of its own; give a --trajectory beside it")
+    own = _reference_of_plant(case)
+    if own is not None:
+        return own
     config = _config_of_robot(case)
     if case.scaled:
         from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot  # noqa: PLC0415 - as above
@@ -139,6 +125,28 @@ def load_reference(case: Case) -> Trajectory:
         if case.config is not None:
             raise
         raise BeyondLimitError(f"{error}, or give the configuration of the robot (--config)") from error
+
+
+def _reference_of_plant(case: Case) -> Trajectory | None:
+    """Return the reference that belongs to the plant of a case; None if it has none.
+
+    Raises ConfigError if the case names another trajectory, or none and the plant has none.
+    """
+    around = split_plant(case.plant)
+    if around is None:
+        return None
+    kind, name, _ = around
+    limits = TrajectoryLimits.of_controller(_config_of_robot(case).limits)
+    own: Trajectory | None = kind.reference(name, case.seed, limits)
+    is_named = case.trajectory != case.plant
+    if own is not None and is_named:
+        raise ConfigError(
+            f"--trajectory {case.trajectory}: the plant '{label(case.plant)}' has its own path; leave the option out, "
+            "or remove the path from a copy of the plant's file"
+        )
+    if own is None and not is_named:
+        raise ConfigError(f"--plant {case.plant}: it has no path of its own; give a --trajectory")
+    return own
 
 
 def other_robots(cases: Iterable[Case]) -> list[str]:
@@ -183,6 +191,8 @@ def make_controller(case: Case) -> TrackingController:
     if case.controller in PEERS:
         return make_peer(case.controller, dict(settings_of(case)))
     if case.controller != "mpc":
+        if case.controller in known_packages().get("peers", {}):
+            raise MissingPackageError(missing_part("peers", case.controller))
         raise ConfigError(f"unknown controller '{case.controller}'; known: {', '.join(CONTROLLERS)}")
     return Controller(case_config(case))
 
@@ -192,21 +202,18 @@ def settings_of(case: Case) -> Overrides:
 
     A peer that does not act on this project's estimate takes none.
     """
-    drawn = None if case.controller in PEERS and case.controller not in LAWS else drawn_robot(case.plant)
+    drawn = None if case.controller in PEERS and not takes_settings(case.controller) else drawn_robot(case.plant)
     return case.overrides if drawn is None else tuple((dict(drawn.stated) | dict(case.overrides)).items())
 
 
 def case_config(case: Case) -> ControllerConfig:
-    """The configuration of the predictive controller of a case; in a world it sees, and knows the outline of its robot.
+    """Return the configuration of the predictive controller of a case, with the settings that its plant needs.
 
     Raises ConfigError as `controller_config`.
     """
-    if case.world == NO_WORLD:
-        return controller_config(case.model, case.config, settings_of(case))
-    length, width = plant_outline(case.plant)
-    corners = [[x * length / 2, y * width / 2] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    overrides = {"free_space.enabled": True, "free_space.footprint": json.dumps(corners)} | dict(settings_of(case))
-    return controller_config(case.model, case.config, tuple(overrides.items()))
+    around = split_plant(case.plant)
+    needed = {} if around is None else dict(around[0].settings(around[1], around[2]))
+    return controller_config(case.model, case.config, tuple((needed | dict(settings_of(case))).items()))
 
 
 @lru_cache(maxsize=256)

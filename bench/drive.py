@@ -14,7 +14,8 @@ from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.sim import loop
-from diffdrive_mpc.sim.plants.make import PHYSICS, make_plant
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.names import PHYSICS
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel

@@ -12,10 +12,6 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-from matplotlib.patches import Polygon as Patch
-
-from diffdrive_mpc_extras.worlds.world import World
 
 # Okabe and Ito's palette: told apart with every kind of colour vision, and by brightness in print.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -73,23 +69,3 @@ def free_name(text: str, taken: Container[str]) -> str:
     stem = file_name(text)
     names = itertools.chain([f"{stem}.png"], (f"{stem}-{number}.png" for number in itertools.count(2)))
     return next(name for name in names if name not in taken)
-
-
-# Worlds from above, in axes of matplotlib.
-
-
-_STANDS, _MOVES = "#555555", "#E69F00"
-
-
-def draw_world(axes: Axes, world: World) -> None:
-    """Draw what stands in a world at the beginning, and an arrow for each mover from where it is first."""
-    shapes = world.shapes(0.0)
-    for corners in shapes.polygons:
-        axes.add_patch(Patch(corners, facecolor=_STANDS, edgecolor="none"))
-    for x, y, radius in shapes.discs:
-        axes.add_patch(Circle((x, y), radius, facecolor=_STANDS, edgecolor="none"))
-    for mover in world.movers:
-        place, step = mover.position(mover.time), mover.velocity
-        axes.add_patch(Circle(tuple(place), mover.radius, facecolor=_MOVES, alpha=0.6))
-        axes.annotate("", tuple(place + step), tuple(place - step), arrowprops={"arrowstyle": "->", "color": _MOVES})
-    axes.autoscale_view()

@@ -15,6 +15,7 @@ from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
 
 Row = dict[str, Any]
@@ -89,9 +90,8 @@ def statistics_of(run: Run, *, timed: bool = True) -> Row:
 
 
 def run_columns(run: Run) -> Row:
-    """Statistics, recovery, passage through a world, how it ended, and what the controller said most often."""
+    """Return statistics, recovery, columns of the run's parts, its end, and the most frequent message."""
     messages = Counter(message for message in run.messages if message)
-    passage = {} if run.passage is None else asdict(run.passage)
     return {
         **statistics_of(run),
         "driven_s": float(run.time[-1]),
@@ -100,7 +100,7 @@ def run_columns(run: Run) -> Row:
         "message": messages.most_common(1)[0][0] if messages else "",
         "message_percent": 100.0 * messages.total() / len(run.messages),
         **{f"recovery_{name.removeprefix('recovery_')}": value for name, value in asdict(run.recovery).items()},
-        **{f"passage_{name}": value for name, value in passage.items()},
+        **{name: value for part in columns_of(run) for name, value in part.row(run).items()},
     }
 
 

@@ -77,7 +77,7 @@ def sweep(
         Processes; by default one for each core. Times of steps are in the table for `jobs=1` alone: runs side by side
         disturb each other.
     values
-        By the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`, `controller`, `world`), or
+        By the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`, `controller`), or
         else by the dotted key of a configuration, one value or several: `**{"weights.across": [100, 300]}`.
 
     Returns

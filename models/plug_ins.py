@@ -18,8 +18,6 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from diffdrive_mpc.models.errors import MissingPackageError
 
 GROUPS = (
@@ -72,6 +70,8 @@ def plug_ins(group: str) -> tuple[Any, ...]:
 @cache
 def known_packages() -> Mapping[str, Mapping[str, str]]:
     """Return the package of every part that this project's own packages register, by group and name."""
+    import yaml  # noqa: PLC0415 - names that are registered need no file
+
     data = yaml.safe_load(Path(__file__).with_name("known_packages.yaml").read_text(encoding="utf-8"))
     return {
         group: {name: package for package, names in packages.items() for name in names}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -14,25 +13,13 @@ from diffdrive_mpc.models.interface import (
     TrackingController,
 )
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
-from diffdrive_mpc.sim.plants.plant import Plant, PlantAround, RobotLostError
+from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
+from diffdrive_mpc.sim.plants.plug_ins import Surrounded
 from diffdrive_mpc.sim.recorder import Recorder
 from diffdrive_mpc.sim.run import Run
 
-if TYPE_CHECKING:
-    from diffdrive_mpc_extras.worlds.sight import Seen
-    from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
-
 _SAME_PERIOD = 1e-3
 """Two sample times that differ by less are the same [-]."""
-
-
-@runtime_checkable
-class Seeing(Protocol):
-    """A controller that wants to know what is around the robot."""
-
-    def set_obstacles(self, obstacles: Seen, /) -> None:
-        """Use the obstacles of a newly arrived observation from the next step on."""
-        ...
 
 
 def simulate(
@@ -65,8 +52,8 @@ def simulate(
     -------
     Run
         The ticks from 0 to the first one at or after the end, or to the tick after which the robot was lost; `ended`
-        then says why. In a world the run continues up to its time limit, and ends earlier when the robot has arrived,
-        touched something or stands for good. A controller with a method `set_obstacles` receives what the robot sees.
+        then says why. A plant with surroundings shows them to the controller; its run continues up to its time limit,
+        or until the plant ends it.
 
     Raises
     ------
@@ -77,15 +64,19 @@ def simulate(
     _check_arguments(controller, plant, extra_time)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
-    around = _Around(plant, controller, reference)
-    until = max(reference.duration + extra_time, around.time_limit)
+    surrounded = plant if isinstance(plant, Surrounded) else None
+    end, goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
+    until = max(reference.duration + extra_time, surrounded.time_limit if surrounded else 0.0)
     ticks = int(np.ceil((until - TIME_TOLERANCE) / plant.sample_time)) + 1
     record = Recorder(ticks, keep_plans=keep_plans)
     ended = ""
     for k in range(ticks):
         measurement = plant.measure()
         record.before(plant, measurement)
-        over = around.look()
+        is_over = False
+        if surrounded is not None:
+            surrounded.show(controller)
+            is_over = plant.time > end and surrounded.is_over(goal)
         step = controller.step(plant.time, measurement)
         command = _checked(step.command, plant.time)
         record.decided(step, command)
@@ -96,48 +87,9 @@ def simulate(
         record.after(plant, lost=bool(ended))
         if on_tick is not None:
             on_tick(k + 1, ticks)
-        if ended or over:
+        if ended or is_over:
             break
-    return record.run(plant, reference, ended=ended, **around.kept)
-
-
-class _Around:
-    """The world's part in the loop; does nothing if the plant has no world."""
-
-    def __init__(self, plant: Plant, controller: TrackingController, reference: Reference) -> None:
-        # Detect a `WorldPlant` without importing it, as most runs have no world.
-        in_world = isinstance(plant, PlantAround) and hasattr(plant, "world")
-        self._plant = cast("WorldPlant", plant) if in_world else None
-        self._see = _receiver(controller) if self._plant else None
-        self._end, self._goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
-
-    @property
-    def time_limit(self) -> float:
-        """By then the robot is to have arrived [s]; zero without a world."""
-        return self._plant.world.time_limit if self._plant else 0.0
-
-    @property
-    def kept(self) -> dict[str, Any]:
-        """What a run keeps of it."""
-        of = self._plant
-        return {"world": of.world, "contacts": of.contacts, "outline": of.footprint} if of else {}
-
-    def look(self) -> bool:
-        """Pass obstacles to the controller; return whether this tick is the last, never before the reference ends."""
-        if self._plant is None:
-            return False
-        obstacles = self._plant.look()
-        if self._see is not None and obstacles is not None:
-            self._see(obstacles)
-        return self._plant.time > self._end and self._plant.over(self._goal)
-
-
-def _receiver(controller: TrackingController) -> Callable[[Seen], None] | None:
-    """Return what takes obstacles: a method of the controller, or of its feature free_space."""
-    if isinstance(controller, Seeing):
-        return controller.set_obstacles
-    feature = getattr(controller, "feature", None)
-    return None if feature is None else feature("free_space").set_obstacles
+    return record.run(plant, reference, ended=ended)
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:

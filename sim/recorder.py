@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from diffdrive_mpc.models.step_scalars import scalar_row
 from diffdrive_mpc.sim.plants.drivetrain import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
-from diffdrive_mpc.sim.sensing.power_readings import power_read
 
 
 class Recorder:
@@ -44,13 +43,14 @@ class Recorder:
         self._measurements: list[Measurement] = []
         self._plans: list[FloatArray | None] = []
         self._work: list[MotorWork] = []
-        self._power: list[FloatArray] = []
+        self._readings: dict[str, list[FloatArray]] = {}
 
     def before(self, plant: Plant, measurement: Measurement) -> None:
         """A tick begins: where the robot is in truth, and what its sensors said."""
         k = len(self._said)
         self._time[k], self._true_pose[k], self._true_twist[k] = plant.time, plant.true_pose, plant.true_twist
-        self._power.append(power_read(plant))
+        for name, part in getattr(plant, "parts", {}).items():
+            self._readings.setdefault(name, []).append(part.value)
         self._measurements.append(measurement)
 
     def decided(self, step: ControlStep, command: FloatArray) -> None:
@@ -73,8 +73,8 @@ class Recorder:
         """The sample has passed; a robot that was `lost` in it has done no work."""
         self._work.append(NOTHING if lost else motor_work(plant))
 
-    def run(self, plant: Plant, reference: Reference, **more: Any) -> Run:  # noqa: ANN401 - fields of Run
-        """The run along `reference` as it was taken down, with `more` fields of it."""
+    def run(self, plant: Plant, reference: Reference, *, ended: str) -> Run:
+        """Return the recorded run along `reference`; `ended` is its premature end in words."""
         driven = slice(len(self._said))
         time = self._time[driven]
         expected = reference.sample(time)
@@ -104,11 +104,11 @@ class Recorder:
             motor_speed=wheel_speed,
             motor_power=mechanical,
             motor_square=square,
-            drive=getattr(plant, "drive", None),
-            power_readings=np.array(self._power),
+            parts=getattr(plant, "records", {})
+            | {name: part.record(np.array(self._readings[name])) for name, part in getattr(plant, "parts", {}).items()},
             scalars=np.array([words.scalars for words in self._said]),
             disturbance=getattr(plant, "disturbance", None) if isinstance(plant, PlantAround) else None,
-            **more,
+            ended=ended,
         )
 
 

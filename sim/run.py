@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,17 +17,13 @@ from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
-from diffdrive_mpc.sim.sensing.power_readings import READINGS
-from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 
 if TYPE_CHECKING:
     from typing import Self
 
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-    from diffdrive_mpc_extras.worlds.passage import Contact, Passage
-    from diffdrive_mpc_extras.worlds.world import World
 
 NO_SOLVER = "none"
 """Path of a tick at which no solver ran, or of a controller without one."""
@@ -87,19 +82,10 @@ class Run(ReadOnlyArrays):
         (n, 4) what each motor really did from this tick to the next, means: torque at the wheel [N m], wheel speed
         [rad/s], mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right.
         NaN for a plant without motors.
-    drive
-        Electrical constants of these motors; None for a plant without: then those of the papers' robot count.
-    power_readings
-        (n, 6) what sensors of battery and motors said, means over the sample before the tick: voltage [V] and current
-        [A] of the battery, currents of the four motors [A]; NaN for a robot without them.
     scalars
         (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN where it said nothing.
-    world
-        What was around the robot; None for nothing.
-    contacts
-        What the robot touched, by MuJoCo's contacts.
-    outline
-        Length and width of the robot in that world [m].
+    parts
+        Records of simulator parts and plants of other packages, by the name that they register.
     """
 
     reference: Reference
@@ -128,12 +114,8 @@ class Run(ReadOnlyArrays):
     motor_speed: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     motor_power: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     motor_square: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    drive: DriveConstants | None = None
-    power_readings: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
     scalars: FloatArray = field(default_factory=lambda: np.empty((0, len(step_scalars()))))
-    world: World | None = None
-    contacts: tuple[Contact, ...] = ()
-    outline: tuple[float, float] = (0.0, 0.0)
+    parts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Fill in for a controller that tells nothing of solver and estimate."""
@@ -145,18 +127,11 @@ class Run(ReadOnlyArrays):
             "solver_iterations": np.full(count, np.nan),
             "estimates": np.full((count, 5), np.nan),
             "estimate_deviations": np.full((count, 5), np.nan),
-            "power_readings": np.full((count, 6), np.nan),
             "scalars": np.full((count, len(step_scalars())), np.nan),
             **{f"motor_{what}": np.full((count, 4), np.nan) for what in ("torque", "speed", "power", "square")},
         }
         vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
         super().__post_init__()
-
-    @property
-    def solver_paths(self) -> tuple[str, ...]:
-        """Return `solver_methods`, which they were called before; it warns."""
-        warnings.warn("Run.solver_paths is Run.solver_methods now", DeprecationWarning, stacklevel=2)
-        return self.solver_methods
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -182,16 +157,6 @@ class Run(ReadOnlyArrays):
         return compute_recovery(
             self.time[counted], lateral, command, self.sample_time, self.disturbance, band, lost=bool(self.ended)
         )
-
-    @cached_property
-    def passage(self) -> Passage | None:
-        """How it went through its world; None without one."""
-        if self.world is None:
-            return None
-        from diffdrive_mpc_extras.worlds.passage import passage_of  # noqa: PLC0415 - most runs are in no world
-
-        goal = self.reference.sample([self.reference.duration]).pose[0]
-        return passage_of(self.world, self.outline, self.contacts, goal, self.time, self.true_pose, self.true_twist)
 
     @property
     def wheel_twist(self) -> FloatArray:
@@ -249,8 +214,6 @@ class Run(ReadOnlyArrays):
         finite = np.flatnonzero(np.isfinite(self.scalars).any(axis=0))
         names = tuple(step_scalars())
         numbers.append((tuple(names[column] for column in finite), self.scalars[:, finite]))
-        if np.isfinite(self.power_readings).any():
-            numbers.append((READINGS, self.power_readings))
         if np.isfinite(self.motor_torque).any():
             numbers += [
                 (tuple(f"true_{what}_{wheel}_{unit}" for wheel in ("fl", "fr", "rl", "rr")), rows)
@@ -272,6 +235,8 @@ class Run(ReadOnlyArrays):
         from diffdrive_mpc.sim.told import told_columns  # noqa: PLC0415 - who asks for no columns needs none
 
         columns |= told_columns(self.measurements, len(self.time))
+        for part in columns_of(self):
+            columns |= part.series(self)
         return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
 
     def to_dataframe(self) -> DataFrame:

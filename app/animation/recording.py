@@ -20,7 +20,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.logs.table_file import read_header
 from diffdrive_mpc.mpc.config.config_file import values_from_log
 from diffdrive_mpc.sim.log_csv import read_rows
-from diffdrive_mpc.sim.plants.make import PHYSICS
+from diffdrive_mpc.sim.plants.names import PHYSICS
 
 _OWN = {"t_s", "true_x_m", "reference_x_m", "v_ref_m_s", "mode"}
 

@@ -55,7 +55,9 @@ KINDS: dict[str, FileKind] = {
         FileKind("surface", "sim", "floor", "--surface", ("plants/surfaces/*.yaml",)),
         FileKind("sensors", "sim", "sensor set", "--sensors", ("sensing/sensor_sets/*.yaml",)),
         FileKind("scenario", "sim", "what happens to the robot", "--scenario", ("disturbances/scenarios/*.yaml",)),
-        FileKind("world", "sim", "what stands and moves around the robot", "--world", ("worlds/shipped/*.yaml",)),
+        FileKind(
+            "world", "sim", "what stands and moves around the robot", "--plant world:FILE", ("worlds/shipped/*.yaml",)
+        ),
         FileKind("experiment", "bench", "what varies in which parts, and the tables of it", "bench --spec"),
         FileKind("campaign", "bench", "runs drawn from distributions", "campaign FILE"),
         FileKind("proof", "app", "campaign with maps and boundaries", "prove --campaign", ("proof/*.yaml",)),

@@ -15,7 +15,7 @@ from diffdrive_mpc.app.commands.options import ros_arguments, with_dimensions
 ROBOT_EXAMPLE = "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive"
 
 
-@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "world", "seed")
+@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "seed")
 def robot(
     context: typer.Context,
     *,
@@ -85,7 +85,7 @@ def robot(
     settings = load_base_settings(base, changes)
     case = Case(model=chosen_model(None, config), config=None if config is None else str(config), **values)
     plant = (
-        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world)
+        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
         if config is None
         else build_plant(case)
     )

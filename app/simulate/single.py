@@ -24,6 +24,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
 
 
 def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
-    """Six lines, and one more each for a scenario and a world."""
+    """Yield six lines, one more for a scenario and for each part of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
@@ -177,9 +178,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
     if outcome.case.scenario != NO_SCENARIO:
         recovery = run.recovery
         yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"
-    if run.passage:
-        arrived = "arrived" if run.passage.arrived else "not arrived"
-        yield f"world: {arrived}, {run.passage.contacts} contacts, least clearance {run.passage.clearance_m:.3f} m"
+    yield from filter(None, (part.summary(run) for part in columns_of(run)))
     if out is None:
         yield "next: --details prints the tables, --out FOLDER writes a report with figures"
     else:
@@ -193,7 +192,6 @@ def tables(outcome: RunOutcome) -> list[Table]:
         path_table,
         scenario_table,
         summary_table,
-        world_table,
     )
     from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
 
@@ -202,7 +200,8 @@ def tables(outcome: RunOutcome) -> list[Table]:
     made = [make(rows) for make in shown]
     if outcome.case.scenario != NO_SCENARIO:
         made.append(scenario_table(rows))
-    return [world_table(rows), *made] if outcome.run.passage else made
+    added = (part.table(rows) for part in columns_of(outcome.run))
+    return [*filter(None, added), *made]
 
 
 def draw(outcome: RunOutcome, folder: Path, seconds: float) -> None:

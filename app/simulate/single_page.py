@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
@@ -14,8 +13,8 @@ from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.run_row import STATISTICS, RunOutcome, who_drives
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.metrics.metrics import Metrics
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 
 POINTS = 2000
 """Maximum number of ticks on the page of one run."""
@@ -33,14 +32,7 @@ def key_figures(run: Run) -> list[KeyFigure]:
         KeyFigure("inside the band", f"{number(of.in_band_percent, 1)} %", band),
         KeyFigure("step time, p99", step, late),
         KeyFigure("fallbacks", str(of.fallbacks), "ticks without a fresh plan", "bad" if of.fallbacks else "good"),
-        *_energy(of),
     ]
-
-
-def _energy(of: Metrics) -> list[KeyFigure]:
-    if not math.isfinite(of.energy_j):
-        return []
-    return [KeyFigure("energy", f"{number(of.energy_j, 1)} J", f"work of the motors {number(of.motor_work_j, 1)} J")]
 
 
 def sentences(case: Case, run: Run) -> list[str]:
@@ -55,7 +47,8 @@ def sentences(case: Case, run: Run) -> list[str]:
     return [
         f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
         f"seed {case.seed}). It {ending}: the robot was {_mm(of.lateral_rmse_m)} beside its path (RMSE) and "
-        f"{_mm(of.lateral_max_m)} at most."
+        f"{_mm(of.lateral_max_m)} at most.",
+        *filter(None, (part.summary(run) for part in columns_of(run))),
     ]
 
 

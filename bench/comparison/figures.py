@@ -21,7 +21,6 @@ from diffdrive_mpc.bench.figure_style import (
     REFERENCE_COLOUR,
     boxed_legend,
     colour,
-    draw_world,
     free_name,
     line_style,
     new_figure,
@@ -30,6 +29,7 @@ from diffdrive_mpc.bench.study import Charts, Draw
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from diffdrive_mpc.sim.plants.plug_ins import columns_of
 
 _VISIBLE = 0.12
 """Largest error of a driven path in a figure, in units of the path's extent: so far it is magnified."""
@@ -139,8 +139,8 @@ def draw_path(figure: Figure, axes: Axes, run: Run) -> None:
     label = f"largest error, {error[worst]:.1f} mm"
     axes.plot(*position[worst], "X", color="#D55E00", markersize=10, markeredgecolor="white", label=label, zorder=5)
     axes.plot(*position[0], "o", color="black", markersize=5, label="start", zorder=4)
-    if run.world is not None:
-        draw_world(axes, run.world)
+    for part in columns_of(run):
+        part.draw(axes, run)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.margins(0.08)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2 if factor > 1 else 3)

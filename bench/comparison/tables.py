@@ -74,7 +74,6 @@ CELLS: dict[str, Cell] = {
     "steps": lambda rows: str(step_times(rows).size),
     "undisturbed": lambda rows: number(100 * (1 - disturbed_share(rows)), 1),
     "recovered": _recovered,
-    "arrived": lambda rows: "yes" if rows["passage_arrived"].all() else "no",
     **{f"{name}_p{percent}": _time(name, percent) for name in ("solve", "step") for percent in (50, 99)},
     **{f"{name}_p{percent}_3": _time(name, percent, 3) for name in ("solve", "step") for percent in (50, 95, 99, 100)},
 }
@@ -116,9 +115,6 @@ def path_table(rows: DataFrame) -> Table:
     if (rows["drawn_max_m"] > 0.0).any():
         columns |= {f"reference to drawn path, {of} [m]": f"{what} drawn_{of}_m" for what, of in _DRAWN.items()}
         note += " The path is that of the reference, which smooth timing lays beside the drawn one."
-    if math.isfinite(mean(rows, "energy_j")):
-        columns |= {"energy [J]": "mean energy_j 1"}
-        note += " Energy: what the battery gives, from the motors' true torques."
     return spec.model_copy(update={"columns": columns, "note": note}).table(rows)
 
 
@@ -128,11 +124,6 @@ _DRAWN = {"max": "max", "mean": "rms"}
 def scenario_table(rows: DataFrame) -> Table:
     """How the controllers come back from the disturbances, by scenario."""
     return table_specs()["scenarios"].table(rows, CELLS)
-
-
-def world_table(rows: DataFrame) -> Table:
-    """How runs went through their worlds."""
-    return table_specs()["world"].table(rows, CELLS)
 
 
 def time_table(rows: DataFrame) -> Table:

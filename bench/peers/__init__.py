@@ -1,55 +1,76 @@
-"""Controllers of other kinds, to compare the predictive controller with; docs/recipes.md shows how to add one."""
+"""Controllers of other kinds, to compare the predictive controller with; docs/recipes.md shows how to add one.
+
+Packages register peers in the group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class that is made without arguments.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.interface import FloatArray, TrackingController
 
-LAWS = {
-    name + option: law
-    for name, law in {
-        "pursuit": "pursuit.PursuitLaw",
-        "kanayama": "kanayama.KanayamaLaw",
-        "lqr": "lqr.LqrLaw",
-        "mppi": "mppi.MppiLaw",
-    }.items()
-    for option in ("", "+slip")
-}
-"""Module and class of every tracking law: it acts on the predictive controller's own estimate, moved forward over the
-robot's delay; with "+slip" it makes up for the estimated side-slip too."""
+GAINS = Path(__file__).with_name("gains.yaml")
+"""Gains of the laws in this folder by the name of the peer, as the study `peers` found them."""
+_KINDS = {"pursuit": "PursuitLaw", "kanayama": "KanayamaLaw", "lqr": "LqrLaw"}
+LAWS = tuple(name + option for name in _KINDS for option in ("", "+slip"))
+"""Peers of this folder: a tracking law on the predictive controller's own estimate, moved forward over the robot's
+delay; with "+slip" it also compensates the estimated side-slip."""
+PEERS = (*LAWS, *plug_in_names("peers"))
+"""Every peer by name. None takes a model."""
 
-PEERS = dict.fromkeys(LAWS, "") | {
-    "kanayama-plain": "kanayama.KanayamaController",
-    "rpp": "rpp.RegulatedPurePursuit",
-    "rpp+stop": "seeing.PursuitThatStops",
-    "mppi+grid": "seeing.MppiWithGrid",
-}
-"""Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None takes a model."""
+
+class TrackingLaw(NamedTuple):
+    """A tracking law as a peer."""
+
+    kind: Any
+    """class, a `tracking_peer.Law`"""
+    gains: Path = GAINS
+    """file of gains by the name of the peer"""
+
+
+def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
+    """Return the law of a peer, or the class of a peer without one; raises MissingPackageError if there is none."""
+    if name not in LAWS:
+        peer: TrackingLaw | Callable[[], TrackingController] = plug_in("peers", name)
+        return peer
+    module = name.partition("+")[0]
+    return TrackingLaw(getattr(import_module(f"{__name__}.{module}"), _KINDS[module]))
+
+
+def takes_settings(name: str) -> bool:
+    """Return True if a peer takes configuration values: it acts on the predictive controller's estimate."""
+    return isinstance(find_peer(name), TrackingLaw)
 
 
 def make_peer(name: str, overrides: Mapping[str, object] | None = None) -> TrackingController:
-    """Build the controller `name` of `PEERS`.
+    """Make the peer of a name.
 
-    `overrides` are configuration values by dotted key, of the robot at hand: a tracking law acts on an estimate that
-    knows as much of it as the predictive controller does. The others only know the papers' robot.
+    Parameters
+    ----------
+    name
+        One of `PEERS`.
+    overrides
+        Configuration values of the robot by dotted key, for a tracking law: its estimate then knows as much of the
+        robot as the predictive controller. Other peers know the papers' robot only.
     """
-    if name in LAWS:
-        from diffdrive_mpc.bench.peers.tracking_peer import make_tracking_peer  # noqa: PLC0415 - --help does without it
+    peer = find_peer(name)
+    if not isinstance(peer, TrackingLaw):
+        return peer()
+    from diffdrive_mpc.bench.peers.tracking_peer import make_tracking_peer  # noqa: PLC0415 - --help does without it
 
-        return make_tracking_peer(name, overrides=overrides)
-    module, _, kind = PEERS[name].partition(".")
-    made: TrackingController = getattr(import_module(f"{__name__}.{module}"), kind)()
-    return made
+    return make_tracking_peer(name, overrides=overrides)
 
 
 @dataclass(frozen=True, slots=True)
 class PeerStep:
-    """What a peer decided at one tick; satisfies `models.interface.ControlStep`.
+    """Decision of a peer at one tick; satisfies `models.interface.ControlStep`.
 
     `solve_time` is the law's part of `step_time` [s]; estimate and prediction take the rest.
     """

@@ -6,16 +6,15 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers import LAWS, PeerStep
+from diffdrive_mpc.bench.peers import PeerStep, TrackingLaw, find_peer
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
-from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
@@ -39,8 +38,6 @@ def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatA
     return np.asarray(np.clip(np.clip(command, -most, most), last - step, last + step))
 
 
-GAINS = Path(__file__).parent / "gains.yaml"
-"""Gains of every peer by its name, as the study `peers` found them."""
 STANDING = 0.01
 """A reference slower than this stands, or turns on the spot [m/s]."""
 MODEL = "sm"
@@ -216,7 +213,7 @@ def make_tracking_peer(
     config: ControllerConfig | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> TrackingPeer:
-    """The peer of a name in `bench.peers.LAWS`, with the shipped gains and configuration by default.
+    """Make the peer of a tracking law, with the shipped gains and configuration by default.
 
     "NAME+slip" is the law NAME with compensation of side-slip; it has gains of its own. `overrides` replace values of
     the shipped configuration.
@@ -235,15 +232,26 @@ def delayed(config: ControllerConfig) -> Delayed:
 
 
 def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own type
-    """The class of the law of a peer."""
-    module, _, kind = LAWS[name].partition(".")
-    return getattr(import_module(f"diffdrive_mpc.bench.peers.{module}"), kind)
+    """Return the class of the law of a peer; raises ConfigError for a peer without a law."""
+    return _law(name).kind
 
 
-def load_gains(name: str, path: Path = GAINS) -> Gains:
-    """Gains of one peer from a file of gains by peer, by default the shipped one; raises ConfigError on a mistake."""
-    gains: Gains = check(law_kind(name).gains, _read(path)[name], f"{path.name}: {name}")
+def load_gains(name: str, path: Path | None = None) -> Gains:
+    """Read the gains of a peer from a file of gains by peer, by default the shipped one.
+
+    Raises ConfigError if the file has a mistake.
+    """
+    law = _law(name)
+    file = path or law.gains
+    gains: Gains = check(law.kind.gains, _read(file)[name], f"{file.name}: {name}")
     return gains
+
+
+def _law(name: str) -> TrackingLaw:
+    peer = find_peer(name)
+    if not isinstance(peer, TrackingLaw):
+        raise ConfigError(f"the peer '{name}' has no tracking law with gains")
+    return peer
 
 
 @cache

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
-from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, papers_drive
 
 TIME_TOLERANCE = 1e-9
 """Two instants closer than this [s] are the same tick: sums of sample times do not meet the duration exactly."""
@@ -44,12 +43,10 @@ class Metrics:
     """Statistics of one run; the field names are those of `bench.json`, units in their endings. They print as a table.
 
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
-    a pose was not finite, nothing was solved, the plant has no motors) is NaN. Times and iterations are those of the
+    a pose was not finite, nothing was solved) is NaN. Times and iterations are those of the
     ticks that have one. `stopped` says whether the controller braked or stood after it had begun to drive: a false stop
     where every sensor was honest. `behind_max_s` is the largest time by which the robot was behind its moving
-    reference: the distance along the reference's heading over its speed. `motor_work_j` is what the motors gave to the
-    wheels less what they took back, `energy_j` what the battery gave for it by the drive constants of the robot that
-    drives, without any those of the papers' robot.
+    reference: the distance along the reference's heading over its speed.
     """
 
     steps: int
@@ -82,8 +79,6 @@ class Metrics:
     fallbacks: int
     stopped: bool = False
     behind_max_s: float = math.nan
-    motor_work_j: float = math.nan
-    energy_j: float = math.nan
 
     def __str__(self) -> str:
         """A table: a row per error, a column per statistic, "-" where there is none."""
@@ -97,8 +92,6 @@ class Metrics:
             f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
             f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"
         )
-        if math.isfinite(self.energy_j):
-            note += f"; energy {self.energy_j:.1f} J, work of the motors {self.motor_work_j:.1f} J"
         return str(TextTable("", ("", *names), tuple(rows), note=note))
 
 
@@ -171,21 +164,6 @@ class ScoredRun(Protocol):
         ...
 
     @property
-    def motor_power(self) -> FloatArray:
-        """(n, 4) mechanical power of each motor until the next tick [W]; NaN for a plant without motors."""
-        ...
-
-    @property
-    def motor_square(self) -> FloatArray:
-        """(n, 4) mean square of its torque [N^2 m^2]."""
-        ...
-
-    @property
-    def drive(self) -> DriveConstants | None:
-        """Electrical constants of the motors; None where they are not known."""
-        ...
-
-    @property
     def counted(self) -> NDArray[np.bool_]:
         """(n,) True for the ticks that the statistics cover."""
         ...
@@ -230,19 +208,7 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
         stopped=_stopped(run),
         behind_max_s=_behind(run, counted),
-        **_energy(run, counted),
     )
-
-
-def _energy(run: ScoredRun, counted: NDArray[np.bool_]) -> dict[str, float]:
-    """Work of the motors and what the battery gave for it [J]; a sample in which the robot was lost does not count."""
-    known = counted & np.isfinite(run.motor_power).all(axis=1)
-    if not known.any():
-        return {}
-    work, square = run.motor_power[known], run.motor_square[known]
-    constants = run.drive or papers_drive()
-    power = constants.motor_power(work, square).sum() + constants.idle_power * len(work)
-    return {"motor_work_j": float(work.sum() * run.sample_time), "energy_j": float(power * run.sample_time)}
 
 
 def _percentiles(name: str, times: FloatArray) -> dict[str, float]:

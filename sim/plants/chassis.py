@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,11 +13,8 @@ from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.sim.core.library import address, load_twin, physics_step
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plants.plant import RobotLostError
+from diffdrive_mpc.sim.plants.plug_ins import Scene
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
-
-if TYPE_CHECKING:
-    from diffdrive_mpc_extras.worlds.scene import WorldScene
-    from diffdrive_mpc_extras.worlds.world import World
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""
@@ -51,8 +48,8 @@ class Chassis:
         Tilt of the floor; positions and headings stay those in its plane.
     sideways
         Sliding friction across the rolling direction over that along it.
-    world
-        What stands and moves around it; without one it meets the floor alone.
+    scene
+        Geometry around the robot; by default the robot touches only the surface.
     """
 
     def __init__(
@@ -64,7 +61,7 @@ class Chassis:
         payload: Payload | None = None,
         slope: Slope | None = None,
         sideways: float = 1.0,
-        world: World | None = None,
+        scene: Scene | None = None,
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
@@ -72,8 +69,8 @@ class Chassis:
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
-        self.scene = None if world is None else _placed(world, robot, twin)
-        xml = _mjcf(robot, twin, step, payload, sideways != 1.0, self.scene)
+        self._scene = scene
+        xml = _mjcf(robot, twin, step, payload, sideways != 1.0, scene)
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
         # MuJoCo needs some friction; so little holds nothing.
@@ -94,10 +91,10 @@ class Chassis:
                 "least_upright": math.cos(_TIPPED),
             },
         )
-        self._step = _step_in_c(self._model, self._data, self.scene)
+        self._step = _step_in_c(self._model, self._data, scene)
         self.c.step = self._step
-        if self.scene is not None:
-            self.scene.enter(self._model, self._data)
+        if scene is not None:
+            scene.enter(self._model, self._data)
         mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
@@ -111,8 +108,8 @@ class Chassis:
         self._restart(self._model, self._data)
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
         self._position[7:] = 0.0
-        if self.scene is not None:
-            self.scene.restart()
+        if self._scene is not None:
+            self._scene.restart()
         self._forward(self._model, self._data)
         self.c.yaw = theta
 
@@ -218,24 +215,7 @@ class Chassis:
         return float(0.5 * self._velocity @ momentum)
 
 
-def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
-    """Length and width of the robot as seen from above [m]: body and wheels."""
-    from diffdrive_mpc_extras.worlds.settings import world_settings  # noqa: PLC0415 - most plants are in no world
-
-    length, width, _ = twin.chassis.body_size
-    return (
-        max(length, twin.chassis.wheel_base + 2 * robot.wheel_radius),
-        max(width, robot.track + world_settings().body.tyre_width),
-    )
-
-
-def _placed(world: World, robot: Robot, twin: TwinParameters) -> WorldScene:
-    from diffdrive_mpc_extras.worlds.scene import WorldScene  # noqa: PLC0415 - as above
-
-    return WorldScene(world, *outline(robot, twin))
-
-
-def _step_in_c(model: Any, data: Any, scene: WorldScene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
+def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
     """`mj_step` for C: MuJoCo's own, or where its library cannot be found or a scene watches the way through Python."""
     import mujoco  # noqa: PLC0415 - see above
 
@@ -278,7 +258,7 @@ def _of_two(tyre: Tyre) -> Tyre:
 
 
 def _mjcf(
-    robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: WorldScene | None
+    robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: Scene | None
 ) -> str:
     """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius

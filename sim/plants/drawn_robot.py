@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -147,9 +146,8 @@ def load_market() -> Market:
     return load_checked(Market, _FILE)
 
 
-RESERVED = 2
-"""Seeds that are a multiple of it are never used for tuning: results are reported on them."""
-_GRAVITY = 9.81
+GRAVITY = 9.81
+"""Gravity that the market is drawn with [m/s^2]."""
 
 
 @dataclass(frozen=True)
@@ -176,137 +174,30 @@ class DrawnRobot:
     stated: Mapping[str, float]
     truth: Mapping[str, float]
 
-    def can_drive(self, spot_turns: bool = False) -> bool:
-        """Whether it can drive the benchmark paths, by a rule that knows its physics and no controller.
 
-        Grip holds it on the slope, moves it sideways and turns it as the paths ask; motors push it uphill while their
-        wheels skid; the yaw rate to command is below the limit. With `spot_turns` the path turns on the spot, which a
-        robot that turns about another point cannot do.
-        """
-        market = load_market()
-        ahead = 0.0 if self.build.twin.chassis.castors else abs(self.build.twin.chassis.centre_of_mass[0])
-        turns_aside = market.turning_point * ahead > market.needs.turning_point
-        return self._grips() and self._pushes() and self._answers() and not (spot_turns and turns_aside)
-
-    @property
-    def _grip(self) -> float:
-        """Friction coefficient of the worst floor on its way."""
-        usual = float(self.build.friction or 0.0)
-        return min([usual, *(patch.coefficient(usual) for patch in self.scenario.patches)])
-
-    @property
-    def _slope(self) -> float:
-        """Slope of its floor [rad]."""
-        return self.scenario.slope.angle if self.scenario.slope else 0.0
-
-    @property
-    def _skidding_base(self) -> float:
-        """Wheel base of the wheels that skid sideways in a turn [m]: castors do not."""
-        return 0.0 if self.build.twin.chassis.castors else self.build.twin.chassis.wheel_base
-
-    def _climb(self) -> float:
-        """Force along the way on the slope, over its weight across: the slope, and the reference's acceleration."""
-        return math.tan(self._slope) + load_market().needs.acceleration / _GRAVITY / math.cos(self._slope)
-
-    def _grips(self) -> bool:
-        """Whether grip holds it on the slope while it speeds up, and gives it the yaw acceleration of the paths."""
-        market = load_market()
-        turned = market.stated.yaw_acceleration * _yaw_acceleration(self.build, self._grip)
-        return (
-            self._grip * _on_driven(self.build) > market.margin * self._climb()
-            and turned > market.needs.yaw_acceleration
-        )
-
-    def _pushes(self) -> bool:
-        """Whether the motors of the more loaded side push it uphill and skid their wheels, at the speed they need."""
-        chassis, robot = self.build.twin.chassis, self.build.robot
-        base, track, left = self._skidding_base, robot.track, chassis.centre_of_mass[1]
-        load = robot.mass * _GRAVITY * (0.5 + abs(left) / track)
-        needed = load * (self._climb() + self._grip * base / math.hypot(base, track))
-        return min(self._side_forces()) > load_market().margin * needed
-
-    def _answers(self) -> bool:
-        """Whether the yaw rate to command is below its limit, and its speed answers while its wheels skid in a turn.
-
-        A slope moves the robot by its share of the grip.
-        """
-        market, track, base = load_market(), self.build.robot.track, self._skidding_base
-        needs = market.needs
-        command = needs.turning * _skid_track(track, base) / self.build.firmware.track
-        skid = _skid_speed(needs.turning, track, base)
-        return (
-            market.margin * command < self.build.robot.limits.omega
-            and skid * math.tan(self._slope) / self._grip < needs.sliding * needs.speed
-            and skidding_time(needs.turning, track, base, self._grip) < needs.skid_time
-        )
-
-    def _side_forces(self) -> tuple[float, float]:
-        """Force of the left and of the right motors at the speed that the paths ask of the faster wheels [N]."""
-        robot, motor, castors = self.build.robot, self.build.twin.motor, self.build.twin.chassis.castors
-        rim = _rim_speed(robot.track, self._skidding_base)
-        left = 1.0 - rim / (motor.no_load_speed * robot.wheel_radius)
-        factors = dict.fromkeys(WHEELS, 1.0) | {weak.wheel: weak.factor for weak in self.scenario.weak_motors}
-        forces = [
-            0.0 if castors and wheel.startswith("rear") else share * factors[wheel] * left * motor.stall_torque
-            for wheel, share in zip(WHEELS, motor.spread, strict=True)
-        ]
-        return (forces[0] + forces[2]) / robot.wheel_radius, (forces[1] + forces[3]) / robot.wheel_radius
-
-
-@cache
-def _driving_seeds(spot_turns: bool, tuning: bool) -> tuple[Iterator[int], list[int]]:
-    """Seeds of robots that can drive, in order, and the list of those that were found so far."""
-    seeds = itertools.count(1 if tuning else 0, RESERVED)
-    return (seed for seed in seeds if draw_robot(seed).can_drive(spot_turns)), []
-
-
-def driving_seeds(count: int, *, spot_turns: bool, tuning: bool = False) -> list[int]:
-    """Seeds of the first `count` reserved robots that can drive a path, see `DrawnRobot.can_drive`.
-
-    With `tuning` the first of those whose seeds are not reserved.
-    """
-    more, seeds = _driving_seeds(spot_turns, tuning)
-    seeds.extend(itertools.islice(more, max(0, count - len(seeds))))
-    return seeds[:count]
-
-
-def _on_driven(build: SimulatedRobot) -> float:
+def on_driven(build: SimulatedRobot) -> float:
     """Share of the weight on driven wheels."""
     chassis = build.twin.chassis
     return 1.0 + chassis.centre_of_mass[0] / chassis.wheel_base if chassis.castors else 1.0
 
 
-def _yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
+def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
     """Yaw acceleration that driven wheels give a box of its size on a floor of this friction [rad/s^2]."""
     chassis, track = build.twin.chassis, build.robot.track
     behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
     inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
-    return grip * _GRAVITY * _on_driven(build) * track / 2.0 / inertia
+    return grip * GRAVITY * on_driven(build) * track / 2.0 / inertia
 
 
-def _skid_speed(yaw_rate: float, track: float, wheel_base: float) -> float:
-    """Speed at which wheels skid in a turn [m/s]: Coulomb friction, the wheels' middle as its centre."""
-    return yaw_rate * math.hypot(wheel_base / 2, wheel_base**2 / track / 2)
-
-
-def skidding_time(yaw_rate: float, track: float, wheel_base: float, friction: float) -> float:
-    """Time constant of the speed of a robot whose wheels skid in a turn [s].
-
-    Coulomb friction points against the skid, so that a force along the way only turns it.
-    """
-    skid = _skid_speed(yaw_rate, track, wheel_base)
-    return skid * (1.0 + (wheel_base / track) ** 2) / (friction * _GRAVITY)
-
-
-def _skid_track(track: float, wheel_base: float) -> float:
+def skid_track(track: float, wheel_base: float) -> float:
     """Track of the wheels that turn a skidding robot [m]: Coulomb friction, the wheels' middle as its centre."""
     return track * (1.0 + (wheel_base / track) ** 2)
 
 
-def _rim_speed(track: float, wheel_base: float) -> float:
+def rim_speed(track: float, wheel_base: float) -> float:
     """Speed of the faster wheels on the benchmark paths [m/s]."""
     needs = load_market().needs
-    return needs.speed + 0.5 * needs.turning * _skid_track(track, wheel_base)
+    return needs.speed + 0.5 * needs.turning * skid_track(track, wheel_base)
 
 
 def draw_robot(seed: int) -> DrawnRobot:
@@ -348,7 +239,7 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
     radius = track * _uniform(stream, market.wheel_radius)
     castors = bool(stream.random() < market.driven.castors / (market.driven.castors + market.driven.wheels_4))
     skidding_base = 0.0 if castors else wheel_base
-    no_load = _uniform(stream, market.top_speed) * _rim_speed(track, skidding_base) / radius
+    no_load = _uniform(stream, market.top_speed) * rim_speed(track, skidding_base) / radius
     ahead = _uniform(stream, market.centre_of_mass) * wheel_base - (0.3 * wheel_base if castors else 0.0)
     left = _uniform(stream, market.centre_of_mass) * track
     difference = _uniform(stream, market.rolling_radii) / 2
@@ -379,7 +270,7 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
         "firmware": {
             "lag_v": _uniform(stream, market.lag),
             "lag_omega": _uniform(stream, market.lag),
-            "track": track + correction * (_skid_track(track, skidding_base) - track),
+            "track": track + correction * (skid_track(track, skidding_base) - track),
         },
     }
 
@@ -391,7 +282,7 @@ def _true_settings(build: SimulatedRobot) -> dict[str, float]:
     usual_robot: Any = usual["robot"]
     later = max(0.0, link.dead_time - usual_twin["link"]["dead_time"])
     every = pose.period / (1.0 - pose.loss) if pose.period else 0.0
-    turned = load_market().stated.yaw_acceleration * _yaw_acceleration(build, float(build.friction or 0.0))
+    turned = load_market().stated.yaw_acceleration * yaw_acceleration(build, float(build.friction or 0.0))
     return {
         "wheels.track": build.firmware.track,
         "wheels.encoder_track": build.robot.track,

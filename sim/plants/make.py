@@ -16,27 +16,21 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import Scenario, beside, load_scenario
-from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.names import DRAWN, MODEL, PHYSICS, split_plant
 from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.plants.plug_ins import Scene, make_part
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import Surface, load_surface
-from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.velocity_model import VelocityModel
     from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
-    from diffdrive_mpc_extras.worlds.world import World
 
-PHYSICS = "mujoco"
-"""Name of the physics plant, and before a colon the kind of another robot in it."""
-DRAWN = "drawn"
-"""Before a colon and a seed: a robot of the market, see `sim/plants/market.yaml`."""
-NO_WORLD = "none"
-"""The world in which there is nothing."""
-_MODEL_PREFIX = "model:"
+_MODEL_PREFIX = f"{MODEL}:"
 
 
 def make_plant(
@@ -49,7 +43,7 @@ def make_plant(
     scenario: str | Path = "none",
     sample_time: float | None = None,
     limits: TwistBounds | None = None,
-    world: str | Path = NO_WORLD,
+    scene: Scene | None = None,
 ) -> Plant:
     """Build a plant.
 
@@ -61,6 +55,8 @@ def make_plant(
         "drawn:SEED" is a robot of the market on a floor of its own, which brings its slope, patches and motors along.
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
         Where a file has the whole of NAME+SECONDS for a path, it is that file. Or a velocity model itself.
+        "KIND:NAME" and "KIND:NAME@PLANT" are plants of other packages around one of these, see `sim.plants.plug_ins`:
+        "world:slalom" has obstacles, "world:slalom@mujoco:heavy" has them around another robot.
     surface
         Name of a shipped surface or path of a surface file. For "mujoco:NAME" the default one has the friction that the
         robot file says, where it says one.
@@ -78,9 +74,8 @@ def make_plant(
         Time for which a command holds [s]; by default that of the robot. The physics has steps of its own.
     limits
         For "model:" plants: commands beyond this are cut off; by default as the link of the robot of the papers does.
-    world
-        Name of a shipped world, path of a world file, `drawn:SEED` or `drawn:SEED:through`: obstacles and persons
-        around the robot, for the physics only. What its file leaves open is drawn from `seed`.
+    scene
+        Geometry around the robot, for the physics only.
 
     Raises
     ------
@@ -90,11 +85,27 @@ def make_plant(
         If a model cannot be a robot's, its dead time included.
     models.errors.ArgumentError
         If an argument has another type.
+    models.errors.MissingPackageError
+        If the package of a kind of plants or of a simulator part is not installed.
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
     model = None if isinstance(name, (str, Path)) else _checked_model(name)
     name = str(name) if model is None else f"{_MODEL_PREFIX}{model.name}"
+    around = split_plant(name)
+    if around is not None:
+        kind, argument, plant = around
+        return kind.make_plant(
+            argument,
+            plant,
+            surface=surface,
+            sensors=sensors,
+            seed=int(seed),
+            extra_dead_time=extra_dead_time,
+            scenario=scenario,
+            sample_time=sample_time,
+            limits=limits,
+        )
     drawn = drawn_robot(name)
     disturbances = load_scenario(scenario).draw(int(seed))
     if drawn is not None:
@@ -102,16 +113,15 @@ def make_plant(
     setting = _Setting(
         name, surface, load_surface(surface), sensors, load_sensor_set(sensors), scenario, disturbances, int(seed)
     )
-    around = _world(world, setting.seed)
     if drawn is not None or name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if extra_dead_time:
             raise ConfigError(
                 "extra_dead_time is for 'model:' plants; 'mujoco:PATH' has twin.link.dead_time in its robot file"
             )
-        return _physics_plant(setting, around, sample_time)
+        return _physics_plant(setting, scene, sample_time)
     if name.startswith(_MODEL_PREFIX):
-        if around is not None:
-            raise ConfigError(f"world '{world}' needs a plant with a body to touch it: '{name}' has none; use 'mujoco'")
+        if scene is not None:
+            raise ConfigError(f"plant '{name}' has no body that obstacles could touch; use 'mujoco'")
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
         return _model_plant(setting, model, extra_dead_time, _model_robot(sample_time, limits))
@@ -135,8 +145,8 @@ class _Setting(NamedTuple):
     seed: int
 
 
-def _physics_plant(setting: _Setting, world: World | None, sample_time: float | None) -> Plant:
-    """A robot in MuJoCo, with the disturbances of the setting, in a world where there is one."""
+def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | None) -> Plant:
+    """Make a robot in MuJoCo, with the disturbances of the setting and the scene around it."""
     surface, disturbances = setting.surface, setting.disturbances
     if surface.friction is None:
         raise ConfigError(
@@ -144,32 +154,27 @@ def _physics_plant(setting: _Setting, world: World | None, sample_time: float | 
         )
     from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
-    build = _build(setting.name)
+    build = simulated_robot(setting.name)
+    sensors = build.sensors if build and setting.sensors_name == DEFAULT else setting.sensors
+    values = build.parts if build else {}
     own_friction = build.friction if build and setting.surface_name == DEFAULT else None
     robot = MujocoPlant(
         own_friction or surface.friction,
-        build.sensors if build and setting.sensors_name == DEFAULT else setting.sensors,
+        sensors,
         setting.seed,
         robot=build.robot if build else None,
         twin=build.twin if build else None,
         firmware=build.firmware if build else None,
         base=build.base if build else None,
-        drive=build.drive if build else None,
-        battery=build.battery if build else None,
         scenario=disturbances if disturbances.physical else None,
         sideways=surface.sideways,
         sample_time=sample_time,
-        world=world,
+        scene=scene,
+        parts={name: make_part(name, of, values.get(name, {}), setting.seed) for name, of in sensors.parts.items()},
     )
-    plant: Plant = robot
-    if disturbances.kinds:
-        plant = DisturbedPlant(robot, disturbances, build.robot if build else load_robot(), lambda: robot.crossed)
-    scene = robot.chassis.scene
-    if scene is None:
-        return plant
-    from diffdrive_mpc_extras.worlds.world_plant import WorldPlant  # noqa: PLC0415 - most plants are in no world
-
-    return WorldPlant(plant, scene, setting.seed)
+    if not disturbances.kinds:
+        return robot
+    return DisturbedPlant(robot, disturbances, build.robot if build else load_robot(), lambda: robot.crossed)
 
 
 def _model_plant(
@@ -211,13 +216,13 @@ def _near_plant(name: str) -> str:
     return f"; did you mean '{by_words[near[0]]}'?" if near else ""
 
 
-def plant_outline(name: str) -> tuple[float, float]:
-    """Length and width from above [m] of the robot of a plant's name, that of the papers for "model:NAME".
+def plant_body(name: str) -> tuple[Robot, TwinParameters]:
+    """Return the robot of a plant's name and its physical parameters; those of the papers for "model:NAME".
 
-    Raises ConfigError where a robot file is named that cannot be used.
+    Raises ConfigError if it names a robot file that cannot be used.
     """
-    build = _build(name)
-    return outline(build.robot, build.twin) if build else outline(load_robot(), load_twin_parameters())
+    build = simulated_robot(plant_inside(name))
+    return (build.robot, build.twin) if build else (load_robot(), load_twin_parameters())
 
 
 def _checked_model(model: object) -> VelocityModel | NonlinearModel:
@@ -231,20 +236,27 @@ def _checked_model(model: object) -> VelocityModel | NonlinearModel:
 
 
 def physics_robot(name: str) -> Robot | None:
-    """Geometry and limits of the robot of a plant in the physics; None for "model:NAME".
+    """Return geometry and limits of the robot of a plant in the physics; None for "model:NAME".
 
     Raises ConfigError where a robot file is named that cannot be used.
     """
+    name = plant_inside(name)
     if name.partition(":")[0] not in (PHYSICS, DRAWN):
         return None
-    build = _build(name)
+    build = simulated_robot(name)
     return build.robot if build else load_robot()
+
+
+def plant_inside(name: str) -> str:
+    """Return PLANT of "KIND:NAME@PLANT"; other names unchanged. Raises MissingPackageError as `split_plant`."""
+    around = split_plant(name)
+    return name if around is None else around[2]
 
 
 @lru_cache(maxsize=16)
 def drawn_robot(name: str) -> DrawnRobot | None:
-    """The robot of the market that a name says, None where it says another plant. Raises ConfigError without a seed."""
-    kind, colon, seed = name.partition(":")
+    """Return the robot of the market in a plant; None for other plants. Raises ConfigError without a seed."""
+    kind, colon, seed = plant_inside(name).partition(":")
     if not colon or kind != DRAWN:
         return None
     if not seed.isdecimal():
@@ -254,16 +266,11 @@ def drawn_robot(name: str) -> DrawnRobot | None:
     return draw_robot(int(seed))
 
 
-def _world(name: str | Path, seed: int) -> World | None:
-    if str(name) == NO_WORLD:
-        return None
-    from diffdrive_mpc_extras.worlds.world_file import load_world  # noqa: PLC0415 - most plants are in none
+def simulated_robot(name: str) -> SimulatedRobot | None:
+    """Return the robot of the plant "mujoco:NAME" or "drawn:SEED"; None for other plants.
 
-    return load_world(name, seed)
-
-
-def _build(name: str) -> SimulatedRobot | None:
-    """The robot file that a plant's name says; None where it says none."""
+    Raises ConfigError if its file has a mistake.
+    """
     drawn = drawn_robot(name)
     if drawn is not None:
         return drawn.build

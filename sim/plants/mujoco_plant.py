@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,15 +16,11 @@ from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, clip_command
+from diffdrive_mpc.sim.plants.plug_ins import Scene, SimulatorPart
 from diffdrive_mpc.sim.plants.twin import Twin
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
-from diffdrive_mpc.sim.sensing.power_readings import Battery, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
-from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, papers_drive
-
-if TYPE_CHECKING:
-    from diffdrive_mpc_extras.worlds.world import World
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000
@@ -45,23 +41,16 @@ class MujocoPlant:
         Other robots than the shipped one.
     base
         What its base does to commands; nothing by default.
-    drive
-        Electrical constants of its motors, by which energy is counted; by default those of the papers' robot.
-    battery
-        What a sensor of power reads; by default the usual one.
     scenario
         What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
         Friction across the rolling direction of the wheels over that along it.
     sample_time
         Time for which a command holds [s]; by default that of `robot`. Steps of the physics are about as long as there.
-    world
-        What stands and moves around it.
-
-    Attributes
-    ----------
-    drive
-        The constants of its motors.
+    scene
+        Geometry around it.
+    parts
+        Devices that observe the motors, by name.
     """
 
     def __init__(
@@ -74,23 +63,22 @@ class MujocoPlant:
         twin: TwinParameters | None = None,
         firmware: Firmware | None = None,
         base: BaseCommands | None = None,
-        drive: DriveConstants | None = None,
-        battery: Battery | None = None,
         scenario: Scenario | None = None,
         sideways: float = 1.0,
         sample_time: float | None = None,
-        world: World | None = None,
+        scene: Scene | None = None,
+        parts: Mapping[str, SimulatorPart] | None = None,
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
         self._robot, self._friction = robot, friction
-        self.drive = drive or papers_drive()
+        self.parts = parts or {}
         self._sample_time = robot.sample_time if sample_time is None else sample_time
         self._substeps = max(1, round(twin.substeps * self._sample_time / robot.sample_time))
         step = self._sample_time / self._substeps
         pulse = 2 * np.pi / robot.encoder_pulses
         phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
         load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
-        self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways, world)
+        self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways, scene)
         self._line = DelayLine(twin.link.dead_time)
         self._shaping = None if base is None else CommandShaping(base, self._sample_time)
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
@@ -103,8 +91,6 @@ class MujocoPlant:
             wheel_base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
             self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, wheel_base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
-        read = sensors.power
-        self._power = None if read is None else PowerReadings(read, battery or Battery(), self.drive, seed)
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
         self.reset(np.zeros(3))
@@ -147,11 +133,6 @@ class MujocoPlant:
         return self._twin.motors
 
     @property
-    def power(self) -> FloatArray | None:
-        """(6,) readings of battery and motors at this tick, as `sim.sensing.power_readings`; None without a sensor."""
-        return None if self._power is None else self._power.value
-
-    @property
     def crossed(self) -> list[Span]:
         """When the robot got onto and off each patch of the floor that it has met since the last reset [s]."""
         return self._disturbances.crossed if self._disturbances else []
@@ -170,8 +151,8 @@ class MujocoPlant:
         if self._disturbances is not None:
             self._disturbances.reset()
         self._sensors.reset(self._chassis.pose, np.zeros(4))
-        if self._power is not None:
-            self._power.reset()
+        for part in self.parts.values():
+            part.reset()
 
     def measure(self) -> Measurement:
         """Everything that the sensors delivered since the last call."""
@@ -199,7 +180,7 @@ class MujocoPlant:
             k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, look))
             start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
             self._sensors.see_pose(look, before + (look - start) / (end - start) * (after - before))
-        if self._power is not None:
-            self._power.take(self._twin.motors)
+        for part in self.parts.values():
+            part.take(self._twin.motors)
         speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed
         self._sensors.see_motion(self.time, speeds, self._chassis.yaw_rate)

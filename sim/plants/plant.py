@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
-from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
 
 
 class RobotLostError(DiffdriveMpcError, ValueError):
@@ -102,13 +102,13 @@ class PlantAround:
         return motors
 
     @property
-    def power(self) -> FloatArray | None:
-        """(6,) readings of battery and motors; None without a sensor of them."""
-        power: FloatArray | None = getattr(self._plant, "power", None)
-        return power
+    def parts(self) -> Mapping[str, Any]:
+        """Simulator parts of the plant inside, by name."""
+        parts: Mapping[str, Any] = getattr(self._plant, "parts", {})
+        return parts
 
     @property
-    def drive(self) -> DriveConstants | None:
-        """Electrical constants of the motors; None without motors."""
-        drive: DriveConstants | None = getattr(self._plant, "drive", None)
-        return drive
+    def records(self) -> Mapping[str, object]:
+        """Records of the run so far, by the name of the part that made them."""
+        records: Mapping[str, object] = getattr(self._plant, "records", {})
+        return records

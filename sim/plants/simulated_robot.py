@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_variation
+from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over, load_variation
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.base_motion import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
-from diffdrive_mpc.sim.sensing.power_readings import Battery
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
-from diffdrive_mpc_extras.turn_costs.vehicle import NamedDrive, papers_drive
 
 ROBOTS = Path(__file__).parent / "robots"
 DEFAULT = "default"
@@ -31,12 +31,20 @@ class SimulatedRobot(StrictModel):
     friction: Positive | None = Field(
         default=None, description="sliding friction coefficient of the floor that is its default one"
     )
-    drive: NamedDrive = Field(
-        default_factory=papers_drive,
-        description="motors and drivers as models/turn_costs/drives, by name or written out: energy is counted so",
-    )
-    battery: Battery = Field(default_factory=Battery, description="that sensors of power read")
     sensors: SensorSet = Field(description="those that are its default ones, as sim/sensing/sensor_sets")
+    parts: dict[str, Any] = Field(
+        default_factory=dict, description="values for simulator parts of other packages, by their names"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_former_keys(cls, data: Any) -> Any:  # noqa: ANN401 - content of a file
+        """Read `drive` and `battery`, the keys of version 0.2, as keys of `parts.power`."""
+        moved = {key: data[key] for key in ("drive", "battery") if key in data} if isinstance(data, Mapping) else {}
+        if not moved:
+            return data
+        values = {key: value for key, value in data.items() if key not in moved}
+        return laid_over(values, {"parts": {"power": moved}})
 
     @model_validator(mode="after")
     def _stands_on_its_wheels(self) -> SimulatedRobot:
@@ -59,7 +67,6 @@ def digital_twin() -> dict[str, object]:
         "robot": load_robot(),
         "twin": load_twin_parameters(),
         "firmware": load_firmware(),
-        "drive": papers_drive(),
         "sensors": load_sensor_set(DEFAULT),
     }
     return {key: part.model_dump() for key, part in parts.items()}

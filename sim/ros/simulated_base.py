@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
@@ -17,17 +17,17 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Imu, JointState, LaserScan
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
+from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.messages import MessageRecorder
 from diffdrive_mpc.sim.sensing.odometry import Odometry
-from diffdrive_mpc_extras.ros.navigation_topics import SCAN, TRANSFORMS, Scanner, TransformSender
-from diffdrive_mpc_extras.worlds.world import World
 
 # Settings of the simulated base: topics' rates, command timeout, lock step.
 
@@ -173,6 +173,35 @@ _WARN_EVERY = 1.0
 _CHECK_EVERY = 0.5
 
 
+class BaseTopics(Protocol):
+    """Further topics of the base, which publish by themselves.
+
+    Packages register functions of node, plant and settings that make them, in the group `diffdrive_mpc.plants`:
+    `transforms`, and for a plant the name in its attribute `base_topics`.
+    """
+
+    def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
+        """Publish the messages due at a tick, and return them with their topics.
+
+        Parameters
+        ----------
+        now, origin
+            Instant of the tick and of the plant's time 0 on the robot's clock [ns].
+        odometry
+            (3,) pose in odom; None at ticks without odometry.
+        plant
+            The robot stand-in.
+        """
+        ...
+
+
+def _further_topics(node: Node, plant: Plant, settings: BaseSettings) -> list[BaseTopics]:
+    """Make the topics that settings and plant ask for; raises MissingPackageError if a package is not installed."""
+    names = [] if settings.transforms == "none" else ["transforms"]
+    names += getattr(plant, "base_topics", ())
+    return [plug_in("plants", name)(node, plant, settings) for name in names]
+
+
 class SimulatedBase:
     """Publishes what the plant's sensors deliver, and drives it with the commands that arrive.
 
@@ -225,14 +254,7 @@ class SimulatedBase:
             "ground_truth/pose": PoseStamped,
             "ground_truth/twist": TwistStamped,
         }
-        world: World | None = getattr(plant, "world", None)
-        self._scanner = None if world is None else Scanner(world)
-        if world is not None:
-            kinds[SCAN] = LaserScan
-        sent = settings.transforms
-        self._transforms = (
-            None if sent == "none" else TransformSender(node, settings.frame_prefix, localised=sent == "map")
-        )
+        self._topics = _further_topics(node, plant, settings)
         self._publishers = {
             topic: node.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()
         }
@@ -315,14 +337,13 @@ class SimulatedBase:
             self._publish("pose", messages.sensed_pose(stamp, measurement.pose))
         if measurement.yaw_rate is not None and due["imu"]:
             self._publish("imu", messages.imu(now, measurement.yaw_rate))
-        if self._scanner is not None:
-            scan = self._scanner.look(self.plant.time, self.plant.true_pose, lambda time: origin + round(1e9 * time))
-            if scan is not None:
-                self._publish(SCAN, scan)
-        if measurement.wheel_twist is not None and due["odometry"]:
+        has_odometry = measurement.wheel_twist is not None and due["odometry"]
+        if measurement.wheel_twist is not None and has_odometry:
             self._publish("odom", messages.odometry(now, pose, measurement.wheel_twist))
-            if self._transforms is not None:
-                self._recorded_transforms(self._transforms.send(now, pose, self.plant.true_pose))
+        for topics in self._topics:
+            for topic, message in topics.send(now, origin, pose if has_odometry else None, self.plant):
+                if self._record is not None:
+                    self._record(topic, message, self._clock())
 
     def advance(self, now: int) -> None:
         """Let one sample pass under the command that holds at `now` [ns].
@@ -350,10 +371,6 @@ class SimulatedBase:
         refusal = self.inbox.put(twist.linear.x, twist.angular.z, stamp, now)
         if refusal:
             self.node.get_logger().warning(refusal, throttle_duration_sec=_WARN_EVERY)
-
-    def _recorded_transforms(self, message: Any) -> None:  # noqa: ANN401
-        if self._record is not None:
-            self._record(TRANSFORMS, message, self._clock())
 
     def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
         publisher = self._publishers[topic]

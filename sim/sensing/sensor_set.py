@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, load_variation
+from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over, load_checked, load_variation
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.models.robot import NotNegative
 
 SENSOR_SETS = Path(__file__).parent / "sensor_sets"
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
@@ -46,24 +46,24 @@ class Encoders(StrictModel):
     speed_sd: Deviation = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
 
 
-class PowerSensor(StrictModel):
-    """Monitor of the battery, and current sensors in the motor drivers: means since the tick before."""
-
-    voltage_sd: Deviation = Field(description="standard deviation of the battery's voltage [V]")
-    voltage_step: NotNegative = Field(description="resolution of it [V]; 0: none")
-    current_sd: Deviation = Field(description="standard deviation of the battery's current [A]")
-    current_step: NotNegative = Field(description="resolution of it [A]")
-    motor_current_sd: Deviation = Field(description="standard deviation of the current of a motor [A]")
-    motor_current_step: NotNegative = Field(description="resolution of it [A]")
-
-
 class SensorSet(StrictModel):
     """All sensors of one robot."""
 
     pose: PoseSensor
     gyro: Gyro
     encoders: Encoders
-    power: PowerSensor | None = Field(default=None, description="of battery and motors; null: none")
+    parts: dict[str, Any] = Field(
+        default_factory=dict, description="values for simulator parts of other packages, by their names"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_former_key(cls, data: Any) -> Any:  # noqa: ANN401 - content of a file
+        """Read `power`, the key of version 0.2, as `parts.power`."""
+        if not isinstance(data, Mapping) or "power" not in data:
+            return data
+        values = {key: value for key, value in data.items() if key != "power"}
+        return values if data["power"] is None else laid_over(values, {"parts": {"power": data["power"]}})
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:

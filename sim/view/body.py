@@ -11,7 +11,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
-from diffdrive_mpc.sim.plants.make import PHYSICS
+from diffdrive_mpc.sim.plants.names import PHYSICS
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.twin_parameters import ChassisParameters, load_twin_parameters
 

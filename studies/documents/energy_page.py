@@ -21,6 +21,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log
 from diffdrive_mpc_extras.energy import identify_constants
+from diffdrive_mpc_extras.energy.power_readings import robot_power
 from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_turn_costs
 from studies.documents.documents import insert
 from studies.torque.measurements import diagnostic_commands, drawn, driven, plant_of, record, write_diagnostic_log
@@ -52,16 +53,17 @@ def told(
 ) -> EnergyConstants:
     """Drive the diagnostic turns once a seed, read its battery with drawn constants, and identify them again."""
     asked, off, normalised, refused = load_study().diagnostic, [], [], 0
+    usual = robot_power(f"mujoco:{robot}").drive
     for seed in seeds:
         plant, rng = plant_of(robot, floor, seed=seed), np.random.default_rng(seed)
         drive = driven(plant, diagnostic_commands(asked.radii, asked.speeds, _HOLD, _REST))
         for k in range(sets):
-            true = drawn(plant.drive, rng)
+            true = drawn(usual, rng)
             log = record(drive, true, seed + 100 * k)
             log = log if all_motors else dataclasses.replace(log, motor_currents=None)
             known = {"regeneration": true.regeneration, "driver_efficiency": true.driver_efficiency}
             try:
-                constants = identify_constants([log], plant.drive.model_copy(update=known))
+                constants = identify_constants([log], usual.model_copy(update=known))
             except ConfigError:
                 refused += 1
                 continue

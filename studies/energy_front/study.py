@@ -22,6 +22,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative, Positive
+from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
 
 # What the study of the front does: `study.yaml` says what each value is.
 
@@ -122,7 +123,8 @@ def drive(case: Case) -> FrontRun:
     run = run_case(case)
     metrics, weight = run.metrics, dict(case.overrides)["energy.weight"]
     assert isinstance(weight, float)
-    values = (metrics.energy_j, metrics.position_rmse_m, metrics.lateral_rmse_m)
+    energy = run_energy(run, robot_power(case.plant).drive).energy_j
+    values = (energy, metrics.position_rmse_m, metrics.lateral_rmse_m)
     return FrontRun(case.surface, label(case.trajectory), weight, case.seed, *values, metrics.completed)
 
 

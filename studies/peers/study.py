@@ -101,6 +101,8 @@ class GainSearch:
 
 
 GAINS_FILE = "gains.yaml"
+TUNED = (*LAWS, "mppi", "mppi+slip")
+"""Peers with gains, in the order of the file."""
 _FOLDER = Path(__file__).parent
 _LOST = 1.0
 """Error that counts for a run that does not complete [m]."""
@@ -198,7 +200,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
 
     def plan(self) -> list[str]:
         """Names of the peers, the slowest first."""
-        known = [name for name in LAWS if name.partition("+")[0] in self._settings.ranges]
+        known = [name for name in TUNED if name.partition("+")[0] in self._settings.ranges]
         asked = known if self._only is None else list(self._only)
         for name in asked:
             if name not in known:
@@ -274,14 +276,14 @@ def _proof(peer: TunedPeer) -> Table:
 
 
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
-    """The file of gains for `bench/peers`."""
+    """Return the file of gains for `bench/peers`, and for the peers of `packages/extras`."""
     head = (
         "# Gains of the peers; units stand at the fields of each law. Written by `python -m studies peers`: a\n"
         f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. Beside each:\n"
         "# its mean position RMSE on the tuning runs.\n"
     )
     lines: list[str] = []
-    for result in sorted(results, key=lambda it: list(LAWS).index(it.peer)):
+    for result in sorted(results, key=lambda it: TUNED.index(it.peer)):
         flow: Mapping[str, float] = result.gains
         text = yaml.safe_dump({result.peer: dict(flow)}, sort_keys=False, default_flow_style=False)
         lines.append(text.replace(":\n", f":  # {1e3 * result.rmse:.2f} mm\n", 1))

@@ -9,12 +9,12 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.plants.make import plant_outline
 from diffdrive_mpc_extras.free_space import MovingDisc, Surroundings
 from diffdrive_mpc_extras.planner import plan_each
 from diffdrive_mpc_extras.terrain import Terrain, load_terrain, side_torques
 from diffdrive_mpc_extras.torque import TorqueCurves
 from diffdrive_mpc_extras.turn_costs import SlipCoefficients, TurnCosts, load_turn_costs
+from diffdrive_mpc_extras.worlds.outline import plant_outline
 from studies.saving.drives import PlanDrive, drive_closed, drive_open
 from studies.saving.settings import PaperScenario, Place, Pose, Post, SavingStudySettings
 from studies.torque.measurements import diagnostic_drive, plant_of, sides

@@ -17,8 +17,8 @@ from diffdrive_mpc.bench.study import Draw, Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.sim.plants.make import plant_outline
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
+from diffdrive_mpc_extras.worlds.outline import plant_outline
 from studies.saving.drives import AIMS, PairOutcome, PlanDrive, Saved, measure_pair, worse_arrival
 from studies.saving.scenarios import (
     ScenarioOutcome,

@@ -20,8 +20,8 @@ from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
-from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings, power_read
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc_extras.energy.power_readings import READINGS, Battery, PowerReadings, power_sensor
 from diffdrive_mpc_extras.turn_costs import DriveConstants
 from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE
 from studies.torque.settings import Diagnostic, Measured, Unseen, load_study
@@ -76,8 +76,6 @@ def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sens
         twin=build.twin,
         firmware=build.firmware,
         base=build.base,
-        drive=build.drive,
-        battery=build.battery,
         scenario=load,
         sideways=floor.sideways,
     )
@@ -205,9 +203,7 @@ def driven(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
 
 def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
     """What a log of the drive holds with sensors of power, for a robot with these constants."""
-    sensor = load_sensor_set("power").power
-    assert sensor is not None
-    reads = PowerReadings(sensor, battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
+    reads = PowerReadings(power_sensor(), battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
     rows = []
     for motors in drive.motors:
         reads.take(motors)
@@ -274,6 +270,7 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
     hold, rest = (round(time / plant.sample_time) for time in (asked.hold, _REST))
     commands = diagnostic_commands(asked.radii, asked.speeds, hold, rest)
     plant.reset(np.zeros(3))
+    assert isinstance(plant, MujocoPlant)
     with whole_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)
@@ -284,5 +281,5 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
             read = [np.ravel(part.value) for part in parts if part is not None]
             pose = [""] * 4 if measured.pose is None else [measured.pose.time, *np.ravel(measured.pose.value)]
             cells = np.concatenate([[plant.time], command, *read])
-            writer.writerow([*map(repr, cells.tolist()), *pose, *map(repr, power_read(plant).tolist())])
+            writer.writerow([*map(repr, cells.tolist()), *pose, *map(repr, plant.parts["power"].value.tolist())])
             plant.advance(command)

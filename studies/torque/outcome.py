@@ -9,8 +9,8 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
-from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc_extras.energy import predict_energy
+from diffdrive_mpc_extras.energy.power_readings import robot_power
 from diffdrive_mpc_extras.terrain import FittedShear, Terrain, fit_shear, load_terrain, side_torques
 from diffdrive_mpc_extras.torque import TorqueCurves, TorqueSettings, load_torque_settings
 from diffdrive_mpc_extras.torque.torque_curves import costs_of_curves
@@ -106,7 +106,7 @@ class PayloadOutcome(NamedTuple):
 
 def parts_of(study: TorqueStudySettings) -> tuple[Vehicle, DriveConstants]:
     """Vehicle and motors of the robot; raises ConfigError where it or a vehicle of its name does not exist."""
-    return load_vehicle(study.vehicle or study.robot), load_simulated_robot(study.robot).drive
+    return load_vehicle(study.vehicle or study.robot), robot_power(f"mujoco:{study.robot}").drive
 
 
 def reference_speed() -> float:

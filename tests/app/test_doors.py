@@ -104,7 +104,7 @@ YAML = {
     "surface": "simulate --surface FILE",
     "sensors": "simulate --sensors FILE",
     "scenario": "simulate --scenario FILE",
-    "world": "simulate --world FILE",
+    "world": "simulate --plant world:FILE",
     "mapping": "identify LOG --mapping FILE --out OUT",
     "plan of a search": "tune ssm --plan FILE --out OUT",
     "rules": "monitor --rules FILE --export OUT",

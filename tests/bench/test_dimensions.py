@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.controllers import check_cases, load_reference
 from diffdrive_mpc.bench.run_row import driver_names
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
-NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "world", "seed"]
+NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "seed"]
 PLACES = [one for one in DIMENSIONS if one.place]
 
 

@@ -10,21 +10,25 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop_parts import FeedForward
 from scipy.linalg import solve_discrete_are
 
 from diffdrive_mpc import (
+    ConfigError,
     Controller,
     Measurement,
-    Stamped,
+    MissingPackageError,
     integrate_pose,
     load_config,
     load_model,
     load_trajectory,
     make_plant,
 )
-from diffdrive_mpc.bench.peers import LAWS, make_peer
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import make_controller
+from diffdrive_mpc.bench.peers import LAWS, make_peer, takes_settings
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, PredictedMotion
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController, KanayamaGains, kanayama_twist, load_plain_gains
+from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
 from diffdrive_mpc.bench.peers.tracking_peer import (
@@ -39,11 +43,9 @@ from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc_extras.peers.mppi import MppiLaw
 
 CONFIG, MODEL = load_config("sm"), load_model("sm")
 ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
-CLASSICAL = [name for name in LAWS if not name.startswith("mppi")]
 PATHS = ("square", "s")
 PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
@@ -202,18 +204,6 @@ def test_a_tight_arc_is_driven_slowly() -> None:
     assert speeds[1][1] / speeds[1][0] == pytest.approx(speeds[0][1] / speeds[0][0])
 
 
-def test_more_plans_come_closer_to_the_command_that_keeps_the_reference() -> None:
-    """On the reference, at its twist, there is nothing to correct: what MPPI adds is the noise of its sampling."""
-    found = []
-    for samples in (30, 3000):
-        law, arc = MppiLaw(load_gains("mppi"), ROBOT, samples), Arc(duration=20.0)
-        law.start(arc)
-        here = arc.sample([2.0]).pose[0]
-        found.append(np.abs(law.decide(sight(here, here, [0.5, 0.3])) - [0.5, 0.3]).max())
-    assert found[1] < 0.05
-    assert found[1] < found[0]
-
-
 # What is tested is the law: the tuned gains of some peers without slip are too stiff for a start beside the path.
 MODERATE = {
     "pursuit": {
@@ -226,10 +216,6 @@ MODERATE = {
     },
     "kanayama": {"lead": 0.09, "along": 4, "across": 25, "heading": 10, "turn": 2},
     "lqr": {"lead": 0.05, "along": 20, "across": 60, "heading": 5, "integral": 10, "omega": 0.1},
-    "mppi": {
-        **{"lead": 0.05, "position": 400, "across": 400, "heading": 5},
-        **{"smoothness": 0.02, "v_noise": 0.1, "omega_noise": 0.3},
-    },
 }
 
 
@@ -251,8 +237,7 @@ def test_it_comes_back_to_the_reference_from_beside_it(name: str) -> None:
     assert (change <= np.array([robot.command_slew.v, robot.command_slew.omega]) * (1 + 1e-9)).all()
 
 
-# A drive with MPPI takes as long as all the others: the path with turns on the spot has to do.
-@pytest.mark.parametrize(("name", "trajectory"), [*product(CLASSICAL, PATHS), ("mppi+slip", "square")])
+@pytest.mark.parametrize(("name", "trajectory"), [*product(LAWS, PATHS)])
 def test_every_peer_completes_the_shipped_paths(name: str, trajectory: str) -> None:
     """The turns on the spot of the square among them."""
     run = simulate(make_peer(name), make_plant("model:sm", seed=0), load_trajectory(trajectory))
@@ -261,7 +246,7 @@ def test_every_peer_completes_the_shipped_paths(name: str, trajectory: str) -> N
     assert set(run.modes[:-1]) <= {"TRACKING", "FINISHED"}
 
 
-@pytest.mark.parametrize("name", ["pursuit", "kanayama", "lqr", "mppi"])
+@pytest.mark.parametrize("name", ["pursuit", "kanayama", "lqr"])
 def test_it_drives_backwards(name: str) -> None:
     run = simulate(make_peer(name), make_plant("model:sm", surface="ideal"), Arc(v=-0.5, omega=0.4, duration=5.0))
     # The reference leaps to its speed: the robot catches up.
@@ -311,87 +296,17 @@ def test_a_step_before_the_start_is_a_fault() -> None:
     assert float(wrap_angle(4.0)) < 0
 
 
-@settings(max_examples=25)
-@given(x=st.floats(-0.2, 0.2), y=st.floats(-0.2, 0.2), theta=st.floats(-0.5, 0.5))
-def test_it_converges_from_beside_the_reference(x: float, y: float, theta: float) -> None:
-    run = simulate(KanayamaController(), DisplacedUnicycle([x, y, theta]), Arc())
-    settled = (run.time > 6.0) & run.counted
-    assert run.errors.position[settled].max() < 2e-3 + 0.02 * np.hypot(x, y)
-    assert np.abs(run.errors.heading[settled]).max() < 0.02
+def test_missing_peer_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diffdrive_mpc.bench.controllers.PEERS", LAWS)
+    with pytest.raises(MissingPackageError, match=r"peer 'rpp' is in the package diffdrive-mpc-extras: pip install"):
+        make_controller(Case(controller="rpp", model="none"))
+    with pytest.raises(ConfigError, match="unknown controller 'rppp'"):
+        make_controller(Case(controller="rppp", model="none"))
 
 
-def test_it_converges_backwards() -> None:
-    run = simulate(KanayamaController(), DisplacedUnicycle([0.05, 0.1, 0.2]), Arc(v=-0.4))
-    assert run.errors.position[(run.time > 6.0) & run.counted].max() < 5e-3
-
-
-def test_the_law_is_that_of_the_paper() -> None:
-    """Robot on the x axis, reference ahead by 0.02, to the left by 0.01 and turned left by 0.1."""
-    gains = load_plain_gains()
-    arc = Arc(duration=100.0)
-    controller = KanayamaController()
-    controller.start(arc, 0.0)
-    here = arc.sample([50.0]).pose[0]
-    heading = here[2] - 0.1
-    ahead, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
-    position = here[:2] - 0.02 * ahead - 0.01 * left
-    measurement = Measurement(pose=Stamped(np.array([*position, heading]), 50.0))
-    for k in range(50):  # until slew no longer binds
-        command = controller.step(50.0 + 0.02 * k, measurement).command
-    v = 0.5 * np.cos(0.1) + gains.along * 0.02
-    omega = 0.3 + 0.5 * (gains.across * 0.01 + gains.heading * np.sin(0.1))
-    assert command == pytest.approx([v, omega], abs=1e-9)
-
-
-def test_gains_are_critically_damped_as_the_paper_asks() -> None:
-    gains = load_plain_gains()
-    assert gains.heading**2 == pytest.approx(4 * gains.across, rel=2e-3)
-
-
-def test_commands_stay_inside_limits_and_slew() -> None:
-    robot = load_robot()
-    run = simulate(KanayamaController(), DisplacedUnicycle([-3.0, 2.0, 2.5]), Arc())
-    assert np.abs(run.command[:, 0]).max() <= robot.limits.v
-    assert np.abs(run.command[:, 1]).max() <= robot.limits.omega
-    change = np.abs(np.diff(run.command, axis=0, prepend=np.zeros((1, 2)))) / run.sample_time
-    assert change[:, 0].max() <= robot.command_slew.v * (1 + 1e-9)
-    assert change[:, 1].max() <= robot.command_slew.omega * (1 + 1e-9)
-    assert change[:, 0].max() == pytest.approx(robot.command_slew.v)
-
-
-def test_a_late_pose_is_compared_with_the_reference_of_its_own_time() -> None:
-    """On the reference at cruising speed there is nothing to correct, however late the pose."""
-    arc = Arc()
-    controller = KanayamaController()
-    controller.start(arc, 0.0)
-    for k in range(100):
-        t = 0.0202 * k
-        step = controller.step(t, Measurement(pose=Stamped(arc.sample([t - 0.06]).pose[0], t - 0.06)))
-    assert step.command == pytest.approx([0.5, 0.3], abs=1e-9)
-
-
-def test_without_a_usable_pose_the_last_error_is_kept() -> None:
-    arc = Arc()
-    controller = KanayamaController()
-    controller.start(arc, 0.0)
-    start = Measurement(pose=Stamped(np.array([-0.1, 0.0, 0.0]), 0.0))
-    for k in range(60):
-        before = controller.step(0.0202 * k, start)
-    lost = controller.step(0.0202 * 60, Measurement(pose=Stamped(np.array([np.nan, 0.0, 0.0]), 1.2)))
-    none = controller.step(0.0202 * 61, Measurement())
-    assert lost.command == pytest.approx(before.command)
-    assert none.command == pytest.approx(before.command)
-    assert "not finite" in lost.message
-    assert none.message == before.message == ""
-
-
-def test_it_stops_after_the_end() -> None:
-    run = simulate(KanayamaController(), DisplacedUnicycle(), Arc(duration=2.0), extra_time=1.0)
-    assert run.modes[0] == "TRACKING"
-    assert run.modes[-1] == "FINISHED"
-    assert run.command[-1] == pytest.approx([0.0, 0.0])
-
-
-def test_a_step_of_the_plain_law_before_the_start_is_a_fault() -> None:
-    with pytest.raises(RuntimeError, match="start"):
-        KanayamaController().step(0.0, Measurement())
+def test_registered_peer_is_made_without_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diffdrive_mpc.bench.peers.plug_in", lambda group, name: FeedForward)
+    assert isinstance(make_peer("mine", {"horizon": 3}), FeedForward)
+    assert not takes_settings("mine") and takes_settings("pursuit+slip")
+    with pytest.raises(ConfigError, match="the peer 'mine' has no tracking law"):
+        load_gains("mine")

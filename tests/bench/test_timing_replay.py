@@ -11,11 +11,10 @@ from functools import partial
 import numpy as np
 import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
+from loop_parts import FeedForward, FixedStep
 
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.counters import CoreCounters, Effort
-from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController
 from diffdrive_mpc.bench.runner import NotReproducibleError, run_tasks
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes
@@ -23,21 +22,21 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingCont
 from diffdrive_mpc.sim import Run, simulate
 
 
-class Moody(KanayamaController):
+class Moody(FeedForward):
     """Remembers something that `start` does not reset."""
 
     calls = 0
 
-    def step(self, t: float, measurement: Measurement) -> PeerStep:
+    def step(self, t: float, measurement: Measurement) -> FixedStep:
         Moody.calls += 1
         step = super().step(t, measurement)
         return replace(step, command=step.command + 1e-15 * Moody.calls)
 
 
-class Dawdling(KanayamaController):
+class Dawdling(FeedForward):
     """Takes 2 ms longer than it says: time outside its own clock."""
 
-    def step(self, t: float, measurement: Measurement) -> PeerStep:
+    def step(self, t: float, measurement: Measurement) -> FixedStep:
         step = super().step(t, measurement)
         time.sleep(2e-3)
         return step
@@ -49,7 +48,7 @@ def replay_all(controller: TrackingController, run: Run) -> FloatArray:
 
 
 def test_a_replay_measures_every_whole_step_itself() -> None:
-    run = simulate(KanayamaController(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc(duration=1.0))
+    run = simulate(FeedForward(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc(duration=1.0))
     controller = Dawdling()
     controller.start(run.reference, 0.0)
     times = replay(controller, run, 0, len(run.time))
@@ -104,11 +103,11 @@ def test_disturbed_ticks_are_left_out_of_all_controllers_or_of_none(
 
 
 def test_a_difference_in_the_last_bit_is_found() -> None:
-    run = simulate(KanayamaController(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
+    run = simulate(FeedForward(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
     command = run.command.copy()
     command[77, 1] = np.nextafter(command[77, 1], 1.0)
     with pytest.raises(NotReproducibleError, match=r"arc, t = 1\.555 s"):
-        replay_all(KanayamaController(), replace(run, command=command))
+        replay_all(FeedForward(), replace(run, command=command))
 
 
 def test_a_controller_with_hidden_state_is_found_out() -> None:

@@ -27,10 +27,9 @@ def test_the_study_is_carried_out(tmp_path, one_process):
 
 def test_the_peer_drives():
     from diffdrive_mpc import load_trajectory, make_plant, simulate
-    from diffdrive_mpc.bench.peers import PeerStep
 
-    given = {"__name__": "recipe", "PeerStep": PeerStep}
-    exec(code("# bench/peers/feed_forward.py").partition("# bench/peers/__init__.py")[0], given)
+    given = {"__name__": "recipe"}
+    exec(code("# my_package/feed_forward.py").partition("# pyproject.toml of my_package")[0], given)
     run = simulate(given["FeedForwardController"](), make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.steps > 100
 

@@ -19,6 +19,7 @@ from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from diffdrive_mpc_extras.campaign.conditions import load_conditions
+from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
 from studies.cli import app
 from studies.robustness.market import market_cases
 from studies.robustness.results import alarms_interval, measured, ratios, share_interval, study_tables
@@ -108,7 +109,7 @@ def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() ->
     cases = market_cases(3, "mpc", "ssm", "square", spot_turns=True)
     seeds = [case.seed for case in cases]
     assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
-    assert all(seed % 2 == 0 and draw_robot(seed).can_drive(spot_turns=True) for seed in seeds)
+    assert all(seed % 2 == 0 and can_drive(draw_robot(seed), spot_turns=True) for seed in seeds)
     assert not any(case.overrides for case in cases)
     assert dict(settings_of(cases[0])) == draw_robot(seeds[0]).stated
     assert case_config(cases[0]).wheels.track == draw_robot(seeds[0]).stated["wheels.track"]

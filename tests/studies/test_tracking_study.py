@@ -18,7 +18,7 @@ from tracking_parts import TINY, case, made_up, recovery, row, tiny_study, write
 from commands import invoke
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.bench.experiment import frame, json_rows
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.peers import make_peer
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.sim import simulate
 from studies.cli import app
@@ -131,7 +131,7 @@ def test_a_mistake_in_a_study_is_one_line_before_anything_is_driven(old: str, ne
 @pytest.fixture(scope="module")
 def run():
     """Starts 0.2 m to the left of an arc and comes back."""
-    return simulate(KanayamaController(), DisplacedUnicycle([0.0, 0.2, 0.0]), Arc(duration=8.0))
+    return simulate(make_peer("kanayama"), DisplacedUnicycle([0.0, 0.2, 0.0]), Arc(duration=8.0))
 
 
 def test_along_and_across_are_the_position_error_in_the_frame_of_the_reference(run):

@@ -15,6 +15,7 @@ from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc_extras.energy.power_readings import run_energy
 from diffdrive_mpc_extras.energy_term.feature import energy_function, energy_terms, with_least_radius
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 from diffdrive_mpc_extras.turn_costs.turn_costs import FLOORS
@@ -100,10 +101,10 @@ def test_less_is_paid_for_turning_the_more_it_weighs():
         overrides = {"energy.weight": weight, "energy.turn_costs": "fsu_bot-slippery"}
         controller = Controller(load_config("ssm", overrides))
         plant = make_plant("mujoco:fsu_bot", "slippery", seed=7)
-        found[weight] = simulate(controller, plant, load_trajectory("square", timing="smooth")).metrics
-    energy = [metrics.energy_j for metrics in found.values()]
+        found[weight] = simulate(controller, plant, load_trajectory("square", timing="smooth"))
+    energy = [run_energy(run).energy_j for run in found.values()]
     assert energy[0] > energy[1] > energy[2]
-    assert found[0.1].position_rmse_m > 1.5 * found[0.01].position_rmse_m
+    assert found[0.1].metrics.position_rmse_m > 1.5 * found[0.01].metrics.position_rmse_m
 
 
 def test_its_weight_is_a_stage_parameter_that_changes_while_driving():

@@ -18,9 +18,16 @@ from diffdrive_mpc.sim.log_mcap import write_log as write_mcap
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.run import Run
-from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings
-from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor, load_sensor_set
 from diffdrive_mpc_extras.energy import identify_constants, logged_energy
+from diffdrive_mpc_extras.energy.power_readings import (
+    READINGS,
+    Battery,
+    PowerReadings,
+    PowerSensor,
+    power_sensor,
+    robot_power,
+    run_energy,
+)
 from diffdrive_mpc_extras.turn_costs import load_drive_constants
 from studies.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
 
@@ -42,9 +49,9 @@ def test_more_than_it_can_give_leaves_half_of_its_voltage() -> None:
     assert Battery(voltage=12.0, resistance=0.1).loaded(1e4)[0] == pytest.approx(6.0)
 
 
-def run(sensors: str, **around: str) -> Run:
+def run(sensors: str, world: str = "", **around: str) -> Run:
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
-    return simulate(FeedForward(), make_plant("mujoco:fsu_bot", sensors=sensors, seed=4, **around), reference)  # type: ignore[arg-type]
+    return simulate(FeedForward(), make_plant(f"{world}mujoco:fsu_bot", sensors=sensors, seed=4, **around), reference)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +61,8 @@ def logged() -> Run:
 
 def test_the_drive_is_the_same_with_the_sensors_and_so_is_the_rest_of_the_log(logged: Run) -> None:
     plain = run("default")
-    assert np.isnan(plain.power_readings).all() and not set(READINGS) & set(plain.columns)
-    assert np.isfinite(logged.power_readings).all()
+    assert not plain.parts and not set(READINGS) & set(plain.columns)
+    assert np.isfinite(logged.parts["power"].readings).all()
     assert list(plain.columns) == [name for name in logged.columns if name not in READINGS]
     for name, column in plain.columns.items():
         if "step_time" not in name and "solve_time" not in name:
@@ -63,36 +70,36 @@ def test_the_drive_is_the_same_with_the_sensors_and_so_is_the_rest_of_the_log(lo
 
 
 def test_a_scenario_and_a_world_read_the_same_battery(logged: Run) -> None:
-    for around in ({"scenario": "biased_gyro"}, {"world": "opening"}):
+    for around in ({"scenario": "biased_gyro"}, {"world": "world:opening@"}):
         count = len(logged.time)
-        assert np.array_equal(run("power", **around).power_readings[:50], logged.power_readings[:50]), (around, count)
+        readings = run("power", **around).parts["power"].readings
+        assert np.array_equal(readings[:50], logged.parts["power"].readings[:50]), (around, count)
 
 
 def test_without_noise_the_battery_gives_the_energy_of_the_run() -> None:
     build = load_simulated_robot("fsu_bot")
-    exact = build.sensors.model_copy(update={"power": EXACT})
+    power = robot_power("mujoco:fsu_bot")
+    part = PowerReadings(EXACT, power.battery, power.drive, 0)
     plant = MujocoPlant(
         1.0,
-        exact,
+        build.sensors,
         robot=build.robot,
         twin=build.twin,
         firmware=build.firmware,
-        drive=build.drive,
-        battery=build.battery,
+        parts={"power": part},
     )
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
     done = simulate(FeedForward(), plant, reference, extra_time=0.1)
-    power = done.power_readings[:, :2].prod(axis=1)
+    readings = done.parts["power"].readings
+    given = readings[:, :2].prod(axis=1)
     # The reading of a tick is of the sample before it.
     counted = np.flatnonzero(done.counted) + 1
-    assert power[counted].sum() * done.sample_time == pytest.approx(done.metrics.energy_j, rel=1e-9)
-    currents = done.power_readings[1:, 2:]
-    assert currents == pytest.approx(done.motor_torque[:-1] / build.drive.torque_per_current)
+    assert given[counted].sum() * done.sample_time == pytest.approx(run_energy(done).energy_j, rel=1e-9)
+    assert readings[1:, 2:] == pytest.approx(done.motor_torque[:-1] / power.drive.torque_per_current)
 
 
 def test_readings_are_whole_steps_and_repeat_with_the_seed() -> None:
-    sensor = load_sensor_set("power").power
-    assert sensor is not None
+    sensor = power_sensor()
 
     def read(seed: int) -> np.ndarray:
         reads = PowerReadings(sensor, Battery(), load_drive_constants(), seed)
@@ -126,8 +133,8 @@ def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: 
         for name, mapping in (("log.csv", ()), ("log.mcap", ()), ("log.mcap", (tmp_path / "bag.yaml",)))
     )
     assert csv.battery is not None and csv.motor_currents is not None
-    assert np.array_equal(csv.battery, logged.power_readings[:, :2])
-    assert np.array_equal(csv.motor_currents, logged.power_readings[:, 2:])
+    assert np.array_equal(csv.battery, logged.parts["power"].readings[:, :2])
+    assert np.array_equal(csv.motor_currents, logged.parts["power"].readings[:, 2:])
     for name in ("battery", "motor_current", "motor_currents"):
         assert np.array_equal(getattr(mcap, name), getattr(csv, name))
         assert getattr(bag, name) == pytest.approx(getattr(csv, name), abs=1e-5)  # BatteryState has single precision
@@ -151,7 +158,7 @@ def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:
 def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
     rng, errors = np.random.default_rng(31), []
     for seed, (robot, surface) in enumerate(FLOORS, start=31):
-        usual = load_simulated_robot(robot).drive
+        usual = robot_power(f"mujoco:{robot}").drive
         drive = diagnostic(robot, surface, seed)
         for k in range(4):
             true = drawn(usual, rng)

@@ -15,6 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.worlds.drawn_world import drawing, drawn_world
 from diffdrive_mpc_extras.worlds.passage import outline_points
+from diffdrive_mpc_extras.worlds.plug_in import passage
 from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Polygon, Shapes, Wall, distance_to_polygon
 from diffdrive_mpc_extras.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
 from diffdrive_mpc_extras.worlds.world import World
@@ -32,7 +33,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def plant_in(folder: Path, text: str) -> WorldPlant:
-    plant = make_plant("mujoco", sensors="perfect", world=written(folder, text))
+    plant = make_plant(f"world:{written(folder, text)}", sensors="perfect")
     assert isinstance(plant, WorldPlant)
     return plant
 
@@ -83,8 +84,8 @@ def test_a_contact_ends_the_run_and_says_what_was_touched(tmp_path: Path) -> Non
         drive(plant, (0.5, 0.0), 200)
     run = simulate(FeedForward(), plant, ConstantTwist(0.5, 0.0, 3.0))
     assert "post 0" in run.ended
-    assert run.passage is not None and run.passage.contacts == 1 and not run.passage.arrived
-    assert run.passage.clearance_m == 0.0
+    assert passage(run).contacts == 1 and not passage(run).arrived
+    assert passage(run).clearance_m == 0.0
 
 
 def test_a_world_far_away_changes_no_bit_of_a_run(tmp_path: Path) -> None:
@@ -100,7 +101,7 @@ def test_a_world_far_away_changes_no_bit_of_a_run(tmp_path: Path) -> None:
 def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> None:
     looks, poses = [], []
     for _ in range(2):
-        plant = make_plant("mujoco", world="crossing", seed=4)
+        plant = make_plant("world:crossing", seed=4)
         assert isinstance(plant, WorldPlant)
         plant.reset((0, 0, 0))
         seen = []
@@ -312,16 +313,16 @@ def test_a_world_that_is_not_there_gets_its_sentence(name: str) -> None:
 
 def test_a_plant_without_a_body_refuses_a_world() -> None:
     with pytest.raises(ConfigError, match="use 'mujoco'"):
-        make_plant("model:sm", world="doorway")
+        make_plant("world:doorway@model:sm")
 
 
 def test_the_goal_ends_the_run_when_the_way_is_driven(tmp_path: Path) -> None:
     plant = plant_in(tmp_path, "way: {waypoints: [[0, 0], [1, 0]], speed: 0.5}\n")
     run = simulate(FeedForward(), plant, ConstantTwist(0.5, 0.0, 2.0))
-    assert run.passage is not None and run.passage.arrived
+    assert passage(run).arrived
     # Long before the time limit of 20 s; it drove 1 m in 2 s.
-    assert 2.0 <= run.passage.time_s < 2.5 and run.time[-1] < 3.0
-    assert run.passage.clearance_m == math.inf
+    assert 2.0 <= passage(run).time_s < 2.5 and run.time[-1] < 3.0
+    assert passage(run).clearance_m == math.inf
 
 
 class Unwilling(FeedForward):
@@ -336,4 +337,4 @@ def test_a_robot_that_stands_for_good_ends_the_run_where_nothing_changes(tmp_pat
     runs = [simulate(Unwilling(), plant_in(tmp_path, text), ConstantTwist(0.5, 0.0, 2.0)) for text in (still, moving)]
     assert [round(run.time[-1]) for run in runs] == [10, 20]  # give_up, and the time limit of the file
     for run in runs:
-        assert run.passage is not None and not run.passage.arrived and run.passage.contacts == 0
+        assert not passage(run).arrived and passage(run).contacts == 0

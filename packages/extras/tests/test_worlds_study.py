@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,14 @@ import pytest
 from studies.worlds.results import measured
 from studies.worlds.settings import cases, known_at, load_settings, stop_was_possible
 from studies.worlds.study import WorldsStudy
+from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc_extras.peers.seeing import SeenDistanceField
+from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
 from diffdrive_mpc_extras.worlds.sight import Seen, SeenDisc, SeenGrid
 
 PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"
@@ -23,7 +27,11 @@ PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0
 def with_person(folder: Path, mover: str) -> Case:
     path = folder / "person.yaml"
     path.write_text(f"{PERSON}movers: [{mover}]\n", encoding="utf-8")
-    return Case(controller="pursuit", model="none", world=str(path), sensors="perfect")
+    return Case(controller="pursuit", model="none", plant=f"world:{path}", sensors="perfect")
+
+
+def is_through(case: Case) -> bool:
+    return split(case.plant)[1].endswith(":through")
 
 
 def test_every_controller_gets_the_same_worlds() -> None:
@@ -36,8 +44,7 @@ def test_every_controller_gets_the_same_worlds() -> None:
         assert len(found) == 2 * count
         for ours, theirs in zip(found[::2], found[1::2], strict=True):
             assert (ours.controller, ours.model, theirs.model) == ("mpc", "sm", "none")
-            assert (ours.world, ours.seed, ours.plant, ours.surface, ours.sensors) == (
-                theirs.world,
+            assert (ours.seed, ours.plant, ours.surface, ours.sensors) == (
                 theirs.seed,
                 theirs.plant,
                 theirs.surface,
@@ -45,9 +52,9 @@ def test_every_controller_gets_the_same_worlds() -> None:
             )
     assert len(cases(settings, "doorway", ("mpc",), "sm", None)) == 100
     drawn = cases(settings, "drawn", ("mpc",), "sm", None)
-    assert len(drawn) == 1000 and sum(one.world.endswith(":through") for one in drawn) == 500
+    assert len(drawn) == 1000 and sum(is_through(one) for one in drawn) == 500
     # Both kinds of worlds under each condition.
-    places = {(one.plant, one.surface, one.sensors, one.world.endswith(":through")) for one in drawn}
+    places = {(split(one.plant)[2], one.surface, one.sensors, is_through(one)) for one in drawn}
     assert len(places) == 2 * len(settings.conditions)
 
 
@@ -55,33 +62,32 @@ def test_a_stop_was_possible_for_whom_is_seen_early_and_not_for_whom_appears_at_
     """A blind controller drives into both; at 0.5 m/s, braking with 2 m/s^2, 40 ms of dead time and 90 ms of lag."""
     early = with_person(tmp_path, "{x: 2.5, y: 0}")
     run = run_case(early)
-    assert "mover 0" in run.ended and run.passage is not None and run.passage.contacts == 1
+    assert "mover 0" in run.ended and passage(run).contacts == 1
     # The front is at the person's edge after (2.5 - 0.25 - 0.15) / 0.5 s and the run-up.
-    assert 4.2 < run.contacts[0].time < 4.7
+    assert 4.2 < world_record(run).contacts[0].time < 4.7
     assert stop_was_possible(early, run) is True
-    late = with_person(tmp_path, f"{{x: 2.5, y: 0, seen_from: {run.contacts[0].time - 0.35}}}")
+    late = with_person(tmp_path, f"{{x: 2.5, y: 0, seen_from: {world_record(run).contacts[0].time - 0.35}}}")
     assert stop_was_possible(late, run_case(late)) is False
 
 
 def test_a_person_is_known_with_the_second_look(tmp_path: Path) -> None:
     case = with_person(tmp_path, "{x: 2.5, y: 0, seen_from: 1.05}")
     run = run_case(case)
-    assert run.world is not None
     # Looks are at 1.1 and 1.2 s, and take 0.06 s; ticks are 0.0202 s apart.
-    assert known_at(run.world, run.time, run.true_pose)[0] == pytest.approx(1.26, abs=0.025)
+    assert known_at(world_record(run).world, run.time, run.true_pose)[0] == pytest.approx(1.26, abs=0.025)
 
 
 def test_the_clock_of_a_peer_waits_and_its_collision_stop_stops(tmp_path: Path) -> None:
     path = tmp_path / "wall.yaml"
     text = PERSON.replace("a person", "a wall") + "walls: [{start: [2, -1], end: [2, 1]}]\nreachable: false\n"
     path.write_text(text, encoding="utf-8")
-    case = Case(controller="rpp+stop", model="none", world=str(path))
+    case = Case(controller="rpp+stop", model="none", plant=f"world:{path}")
     run = run_case(case)
     kept = measured(case, run)
-    assert run.passage is not None and not run.passage.arrived
+    assert not passage(run).arrived
     assert (kept["collided"], kept["stood_still"]) == (False, True)
     # It projects its command 1 s ahead: at 0.5 m/s it stops within half a metre, and the front is 0.15 m ahead.
-    assert 0.0 < run.passage.clearance_m < 0.55
+    assert 0.0 < passage(run).clearance_m < 0.55
     assert "would touch" in str(kept["last_message"])
 
 
@@ -95,6 +101,14 @@ def test_distances_from_what_was_seen() -> None:
     assert found[0] == 0.0 and found[2] <= 0.0 and found[4] > 5.0
     assert found[1] == pytest.approx(0.175, abs=0.01)
     assert found[3] == pytest.approx(0.1, abs=0.04)
+
+
+def test_simulate_prints_the_passage_and_its_table() -> None:
+    arguments = ["simulate", "--plant", "world:slalom", "--controller", "rpp+stop"]
+    line = r"^world: (not )?arrived, \d+ contacts, least clearance \d\.\d+ m$"
+    assert re.search(line, CliRunner().invoke(app, arguments).stdout, re.MULTILINE)
+    detailed = CliRunner().invoke(app, [*arguments, "--details"]).stdout
+    assert "world:slalom" in detailed and "walked" in detailed
 
 
 @pytest.mark.long

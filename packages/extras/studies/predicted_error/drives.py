@@ -17,10 +17,12 @@ from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc import Controller, Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.plants.drawn_robot import Span, driving_seeds
-from diffdrive_mpc.sim.plants.make import DRAWN, drawn_robot
+from diffdrive_mpc.sim.plants.drawn_robot import Span
+from diffdrive_mpc.sim.plants.make import drawn_robot
+from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc_extras.campaign.campaign_file import Campaign
 from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 from diffdrive_mpc_extras.campaign.drive import built
 from diffdrive_mpc_extras.predicted_error.calibration import CalibratedRange, CalibratedRanges
 from diffdrive_mpc_extras.predicted_error.features import FEATURES, path_features

@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, Rate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
 
 
 def measured(case: Case, run: Run) -> dict[str, object]:
@@ -24,18 +25,18 @@ def measured(case: Case, run: Run) -> dict[str, object]:
     `stop_possible`: whether a stop before persons who walk was physically possible. `planned_s`: duration of the
     planned path [s]; `arrival_s`: time of a run that arrived [s]; `step_p99_s`: of the controller's step [s].
     """
-    passage = run.passage
-    assert passage is not None and run.world is not None
+    passed, (_, name, _) = passage(run), split(case.plant)
     steps = run.step_time[np.isfinite(run.step_time)]
     return {
         "driver": case.controller if case.controller in PEERS else f"mpc, {case.model}",
-        "planned_way": "posts on it" if case.world.endswith(":through") else "free",
-        "collided": passage.contacts > 0,
-        "stood_still": not passage.arrived and not passage.contacts,
-        "was_walked_into": passage.walked_into > 0,
-        "stop_possible": bool(run.world.movers) and stop_was_possible(case, run) is True,
+        "world": name,
+        "planned_way": "posts on it" if name.endswith(":through") else "free",
+        "collided": passed.contacts > 0,
+        "stood_still": not passed.arrived and not passed.contacts,
+        "was_walked_into": passed.walked_into > 0,
+        "stop_possible": bool(world_record(run).world.movers) and stop_was_possible(case, run) is True,
         "planned_s": run.reference.duration,
-        "arrival_s": passage.time_s if passage.arrived else np.nan,
+        "arrival_s": passed.time_s if passed.arrived else np.nan,
         "last_message": next((message for message in reversed(run.messages) if message), ""),
         "step_p99_s": float(np.percentile(steps, 99)) if steps.size else np.nan,
     }

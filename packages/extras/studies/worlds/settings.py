@@ -17,6 +17,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.plants.plant import RobotLostError
+from diffdrive_mpc_extras.worlds.plug_in import world_record
 from diffdrive_mpc_extras.worlds.sight import in_view
 from diffdrive_mpc_extras.worlds.world import World
 from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
@@ -94,9 +95,10 @@ def cases(
         Case(
             controller=controller,
             model=NO_MODEL if controller in PEERS else model,
-            world=world,
+            plant=f"world:{world}@{where.plant}",
+            surface=where.surface,
+            sensors=where.sensors,
             seed=seed,
-            **where.model_dump(),
         )
         for world, where, seed in chosen
         for controller in controllers
@@ -164,8 +166,7 @@ def stop_was_possible(case: Case, run: Run) -> bool | None:
 
     None where nobody could be known of before the end of the run: then there was nothing to stop for, or no chance.
     """
-    assert run.world is not None
-    known = known_at(run.world, run.time, run.true_pose)
+    known = known_at(world_record(run).world, run.time, run.true_pose)
     first = float(known.min(initial=np.inf))
     if not first <= run.time[-1]:
         return None

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.config.rooms import shown_key
-from diffdrive_mpc.sim.plants.make import plant_outline
+from diffdrive_mpc_extras.worlds.outline import plant_outline
 from diffdrive_mpc_lab import numbers
 from diffdrive_mpc_lab.numbers import Constants, default_of, lab_settings, values_of
 

@@ -34,7 +34,8 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
+from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
+from diffdrive_mpc_extras.campaign.drivable_robots import RESERVED, can_drive
 from diffdrive_mpc_monitor.rules import Rules, load_rules
 from studies.robustness.study import turns_on_the_spot
 
@@ -121,7 +122,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
         """Seeds of robots that can drive their path; those for tuning are not those that results are reported on."""
         spot_turns = {path: turns_on_the_spot(path) for path in BENCH_PATHS}
         for seed in count(1 if self._tuning else self._first[1], RESERVED):
-            if draw_robot(seed).can_drive(spot_turns[market_case(seed).trajectory]):
+            if can_drive(draw_robot(seed), spot_turns[market_case(seed).trajectory]):
                 yield seed
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> MonitorStudyResult:

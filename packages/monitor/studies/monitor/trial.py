@@ -17,8 +17,8 @@ from diffdrive_mpc.bench.case import NO_MODEL, Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
-from diffdrive_mpc.sim.plants.make import DRAWN
+from diffdrive_mpc.sim.plants.names import DRAWN
+from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 from diffdrive_mpc_monitor.rules import Rules
 
 # Drives in which nothing is wrong: drawn from controllers, paths, floors, what happens there, and sensors.

@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
-from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
-from diffdrive_mpc.sim.plants.make import DRAWN
+from diffdrive_mpc.sim.plants.names import DRAWN
+from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 
 Value = bool | int | float | str
 """Of a factor in one run."""

@@ -10,10 +10,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
 
-from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, draw_world, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc_extras.planner.clearance import outline
 from diffdrive_mpc_extras.planner.study import PlanRequest, Plans
+from diffdrive_mpc_extras.worlds.drawing import draw_world
 
 _WIDEST = 50.0
 _OUTLINES = 12

@@ -1,9 +1,9 @@
-"""What a navigation stack needs of a robot beside its odometry: transforms, and a scan of the world around it."""
+"""Topics of the simulated base for a navigation stack: transforms, and a laser scan of the world."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
@@ -11,14 +11,18 @@ import numpy as np
 from geometry_msgs.msg import TransformStamped
 from numpy.typing import ArrayLike
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.drive_log.topics import BASE, MAP, ODOM
+from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
+from diffdrive_mpc.sim.ros.simulated_base import BaseSettings
 from diffdrive_mpc_extras.worlds.shapes import Shapes
 from diffdrive_mpc_extras.worlds.sight import cast_rays
 from diffdrive_mpc_extras.worlds.world import World
+from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
 
 TRANSFORMS, SCAN = "/tf", "scan"
 _TIME_TOLERANCE = 1e-9
@@ -52,15 +56,18 @@ class TransformSender:
         self._odom, self._base, self._localised = prefix + ODOM, prefix + BASE, localised
         self._publisher = node.create_publisher(self._kind, TRANSFORMS, 100)
 
-    def send(self, now: int, odometry: ArrayLike, truth: ArrayLike) -> Any:  # noqa: ANN401 - ROS messages have no types
-        """Send the transforms at `now` [ns] for a pose in odom and the true one in map, (3,) each; the message."""
-        in_odom, in_map = _matrix(odometry), _matrix(truth)
+    def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
+        """Send the transforms with the odometry; see `sim.ros.simulated_base.BaseTopics`."""
+        del origin
+        if odometry is None:
+            return
+        in_odom, in_map = _matrix(odometry), _matrix(plant.true_pose)
         sent = [_transform(now, self._odom, self._base, in_odom)]
         if self._localised:
             sent.append(_transform(now, MAP, self._odom, in_map @ np.linalg.inv(in_odom)))
         message = self._kind(transforms=sent)
         self._publisher.publish(message)
-        return message
+        yield TRANSFORMS, message
 
 
 def _matrix(pose: ArrayLike) -> FloatArray:
@@ -76,6 +83,39 @@ def _transform(now: int, parent: str, child: str, matrix: FloatArray) -> Any:  #
     message.transform.translation.x, message.transform.translation.y = pose.position.x, pose.position.y
     message.transform.rotation = pose.orientation
     return message
+
+
+def transforms(node: Node, _plant: Plant, settings: BaseSettings) -> TransformSender:
+    """Make the transforms that the settings ask for; raises ValueError if tf2_msgs is not installed."""
+    return TransformSender(node, settings.frame_prefix, localised=settings.transforms == "map")
+
+
+class ScanSender:
+    """Topic `scan` of a robot in a world.
+
+    Parameters
+    ----------
+    node
+        Node of the robot.
+    plant
+        Plant in a world.
+    settings
+        Settings of the base: prefix of the frame.
+    """
+
+    def __init__(self, node: Node, plant: WorldPlant, settings: BaseSettings) -> None:
+        self._scanner, self._prefix = Scanner(plant.world), settings.frame_prefix
+        self._publisher = node.create_publisher(LaserScan, SCAN, qos_profile_sensor_data)
+
+    def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
+        """Send the scan that has arrived; see `sim.ros.simulated_base.BaseTopics`."""
+        del now, odometry
+        scan = self._scanner.look(plant.time, plant.true_pose, lambda time: origin + round(1e9 * time))
+        if scan is not None:
+            if self._prefix:
+                messages.set_prefix(scan, self._prefix)
+            self._publisher.publish(scan)
+            yield self._publisher.topic_name, scan
 
 
 class Scanner:

@@ -280,8 +280,8 @@ class FreeSpacePart(NodePart):
         settings = tools.part_settings(SurroundingsSettings)
         if not (settings.use_costmap or settings.use_obstacles):
             return
-        if not tools.controller.config.free_space.enabled:
-            raise RefusedError("use_costmap or use_obstacles is set: set free_space.enabled, too")
+        if not free_space_of(tools.controller.config).enabled:
+            raise RefusedError("use_costmap or use_obstacles is set: set expert.free_space.enabled, too")
         warn = self.node.get_logger().warning
         seen = SurroundingsInput(settings, tools.controller, tools.inbox, tools.side_process, warn)
         self.surroundings, self.topics = seen, seen.topics

@@ -1,12 +1,14 @@
-"""A plant in a world: what it touches ends the run, what it sees is handed out, and when it has arrived is known."""
+"""A plant in a world: a contact ends the run, and the controller receives what the robot observes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround, RobotLostError
@@ -19,6 +21,25 @@ from diffdrive_mpc_extras.worlds.world import World
 
 class TouchedError(RobotLostError):
     """The robot touched something, and the world's file says that this ends the run."""
+
+
+@dataclass(frozen=True)
+class WorldRecord:
+    """World of a run.
+
+    Attributes
+    ----------
+    world
+        Obstacles and persons.
+    contacts
+        Contacts of the robot with them.
+    outline
+        Length and width of the robot [m].
+    """
+
+    world: World
+    contacts: tuple[Contact, ...]
+    outline: tuple[float, float]
 
 
 class WorldPlant(PlantAround):
@@ -40,6 +61,7 @@ class WorldPlant(PlantAround):
         self._rules = world_settings()
         self._eyes = Eyes(scene.world, seed)
         self._moved_at = 0.0
+        self._observer: tuple[TrackingController, Callable[[Seen], None] | None] | None = None
 
     @property
     def world(self) -> World:
@@ -61,8 +83,30 @@ class WorldPlant(PlantAround):
         """As of the plant inside."""
         return self._plant.disturbance if isinstance(self._plant, DisturbedPlant) else None
 
-    def over(self, goal: FloatArray) -> bool:
-        """Whether the robot stands at `goal`, a pose (3,), or has stood so long that nothing will come any more."""
+    base_topics = ("scan",)
+    """Topics of the simulated base for this plant, see `sim.ros.simulated_base.BaseTopics`."""
+
+    @property
+    def time_limit(self) -> float:
+        """Time by which the robot has to arrive [s]."""
+        return self.world.time_limit
+
+    @property
+    def records(self) -> Mapping[str, object]:
+        """Record of the world, and those of the plant inside."""
+        return {**super().records, "world": WorldRecord(self.world, self.contacts, self.footprint)}
+
+    def show(self, controller: TrackingController) -> None:
+        """Pass the newest observation, if any, to a peer's `set_obstacles` or to the feature `free_space`."""
+        seen = self.look()
+        if self._observer is None or self._observer[0] is not controller:
+            self._observer = controller, _observer_of(controller)
+        observe = self._observer[1]
+        if seen is not None and observe is not None:
+            observe(seen)
+
+    def is_over(self, goal: FloatArray) -> bool:
+        """Return True if the robot stands at `goal`, a pose (3,), or has stood too long where nothing changes."""
         stood = self.time - self._moved_at
         return self._arrived(goal) or (not self.world.changes and stood > self._rules.goal.give_up)
 
@@ -95,3 +139,11 @@ class WorldPlant(PlantAround):
             moving = [contact for contact in self.contacts if contact.fastest > self._rules.contact.moving_speed]
             if moving:
                 raise TouchedError(moving[0].sentence)
+
+
+def _observer_of(controller: TrackingController) -> Callable[[Seen], None] | None:
+    """Return the method that takes observations; None for a controller without one."""
+    feature = getattr(controller, "feature", None)
+    owner = controller if feature is None or hasattr(controller, "set_obstacles") else feature("free_space")
+    observe: Callable[[Seen], None] | None = getattr(owner, "set_obstacles", None)
+    return observe

@@ -1,0 +1,137 @@
+"""Robots of the market that can drive the benchmark paths, by a rule that knows their physics and no controller."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+from diffdrive_mpc.sim.plants.chassis import WHEELS
+from diffdrive_mpc.sim.plants.drawn_robot import (
+    GRAVITY,
+    DrawnRobot,
+    draw_robot,
+    load_market,
+    on_driven,
+    rim_speed,
+    skid_track,
+    yaw_acceleration,
+)
+
+RESERVED = 2
+"""Seeds that are a multiple of it are never used for tuning: results are reported on them."""
+
+
+def can_drive(robot: DrawnRobot, spot_turns: bool = False) -> bool:
+    """Return True if a robot can drive the benchmark paths.
+
+    Grip holds it on the slope, moves it sideways and turns it as the paths ask; motors push it uphill while their
+    wheels skid; the yaw rate to command is below the limit. With `spot_turns` the path turns on the spot, which a
+    robot that turns about another point cannot do.
+    """
+    market, chassis, rule = load_market(), robot.build.twin.chassis, _Rule(robot)
+    ahead = 0.0 if chassis.castors else abs(chassis.centre_of_mass[0])
+    turns_aside = market.turning_point * ahead > market.needs.turning_point
+    return rule.has_grip() and rule.has_torque() and rule.has_response() and not (spot_turns and turns_aside)
+
+
+def driving_seeds(count: int, *, spot_turns: bool, tuning: bool = False) -> list[int]:
+    """Return the seeds of the first `count` reserved robots that can drive a path.
+
+    With `tuning` those of the first robots whose seeds are not reserved.
+    """
+    more, seeds = _driving_seeds(spot_turns, tuning)
+    seeds.extend(itertools.islice(more, max(0, count - len(seeds))))
+    return seeds[:count]
+
+
+@cache
+def _driving_seeds(spot_turns: bool, tuning: bool) -> tuple[Iterator[int], list[int]]:
+    """Return the seeds of robots that can drive, in order, and the list of those that were tried so far."""
+    seeds = itertools.count(1 if tuning else 0, RESERVED)
+    return (seed for seed in seeds if can_drive(draw_robot(seed), spot_turns)), []
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """Conditions of the rule for one robot."""
+
+    robot: DrawnRobot
+
+    def has_grip(self) -> bool:
+        """Return True if grip holds it on the slope while it speeds up, and gives the yaw acceleration of the paths."""
+        market, build = load_market(), self.robot.build
+        turned = market.stated.yaw_acceleration * yaw_acceleration(build, self._grip)
+        return self._grip * on_driven(build) > market.margin * self._climb() and turned > market.needs.yaw_acceleration
+
+    def has_torque(self) -> bool:
+        """Return True if the motors of the more loaded side push it uphill and skid their wheels at speed."""
+        chassis, robot = self.robot.build.twin.chassis, self.robot.build.robot
+        base, track, left = self._skidding_base, robot.track, chassis.centre_of_mass[1]
+        load = robot.mass * GRAVITY * (0.5 + abs(left) / track)
+        needed = load * (self._climb() + self._grip * base / math.hypot(base, track))
+        return min(self._side_forces()) > load_market().margin * needed
+
+    def has_response(self) -> bool:
+        """Return True if the yaw rate to command is below its limit and the speed responds while the wheels skid.
+
+        A slope moves the robot by its share of the grip.
+        """
+        market, build, base = load_market(), self.robot.build, self._skidding_base
+        needs, track = market.needs, build.robot.track
+        command = needs.turning * skid_track(track, base) / build.firmware.track
+        skid = _skid_speed(needs.turning, track, base)
+        return (
+            market.margin * command < build.robot.limits.omega
+            and skid * math.tan(self._slope) / self._grip < needs.sliding * needs.speed
+            and skidding_time(needs.turning, track, base, self._grip) < needs.skid_time
+        )
+
+    @property
+    def _grip(self) -> float:
+        """Friction coefficient of the worst surface on its path."""
+        usual = float(self.robot.build.friction or 0.0)
+        return min([usual, *(patch.coefficient(usual) for patch in self.robot.scenario.patches)])
+
+    @property
+    def _slope(self) -> float:
+        """Slope of its surface [rad]."""
+        return self.robot.scenario.slope.angle if self.robot.scenario.slope else 0.0
+
+    @property
+    def _skidding_base(self) -> float:
+        """Wheel base of the wheels that skid sideways in a turn [m]; zero with castors."""
+        chassis = self.robot.build.twin.chassis
+        return 0.0 if chassis.castors else chassis.wheel_base
+
+    def _climb(self) -> float:
+        """Return the force along the path on the slope over the weight across it, with the reference's acceleration."""
+        return math.tan(self._slope) + load_market().needs.acceleration / GRAVITY / math.cos(self._slope)
+
+    def _side_forces(self) -> tuple[float, float]:
+        """Return the forces of left and right motors at the speed that the paths ask of the faster wheels [N]."""
+        build, motor = self.robot.build, self.robot.build.twin.motor
+        robot, castors = build.robot, build.twin.chassis.castors
+        left = 1.0 - rim_speed(robot.track, self._skidding_base) / (motor.no_load_speed * robot.wheel_radius)
+        factors = dict.fromkeys(WHEELS, 1.0) | {weak.wheel: weak.factor for weak in self.robot.scenario.weak_motors}
+        forces = [
+            0.0 if castors and wheel.startswith("rear") else share * factors[wheel] * left * motor.stall_torque
+            for wheel, share in zip(WHEELS, motor.spread, strict=True)
+        ]
+        return (forces[0] + forces[2]) / robot.wheel_radius, (forces[1] + forces[3]) / robot.wheel_radius
+
+
+def _skid_speed(yaw_rate: float, track: float, wheel_base: float) -> float:
+    """Return the speed at which wheels skid in a turn [m/s]: Coulomb friction, the wheels' middle as its centre."""
+    return yaw_rate * math.hypot(wheel_base / 2, wheel_base**2 / track / 2)
+
+
+def skidding_time(yaw_rate: float, track: float, wheel_base: float, friction: float) -> float:
+    """Return the time constant of the speed of a robot whose wheels skid in a turn [s].
+
+    Coulomb friction points against the skid, so that a force along the path only turns it.
+    """
+    skid = _skid_speed(yaw_rate, track, wheel_base)
+    return skid * (1.0 + (wheel_base / track) ** 2) / (friction * GRAVITY)

@@ -1,0 +1,40 @@
+"""Names of plants; the command line reads them without loading the simulator."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.plug_ins import known_packages, plug_in, plug_in_names
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.sim.plants.plug_ins import PlantKind
+
+PHYSICS = "mujoco"
+"""Name of the physics plant, and before a colon the kind of another robot in it."""
+DRAWN = "drawn"
+"""Before a colon and a seed: a robot of the market, see `sim/plants/market.yaml`."""
+MODEL = "model"
+"""Before a colon: a velocity model."""
+BUILT_IN = (PHYSICS, DRAWN, MODEL)
+
+
+def split_plant(name: str) -> tuple[PlantKind, str, str] | None:
+    """Split "KIND:NAME" or "KIND:NAME@PLANT" into the kind, NAME and PLANT, by default the physics.
+
+    Returns None for names of built-in and of unknown plants.
+
+    Raises
+    ------
+    MissingPackageError
+        If the package of a known kind is not installed.
+    """
+    kind, colon, rest = name.partition(":")
+    if not colon or kind in BUILT_IN or kind not in {*plug_in_names("plants"), *known_packages().get("plants", {})}:
+        return None
+    part = plug_in("plants", kind)
+    if not hasattr(part, "make_plant"):
+        return None
+    argument, at, plant = rest.rpartition("@")
+    # A path may contain the separator.
+    is_plant = bool(at) and plant.partition(":")[0] in BUILT_IN
+    return (part, argument, plant) if is_plant else (part, rest, PHYSICS)
