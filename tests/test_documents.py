@@ -17,9 +17,10 @@ from studies.documents import twelve_drives
 from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+PACKAGE_PAGES = list(ROOT.glob("packages/*/docs/*.md"))
+DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), *PACKAGE_PAGES])
 # Of tutorials the notebooks are run, by test_tutorials.py.
-PAGES = sorted(page for kind in ("*.md", "tutorials/*.md") for page in (ROOT / "docs").glob(kind))
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
 LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")

@@ -14,6 +14,7 @@ MOVED = {
 }
 """Documents that lie outside `docs`, and what they are called on the site."""
 
+_PACKAGE_PAGE = re.compile(r"packages/(\w+)/docs/(.*)")
 _LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
 _COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
 _FENCED = re.compile(r"^(```.*?^```)$", re.MULTILINE | re.DOTALL)
@@ -25,6 +26,8 @@ def place_on_site(path: str) -> str:
         return MOVED[path]
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
+    if match := _PACKAGE_PAGE.fullmatch(path):
+        return f"{match[1]}/{match[2]}"
     return f"files/{path}.md"
 
 

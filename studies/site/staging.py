@@ -14,7 +14,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_lab.build import has_compiler, page_text
 from studies.site.formulas import with_mathml
 from studies.site.reference import reference_pages
-from studies.site.repository_links import pages_outside, with_site_links
+from studies.site.repository_links import pages_outside, place_on_site, with_site_links
 
 _LABORATORY = "lab.html"
 _NO_COMPILER = "the laboratory is not on this site: its compiler is not installed (make lab installs it)"
@@ -29,13 +29,11 @@ def stage(root: Path, out: Path) -> None:
     """
     if out.exists() and not (out / _LABORATORY).is_file():
         raise ConfigError(f"{out}: has no {_LABORATORY}, so it is no folder of the site's pages; name another")
-    documents = {
-        f"docs/{path.relative_to(root / 'docs').as_posix()}": path.read_text(encoding="utf-8")
-        for path in sorted((root / "docs").rglob("*.md"))
-    }
+    pages = [*(root / "docs").rglob("*.md"), *root.glob("packages/*/docs/*.md")]
+    documents = {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in sorted(pages)}
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(root / "docs", out, ignore=shutil.ignore_patterns("*.md"))
-    ours = {name.removeprefix("docs/"): with_site_links(text, name) for name, text in documents.items()}
+    ours = {place_on_site(name): with_site_links(text, name) for name, text in documents.items()}
     for place, text in {**ours, **pages_outside(root, documents), **reference_pages(documents)}.items():
         page = out / place
         page.parent.mkdir(parents=True, exist_ok=True)

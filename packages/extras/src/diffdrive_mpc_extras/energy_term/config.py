@@ -1,4 +1,4 @@
-"""The part of the configuration that says what turns cost; see docs/energy.md."""
+"""The part of the configuration that says what turns cost; see packages/extras/docs/energy.md."""
 
 from __future__ import annotations
 
