@@ -127,7 +127,7 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
 
 def sections(shown: ShownReport, report: str) -> dict[str, str]:
     """Parts of a report by the names of their markers: facts, figures and tables."""
-    folder = os.path.relpath(shown.name, Path(shown.page).parent)
+    folder = os.path.relpath(f"docs/{shown.name}", Path("docs", shown.page).parent)
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
     facts = "\n".join(line for line in lines if line.startswith("* "))
