@@ -147,11 +147,6 @@ def test_off_is_the_default_and_what_is_not_applied_changes_nothing():
     assert not any("looks" in result.message for result in right)
 
 
-def test_drives_repeat_bit_for_bit():
-    one, two = (driven(controller(), (0.06, 0.02))[0] for _ in range(2))
-    assert np.array_equal(commands(one), commands(two))
-
-
 def test_a_copy_for_another_process_begins_as_configured():
     by = controller()
     driven(by, (0.06, 0.06), seconds=4.0)

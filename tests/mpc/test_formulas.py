@@ -294,11 +294,6 @@ def test_errors_have_the_length_of_the_distance(values):
     assert heading == pytest.approx(pose[2] - reference[3], abs=1e-15)
 
 
-def test_without_slip_the_wheels_differ_by_the_turn_of_the_track():
-    limited, _ = call(FORMULAS["soft"], [np.zeros(3), [1.0, 0.5], [0, 0], np.zeros(4), [0, 1, 1, 1, *[0] * 6, 0.3]])
-    assert limited == pytest.approx([1.0, 0.5, 1.15, 0.85, 0.0], abs=1e-15)
-
-
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
 def test_pieces_are_those_of_the_trajectories(name):
     trajectory = load_trajectory(name)
@@ -528,25 +523,6 @@ def a_function(names, sizes, outputs=1, kind=ca.SX):
     symbols = [kind.sym(name, size) for name, size in zip(names, sizes, strict=True)]
     value = ca.vertcat(*symbols)
     return ca.Function("mine", symbols, [value] * outputs, names, [f"out{k}" for k in range(outputs)])
-
-
-@pytest.mark.parametrize(
-    ("function", "said"),
-    [
-        (a_function(["posee"], [3]), "term mine: unknown input 'posee'; name it pose"),
-        (a_function(["pose"], [2]), "term mine: input 'pose' has 2 entries, but it has 3"),
-        (a_function(["twist"], [2], outputs=2), "term mine: it has 2 outputs; stack them to one column"),
-        (lambda pose: pose, "term t: function is no casadi.Function; build one with named inputs"),
-        (
-            ca.Function("mine", [], [ca.SX.sym("forgotten")], {"allow_free": True}),
-            "term mine: it depends on forgotten; make it an input",
-        ),
-    ],
-)
-def test_a_term_that_does_not_fit_is_refused_in_one_line(function, said):
-    with pytest.raises(ConfigError) as refused:
-        user_term(function, "t")
-    assert str(refused.value) == said
 
 
 def test_what_c_cannot_do_is_refused():

@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -134,11 +133,10 @@ def answered_once(client, names):
     ("goals", "rate", "path"),
     [
         (40, 100.0, np.repeat(3.0 * STRAIGHT, 25, axis=0)),
-        pytest.param(300, 100.0, np.repeat(3.0 * STRAIGHT, 5, axis=0), marks=pytest.mark.long),
         pytest.param(1000, 200.0, np.repeat(3.0 * STRAIGHT, 5, axis=0), marks=pytest.mark.long),
         pytest.param(300, 100.0, ZIGZAG, marks=pytest.mark.long),
     ],
-    ids=["1000 poses", "200 poses", "a thousand", "zigzag"],
+    ids=["1000 poses", "a thousand", "zigzag"],
 )
 def test_every_goal_of_hundreds_a_second_gets_one_answer_and_one_result(parts, goals, rate, path):
     """Goals of many poses come faster than they can be read, and only the last is driven to its end."""
@@ -160,38 +158,6 @@ def test_every_goal_of_hundreds_a_second_gets_one_answer_and_one_result(parts, g
         assert not np.any(follow.base.commands[-1])
 
 
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore:failed to send response")
-def test_goals_of_all_kinds_are_answered_while_other_clients_are_killed(parts):
-    """A thousand at 200 Hz, good ones between those that cannot be driven; other clients die with goals open."""
-    rng = np.random.default_rng(36)
-    straight = {"poses": STRAIGHT}
-    far = {"poses": np.column_stack([np.linspace(0.0, 20.0, 10_000), np.zeros((10_000, 2))])}
-    kinds = [straight, straight | {"frame": "moon"}]
-    kinds += [{"poses": poses} for poses in ([], STRAIGHT[:1], [[0, 0, 0], [math.nan, 0, 0]], STRAIGHT + [9.0, 0, 0])]
-    goals = [kinds[i] for i in rng.integers(len(kinds), size=98)]
-    goals[10:10], goals[60:60] = [far], [{"poses": ZIGZAG}]
-    with parts.following(follow_client_timeout=0.5) as follow:
-        others = [parts.Client() for _ in range(2)]
-        for other in others:
-            follow.until(lambda other=other: other.events, "another client", pace=parts.DT)
-            other.burst("other", [*[straight] * 20, far], times=200, rate=50.0)
-        names = follow.client.burst("a", goals, times=1000, rate=200.0)
-        for other in others:
-            begun = len(follow.client.events) + rng.integers(50, 300)
-            follow.until(lambda begun=begun: len(follow.client.events) > begun, "some answers")
-            other.process.kill()
-        follow.until(lambda: not without_result(follow.client, names), "all results", most=40_000)
-        results = answered_once(follow.client, names)
-        assert {result["code"] for result in results.values()} == {0, 102, 103}
-        # Nothing is left behind, and the next goal is driven.
-        door = follow.made.node.parts["follow_path"].server
-        follow.until(lambda: not (np.any(follow.base.commands[-1]) or door._open), "rest")
-        start = pose(follow)
-        follow.client.send("b", start + X[:21, None] * [math.cos(start[2]), math.sin(start[2]), 0.0])
-        assert follow.ended("b")["status"] == parts.SUCCEEDED
-
-
 @pytest.mark.parametrize("how", ["terminate", pytest.param("kill", marks=pytest.mark.long)])
 def test_a_goal_whose_client_has_ended_is_braked(parts, how):
     """One that is killed says nothing: the middleware forgets it after its lease."""
@@ -207,23 +173,6 @@ def test_a_goal_whose_client_has_ended_is_braked(parts, how):
         braking = np.array([limits.v_braking, limits.omega_braking]) * parts.DT
         assert (np.abs(np.diff(commanded(follow, since), axis=0)) <= braking * 1.001).all()
         assert pose(follow)[0] < place + (1.2 if how == "terminate" else 15.0)
-
-
-def test_a_path_with_a_cusp_is_backed_out_of(parts):
-    back = np.linspace(0.0, 0.8, 17)[1:]
-    path = np.concatenate(
-        [
-            np.column_stack([X[:21] / 1.0, 0 * X[:21], 0 * X[:21]]),
-            np.column_stack([1.0 - back, 0.4 * back**2, -np.arctan(0.8 * back)]),
-        ]
-    )
-    with parts.following() as follow:
-        since = len(follow.base.commands)
-        follow.client.send("a", path)
-        assert follow.ended("a")["status"] == parts.SUCCEEDED
-        assert np.abs(pose(follow) - path[-1]).max() < 0.02
-        v = commanded(follow, since)[:, 0]
-        assert v.max() > 0.3 and v.min() < -0.3
 
 
 def test_without_odometry_or_progress_it_gives_up(parts):
@@ -304,26 +253,6 @@ def test_a_hold_and_a_pause_keep_the_goal_and_deactivation_ends_it(parts):
         follow.base.until(lambda: follow.client.of("b", "rejected"), "no")
 
 
-def test_goals_in_a_row_leave_nothing_behind(parts):
-    rng = np.random.default_rng(7)
-    with parts.following(follow_feedback_rate=20.0) as follow:
-        threads = threading.active_count()
-        for number in range(8):
-            start, turn = pose(follow), rng.uniform(-1.2, 1.2)
-            length, goal = rng.uniform(0.3, 0.7), rng.uniform(-math.pi, math.pi)
-            s = np.linspace(0.0, length, 15)
-            heading = start[2] + turn * s / length
-            step = np.column_stack([np.cos(heading), np.sin(heading)])[:-1] * (s[1] - s[0])
-            points = start[:2] + np.concatenate([[[0, 0]], np.cumsum(step, axis=0)])
-            path = np.column_stack([points, np.append(heading[:-1], goal)])
-            follow.client.send(str(number), path)
-            assert follow.ended(str(number), pace=0.2 * parts.DT)["status"] == parts.SUCCEEDED
-            gap = pose(follow) - path[-1]
-            assert np.hypot(*gap[:2]) < 0.03 and abs(math.remainder(gap[2], math.tau)) < 0.03
-        assert threading.active_count() == threads
-        assert follow.made.node.parts["follow_path"].server._open == []
-
-
 def test_where_the_type_is_missing_the_node_says_so_and_drives():
     code = (
         "import sys; sys.modules['nav2_msgs'] = None\n"
@@ -333,11 +262,5 @@ def test_where_the_type_is_missing_the_node_says_so_and_drives():
         "    print(max(v for v, _ in made.base.commands) > 0.2, made.node.parts['follow_path'].server)\n"
     )
     folder = __file__.rpartition("/")[0]
-    ran = subprocess.run(
-        [sys.executable, "-c", code.replace("made.base.run(30)", "made.base.run(30)")],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        check=False,
-    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, check=False)
     assert ran.stdout.strip() == "True None", ran.stderr

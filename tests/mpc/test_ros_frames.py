@@ -124,21 +124,6 @@ def test_by_transforms_it_drives_in_the_map_as_it_does_by_poses(localised):
     assert abs(math.hypot(*(robot.in_map()[:2] - centre)) - 1.0) < 0.02
 
 
-def test_a_small_correction_of_the_localisation_is_driven_out(localised):
-    """Control in the map: to odom the robot leaves its way, in the map it returns to it."""
-    robot = localised((0.0, 0.0, 0.0), pose_source="tf", trajectory="''", drive_on_reference=True)
-    s = robot.s
-    send(s, straight("map", (0.0, 0.0, 0.0), length=3.0))
-    s.base.run(100)
-    assert s.loop.last.mode == Mode.TRACKING
-    robot.map_to_odom = (0.0, 0.05, 0.0)
-    commands = s.base.run(150)
-    assert (np.abs(np.diff(commands, axis=0)) <= SLEW).all()
-    assert s.loop.last.mode == Mode.TRACKING
-    assert abs(robot.in_map()[1]) < 0.01
-    assert s.base.plant.true_pose[1] < -0.04
-
-
 @pytest.mark.parametrize("missing", ["odom", "base_link"])
 def test_without_transforms_it_brakes_as_without_poses_and_drives_on(localised, missing):
     robot = localised(pose_source="tf", trajectory="circle", start_at_robot=True)

@@ -90,16 +90,10 @@ def long_frame(odometry):
     return odometry
 
 
-def long_child_frame(odometry):
-    odometry.child_frame_id = "b" * 5000
-    return odometry
-
-
-@pytest.mark.parametrize("tamper", [long_frame, long_child_frame])
-def test_odometry_with_a_name_too_long_is_refused_and_at_last_the_robot_brakes(tamper):
+def test_odometry_with_a_name_too_long_is_refused_and_at_last_the_robot_brakes():
     with stack(drive=True) as s:
         s.base.run(20)
-        s.base.tamper = tamper
+        s.base.tamper = long_frame
         s.base.run(math.ceil(0.2 / DT) + 3)
         s.base.until(lambda: s.node._inbox.odometry.refused, "a refusal")
         s.base.run(2)

@@ -9,7 +9,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
-from rclpy.parameter import Parameter
 from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import Float64MultiArray
 
@@ -57,14 +56,6 @@ def test_a_trajectory_with_stamped_points_is_read():
 def test_a_point_in_another_frame_is_refused():
     with pytest.raises(MessageError, match="point 20 is in 'map', the trajectory in 'odom'"):
         timed_trajectory_reference(stamped_points(last="map"), Limits())
-
-
-def test_points_without_times_are_refused():
-    message = stamped_points()
-    for point in message.points:
-        point.header.stamp = time_message(0)
-    with pytest.raises(MessageError, match="does not come after the one before"):
-        timed_trajectory_reference(message, Limits())
 
 
 def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
@@ -161,16 +152,6 @@ def test_limits_and_slew_hold_for_the_wheels():
         assert np.abs(np.diff(rim, axis=0)).max() <= slope + 1e-9
         # A left turn: the right wheel, which is named first, is the faster one.
         assert rim[-1, 0] > rim[-1, 1] > 0.0
-
-
-def test_a_wheel_limit_that_is_lowered_while_driving_holds_at_once():
-    with wheels() as s:
-        base = begin(s)
-        s.base.run(80)
-        assert RADIUS * np.abs(base.heard[-1]).max() > 0.45
-        s.node.set_parameters([Parameter("limits.wheel_speed", value=0.3)])
-        s.base.run(3)
-        assert RADIUS * np.abs(base.heard[-1]).max() <= 0.3 + 1e-9
 
 
 def test_wheels_without_a_radius_are_refused():

@@ -18,20 +18,24 @@ from rclpy.context import Context
 from ros_parts import stack
 from rosgraph_msgs.msg import Clock
 
-from diffdrive_mpc.app.commands.ros import monitor
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.ros.pace import WallClock
 from diffdrive_mpc.sim.ros.run_robot import NODE_NAME
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase, load_base_settings
+from diffdrive_mpc_monitor.command import monitor
 from diffdrive_mpc_monitor.ros.node import CHECKED, UNCHECKED, MonitorNode, MonitorSettings
 from imports import imported
 
 ROOT = Path(__file__).parents[2]
 ROS = ROOT / "ros"
 MANIFEST = ElementTree.parse(ROS / "package.xml").getroot()
-NODES = [path for room in ("mpc/ros", "mpc/monitor/ros") for path in sorted((ROOT / room).glob("*.py"))]
+NODES = [
+    path
+    for room in ("mpc/ros", "packages/monitor/src/diffdrive_mpc_monitor/ros")
+    for path in sorted((ROOT / room).glob("*.py"))
+]
 NAME = MANIFEST.findtext("name")
 WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
 """Used where they are installed, as with Nav2; the node does without them, and says so."""

@@ -115,19 +115,6 @@ def test_weights_and_limits_change_between_two_ticks():
         assert (steps <= CONFIG.limits.v_slew * CONFIG.sample_time + 1e-9).all()
 
 
-def test_limits_below_the_speed_of_the_reference_refuse_its_next_start():
-    with stack(drive=True) as s:
-        assert set_over_dds(s, limits__v=0.3).successful
-        s.base.run(10)
-        for name in ("pause", "start", "pause", "reset"):
-            assert s.trigger(name).success
-            s.base.run(30)
-        answer = s.trigger("start")
-        assert not answer.success
-        assert "v = 0.5 at" in answer.message
-        assert not s.base.run(5).any()
-
-
 @pytest.mark.parametrize(
     ("values", "reason"),
     [

@@ -19,7 +19,6 @@ from commands import invoke
 from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.ros.node import TrackingNode
-from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
@@ -177,24 +176,6 @@ def test_the_parameter_file_fits_every_namespace(name):
     try:
         assert {key: node.get_parameter(key).value for key in given} == given
         assert node.resolve_topic_name("cmd_vel") == f"/{name}/cmd_vel".replace("//", "/")
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
-
-
-def test_the_monitor_is_in_the_namespace_of_its_robot():
-    context = Context()
-    rclpy.init(context=context, args=in_name_space("r2"))
-    node = MonitorNode(MonitorSettings(), context=context)
-    try:
-        topics = {topic for topic, _ in node.get_subscriber_names_and_types_by_node("monitor", "/r2")}
-        assert {
-            "/r2/cmd_vel_unchecked",
-            "/r2/odom",
-            "/r2/diffdrive_mpc/reference_path",
-            "/r2/diffdrive_mpc/mode",
-        } <= topics
-        assert node._name == "r2/monitor"
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)

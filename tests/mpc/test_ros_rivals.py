@@ -70,18 +70,6 @@ def test_a_second_node_of_this_project_on_the_same_topic_is_not_activated(name):
             second.close()
 
 
-def test_on_another_topic_it_may():
-    with stack(drive=True) as s:
-        second = Second("other", "other_cmd_vel")
-        try:
-            assert second.activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-            s.base.run(20)
-            assert not s.loop.objection
-            assert not s.loop.warning
-        finally:
-            second.close()
-
-
 def test_found_too_late_both_brake_until_one_is_gone():
     """Where discovery was slower than both: here somebody else claims the topic while the robot drives."""
     with stack(drive=True) as s:

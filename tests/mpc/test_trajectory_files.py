@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.interpolate import CubicHermiteSpline
-from trajectory_checks import assert_holds_its_ends, largest_integration_gap
+from trajectory_checks import assert_holds_its_ends
 
 from diffdrive_mpc import ConfigError, Controller, Trajectory, integrate_pose, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
@@ -72,31 +72,22 @@ def test_given_limits_replace_those_of_the_robot() -> None:
     ("text", "expected"),
     [
         ("segments: []\n", "segments is empty; give at least one"),
-        ("segments:\n", "segments"),
         ("", "found nothing"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}, {v: 9, omega: 0, duration: 1}]\n", "segments.1.v = 9 m/s"),
         ("segments: [{v: .nan, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a finite number"),
-        ("segments: [{v: 0.5, omega: .inf, duration: 1}]\n", "segments.0.omega: Input should be a finite number"),
         ("segments: [{v: 0.5, omega: 0, duration: -1}]\n", "segments.0.duration: Input should be greater than 0"),
-        ("segments: [{v: 0.5, omega: 0, duration: 0}]\n", "segments.0.duration: Input should be greater than 0"),
         ("segments: [{v: 0.5, omga: 0, omega: 0, duration: 1}]\n", "unknown key 'segments.0.omga'; did you mean"),
-        (
-            "segments: [{v: 0.5, omega: 0, duration: 1}]\nstrat: [0, 0, 0]\n",
-            "unknown key 'strat'; did you mean 'start'",
-        ),
         ("segments: [{v: 0.5, omega: 0}]\n", "key 'segments.0.duration' is missing"),
         ("segments: [{v: fast, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a valid number"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}\n", "line 2"),
-        ("waypoints: []\n", "0 waypoints; give at least two"),
         ("waypoints: [[0, 0]]\n", "1 waypoints; give at least two"),
         ("waypoints: [[0, 0], [1, 0], [1, 0]]\n", "waypoints.1 and waypoints.2 coincide; remove one"),
-        ("waypoints: [[0, 0], [1, .nan]]\n", "waypoints.1.1: Input should be a finite number"),
         ("waypoints: [[0, 0], [1, 0]]\nspeed: 2\n", "speed = 2 m/s is beyond the limit of 1.5 m/s; lower it"),
         ("waypoints: [[0, 0], [1, 0]]\nspeed: -1\n", "speed: Input should be greater than 0"),
-        ("waypoints: [[0, 0], [1, 0]]\nsped: 1\n", "unknown key 'sped'; did you mean 'speed'"),
         ("waypoints: [[0, 0], [1, 0], [0, 0]]\n", "add or move waypoints to round the turn"),
         ("waypoints: [[0, 0], [1, 0], [0.3, 0]]\n", "below 0.02 m between waypoints.0 and waypoints.1; add or move"),
-        ("waypoints: [[0, 0], [1, 0], [0, 0.02]]\n", "add or move waypoints to round the turn"),
+        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
+        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
     ],
 )
 def test_a_mistake_in_a_yaml_file_is_told_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
@@ -112,12 +103,6 @@ def test_an_unknown_name_gets_the_nearest_and_all_known() -> None:
         f"unknown trajectory 'cirle': give one of {', '.join(BUILT_IN)}, spline-SEED or the path of"
     )
     assert message.endswith("; did you mean 'circle'?")
-
-
-@pytest.mark.parametrize("name", ["missing.yaml", "missing.csv"])
-def test_a_missing_file_is_named(tmp_path: Path, name: str) -> None:
-    message = error_line(tmp_path / name)
-    assert message.startswith(f"unknown trajectory '{tmp_path / name}': give one of")
 
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
@@ -137,15 +122,6 @@ def test_timed_poses_of_a_trajectory_give_it_back(tmp_path: Path, name: str) -> 
     # At each of at most eight starts and stops of 1 m/s^2 that rounding moves the robot to and fro a little.
     np.testing.assert_allclose(found.arc_length, expected.arc_length, rtol=0, atol=8 * 1 * 0.02**2 / 8)
     assert_holds_its_ends(copy)
-
-
-def test_timed_poses_of_a_smooth_drive_agree_with_their_twist(tmp_path: Path) -> None:
-    circle = load_trajectory("circle")
-    times = np.linspace(1.0, 12.0, 111)
-    copy = load_trajectory(write_poses(tmp_path / "arc.csv", times, circle.sample(times).pose))
-    assert isinstance(copy, SplineTrajectory)
-    assert largest_integration_gap(copy, copy.breaks, pieces=1) < 1e-4
-    assert np.all(np.diff(copy.sample(np.linspace(0, 11, 5000)).arc_length) > 0)
 
 
 def test_two_rows_are_a_straight_line_at_constant_speed(tmp_path: Path) -> None:
@@ -169,15 +145,11 @@ def test_timed_poses_may_drive_backwards(tmp_path: Path) -> None:
     [
         (b"", "line 1: column 't' is missing; the header"),
         (b"\xff\xfe\x00", "cannot be read"),
-        (b"t,x,y\n0,0,0\n1,0,0\n", "line 1: column 'theta' is missing; the header"),
         (b"0,0,0,0\n1,0,0,0\n", "line 1: column 't' is missing; the header"),
-        (b"t,x,y,theta\n", "0 timed poses; give at least two rows"),
         (b"t,x,y,theta\n0,0,0,0\n", "1 timed poses; give at least two rows"),
         (b"t,x,y,theta\n0,0,0,0\n1,0.5,zero,0\n", "line 3: y = 'zero' is not a finite number"),
-        (b"t,x,y,theta\n0,0,0,0\n1,nan,0,0\n", "line 3: x = 'nan' is not a finite number"),
         (b"t,x,y,theta\n0,0,0,0\n1,0.5\n", "line 3: 2 values are fewer than the header names"),
         (b"t,x,y,theta\n0,0,0,0\n\n2,1,0,0\n1,0.5,0,0\n", "line 5: t = 1 s does not come after the row before"),
-        (b"t,x,y,theta\n0,0,0,0\n0,0.5,0,0\n", "line 3: t = 0 s does not come after the row before"),
         (
             b"t,x,y,theta\n5,0,0,0\n6,3,0,0\n",
             "v = 3 m/s at t = 5.000 s is beyond the limit of 1.5 m/s; stretch the time",
@@ -207,19 +179,6 @@ def test_arc_length_never_falls_where_the_speed_changes_sign_twice_inside_a_piec
     arc_length = trajectory.sample(np.linspace(0, 1, 1000)).arc_length
     assert np.all(np.diff(arc_length) >= -1e-15)
     assert trajectory.sample([0.3]).twist[0, 0] == pytest.approx((0.3 - first) * (0.3 - second))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
-        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
-    ],
-    ids=["a trajectory of years", "waypoints beyond the horizon"],
-)
-def test_a_mistake_of_units_is_refused(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        load_trajectory(write(tmp_path, "units.yaml", text))
 
 
 def test_cubic_pieces_are_those_of_scipy() -> None:
@@ -332,12 +291,6 @@ def test_a_file_of_poses_is_left_as_soon_as_it_is_too_long(tmp_path: Path, monke
     tracemalloc.stop()
 
 
-def test_waypoints_that_are_as_good_as_one_are_named() -> None:
-    """A chord so short that its square is nothing."""
-    with pytest.raises(ConfigError, match=r"waypoints.0 and waypoints.1 coincide"):
-        lay_waypoints([(0.0, 0.0), (1e-300, 0.0), (1.0, 0.0)], _LIMITS, name="x")
-
-
 def test_a_way_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
     """It is one piece long: without a node between it would never move."""
     path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
@@ -418,7 +371,6 @@ DATES = pd.date_range("2026-01-01", periods=TIMES.size, freq="100ms")
         ({"theta": np.degrees(ANGLE)}, r"theta fits the path in degrees, not in rad; give np.radians\(theta\)"),
         ({"theta": 0 * ANGLE}, "sideways speed = .* let theta point along the direction of travel"),
         ({"v": 3.6 * HALF}, "v = 1.8 m/s at t = .* the poses change by 0.5 m/s; check unit and sign"),
-        ({"theta": ANGLE, "v": -HALF}, "v = -0.5 m/s .* the poses change by 0.5 m/s; check unit and sign"),
         ({"omega": np.degrees(HALF)}, "omega = 28.6 rad/s .* change by 0.5 rad/s; check unit and sign"),
     ],
 )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +11,7 @@ from trajectory_checks import assert_holds_its_ends, largest_integration_gap, la
 from diffdrive_mpc import ConfigError, load_trajectory
 from diffdrive_mpc.models import pose as pose_kinematics
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -103,17 +101,6 @@ def test_built_in_trajectories_end_where_exact_arcs_say(
     assert np.all(largest_shares(trajectory, TrajectoryLimits.of_robot()) <= 1 + 1e-8)
 
 
-def test_the_built_in_trajectories_are_known() -> None:
-    edge = {"fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "tight"}
-    assert set(BUILT_IN) == {"circle", "square", "s", "cane", "excitation"} | edge
-
-
-def test_circle_keeps_its_radius() -> None:
-    circle = load_trajectory("circle")
-    x, y, _ = circle.sample(np.linspace(0, circle.duration, 300)).pose.T
-    np.testing.assert_allclose(np.hypot(x, y - 1), 1.0, rtol=1e-14)
-
-
 def test_square_turns_on_the_spot_in_its_four_corners() -> None:
     square = load_trajectory("square")
     sample = square.sample(np.arange(0, square.duration, 1e-3))
@@ -158,12 +145,6 @@ def test_waiting_rests_for_its_duration() -> None:
     np.testing.assert_allclose(sample.pose, np.tile([1.0, 0.0, 0.0], (50, 1)), atol=1e-15)
     np.testing.assert_allclose(sample.twist, 0.0, atol=1e-14)
     assert trajectory.duration == pytest.approx(8.0)
-
-
-def test_heading_is_unwrapped_over_several_turns() -> None:
-    theta = lay((0.5, 1.0, 20.0)).sample(np.linspace(0, 25, 2000)).pose[:, 2]
-    assert theta[-1] == pytest.approx(20.0)
-    assert np.diff(theta).min() >= 0
 
 
 def test_a_time_that_is_no_number_gives_a_pose_that_is_none() -> None:
@@ -267,12 +248,6 @@ def test_random_paths_pass_their_waypoints_and_agree_with_their_twist(waypoints:
     assert_holds_its_ends(trajectory)
 
 
-def test_curvature_is_continuous() -> None:
-    trajectory = lay_waypoints([(0, 0), (1, 0), (2, 1), (1, 2)], LIMITS, name="test")
-    v, omega = trajectory.sample(np.linspace(0.3, trajectory.duration - 0.3, 20000)).twist.T
-    assert np.abs(np.diff(omega / v)).max() < 0.01
-
-
 def test_a_straight_line_takes_the_shortest_time() -> None:
     trajectory = lay_waypoints([(0, 0), (1, 1), (3, 3)], LIMITS, name="test")
     length = np.hypot(3, 3)
@@ -287,13 +262,3 @@ def test_a_path_around_the_origin_keeps_its_heading_unwrapped() -> None:
     theta = trajectory.sample([0.0, trajectory.duration]).pose[:, 2]
     # The first and the last of the 32 chords differ by 31 steps; the arcs beyond their middles add one step at most.
     assert 31 * np.pi / 8 < theta[1] - theta[0] < 32 * np.pi / 8
-
-
-def test_waypoints_from_a_file_are_driven_at_their_speed(tmp_path: Path) -> None:
-    path = tmp_path / "tour.yaml"
-    path.write_text("name: tour\nwaypoints: [[0, 0], [2, 0], [4, 1]]\nspeed: 0.4\n", encoding="utf-8")
-    trajectory = load_trajectory(path)
-    assert trajectory.name == "tour"
-    v = trajectory.sample(np.linspace(0, trajectory.duration, 2000)).twist[:, 0]
-    assert v.max() == pytest.approx(0.4, rel=1e-4)
-    assert np.median(v) == pytest.approx(0.4, rel=1e-4)
