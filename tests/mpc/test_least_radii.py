@@ -154,19 +154,6 @@ def test_a_radius_changes_while_driving_but_is_neither_set_nor_unset(name):
         Controller(load_config("ssm")).update(limits={name: 1.2})
 
 
-@pytest.mark.parametrize("surface", ["default", "slippery"])
-def test_a_drawn_run_with_noise_and_a_push_never_turns_tighter(surface):
-    """On the physics, on a path that turns tighter for a tenth of its time and more."""
-    reference = load_trajectory("spline-501")
-    plant = {"name": "mujoco", "surface": surface, "scenario": "push", "seed": 60500}
-    run = driven(load_config("ssm", {KEY: 0.8}), reference, **plant)
-    assert excess(run.command, 0.8).max() <= 1e-12
-    assert set(run.modes) <= {"TRACKING", "FINISHED"}
-    assert run.metrics.lateral_rmse_m < 0.3
-    free = driven(load_config("ssm"), reference, **plant)
-    assert (excess(free.command, 0.8) > 0.01).mean() > 0.1
-
-
 def with_radius(radius, **more):
     return load_config("ssm", {"limits.min_turn_radius": radius} | more)
 

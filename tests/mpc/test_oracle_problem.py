@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc import VelocityModel, load_config, load_model
 from diffdrive_mpc.mpc.problem.slip import Slip
-from diffdrive_mpc.mpc.solver.report import SolverStatus
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem, roll_out
 from oracle.solver import solve
@@ -153,35 +152,6 @@ def test_soft_rows_are_the_gradients_of_what_they_limit():
     limits = subject.soft_limits(subject.outcome(tick, tick.feed_forward[:, :, None], ahead)[1][:, 0, 0])
     assert np.repeat(limits, 15) - qp.soft_upper == pytest.approx(values(flat) - qp.soft_rows @ flat, abs=1e-12)
     assert qp.soft_upper - qp.soft_lower == pytest.approx(2 * np.repeat(limits, 15))
-
-
-def test_hard_limits_hold_in_the_plan():
-    subject, tick = setting("ssm", **{"limits.v": 0.4, "limits.omega_slew": 0.5})
-    plan, _ = converge(subject, tick)
-    increments = np.diff(np.vstack([tick.last_command, plan]), axis=0)
-    # The limit of 0.4 lies below the last command of 0.45: it is approached at the slew limit, then kept.
-    assert plan[0, 0] <= 0.45 - 2.0 * DT + 1e-9
-    assert plan[2:, 0].max() <= 0.4 + 1e-9
-    assert np.abs(increments[:, 1]).max() <= 0.5 * DT + 1e-9
-
-
-def test_a_horizon_shorter_than_the_dead_time_is_refused():
-    config = load_config("ssm", {"horizon": 2})
-    with pytest.raises(ValueError, match="set horizon to"):
-        TrackingProblem(config, load_model("ssm").with_extra_dead_time([0.1, 0.1]).discretise(DT))
-
-
-@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e40])
-def test_data_that_are_no_robots_are_reported_not_solved(spoilt):
-    subject, tick = setting("ssm")
-    for wrong in (
-        replace(tick, last_command=np.array([spoilt, 0.0])),
-        replace(tick, feed_forward=np.full_like(tick.feed_forward, spoilt)),
-    ):
-        with np.errstate(invalid="ignore"):
-            status = solve(subject.quadratic_program(wrong, tick.feed_forward)).status
-        assert status is SolverStatus.NOT_FINITE
-        assert not status.usable
 
 
 @pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])

@@ -11,7 +11,7 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
-from recorded_drive import loop_timing, read_drive
+from recorded_drive import missed_samples, read_drive
 from two_processes import DriveFailedError, drive_over_dds, own_domain, running
 
 from diffdrive_mpc.bench.case import Case
@@ -22,43 +22,27 @@ from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
 
 BOUND = 120.0
+CASE = Case(trajectory="s")
 MAGIC = b"\x89MCAP0\r\n"
-
-
-def case(trajectory):
-    return Case(trajectory=trajectory)
-
-
-COMPARED = ("position_rmse_m", "lateral_rmse_m", "heading_rmse_rad", "position_max_m")
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """Return a drive over DDS and its timing; the clock repeats often, as where every answer is late."""
+    """Return a drive over DDS and its number of missed samples; the clock repeats often, as if answers were late."""
     folder = tmp_path_factory.mktemp("drive")
     base = folder / "base.yaml"
     shipped = SHIPPED.read_text(encoding="utf-8")
     base.write_text(shipped.replace("clock_repeat: 0.05 ", "clock_repeat: 0.0005 "), encoding="utf-8")
     assert base.read_text(encoding="utf-8") != shipped
-    _, plant, reference = build(case("s"))
-    drive_over_dds(case("s"), reference.duration, folder / "bag", lock_step=True, timeout=BOUND, settings=base)
+    _, plant, reference = build(CASE)
+    drive_over_dds(CASE, reference.duration, folder / "bag", lock_step=True, timeout=BOUND, settings=base)
     run = read_drive(folder / "bag", reference, plant.sample_time)
-    return run, loop_timing(folder / "bag", plant.sample_time)
-
-
-def test_errors_over_dds_are_within_20_percent_of_one_process(drive):
-    run, timing = drive
-    controller, plant, reference = build(case("s"))
-    alone = simulate(controller, plant, reference)
-    for statistic in COMPARED:
-        assert 0.8 < getattr(run.metrics, statistic) / getattr(alone.metrics, statistic) < 1.2, statistic
-    assert run.metrics.completed
-    assert timing.misses == 0
+    return run, missed_samples(folder / "bag", plant.sample_time)
 
 
 def test_commands_over_dds_equal_one_process_without_covariances(drive):
     """The node takes no covariance of wheels and gyro from messages; without them in one process nothing differs."""
-    controller, plant, reference = build(case("s"))
+    controller, plant, reference = build(CASE)
     measure = plant.measure
 
     def as_the_node_sees_it():
@@ -70,6 +54,7 @@ def test_commands_over_dds_equal_one_process_without_covariances(drive):
     alone = simulate(controller, plant, reference)
     assert np.abs(alone.command - drive[0].command).max() < 1e-9
     assert np.abs(alone.true_pose - drive[0].true_pose).max() < 1e-9
+    assert drive[0].metrics.completed and drive[1] == 0
 
 
 def test_a_process_that_fails_is_named_with_its_words(tmp_path):

@@ -166,12 +166,6 @@ def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
     return np.array(commands), np.array(errors)
 
 
-def test_the_same_reference_again_changes_nothing():
-    plain, _ = planned(None)
-    again, _ = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
-    assert np.array_equal(plain, again)
-
-
 def test_what_was_learned_outlasts_a_new_path():
     """A start each second forgets the floor each second; going on does not."""
     _, plain = planned(None)

@@ -12,9 +12,9 @@ from nav_msgs.msg import Odometry
 from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import Float64MultiArray
 
-from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory
+from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc import Hold, Mode
+from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.ros.conversions import (
     MessageError,
@@ -247,25 +247,3 @@ def test_a_moved_reference_starts_where_it_shall_and_keeps_its_shape(x, y, theta
     distance = np.hypot(*np.diff(before.pose[:, :2], axis=0).T)
     np.testing.assert_allclose(np.hypot(*np.diff(after.pose[:, :2], axis=0).T), distance, atol=1e-9)
     np.testing.assert_allclose(np.diff(after.pose[:, 2]), np.diff(before.pose[:, 2]), atol=1e-9)
-
-
-@pytest.mark.parametrize(("failure", "drives_on"), [(False, True), (True, False)])
-def test_a_hold_brakes_and_only_a_failure_is_final(failure, drives_on):
-    config = load_config("ssm", {"failure.resume": False})
-    controller, dt = Controller(config), config.sample_time
-    reference = load_trajectory("circle")
-    controller.start(reference, 0.0)
-
-    def steps(first, count, hold=None):
-        for k in range(first, first + count):
-            pose = Stamped(reference.sample([k * dt if hold is None else first * dt]).pose[0], k * dt)
-            found = controller.step(k * dt, Measurement(pose=pose), hold)
-        return found
-
-    assert steps(0, 10).mode is Mode.TRACKING
-    held = steps(10, 20, Hold("wait", failure=failure))
-    assert held.mode is Mode.STOPPED
-    assert "wait" in held.message
-    assert held.progress == 0.0
-    after = controller.step(30 * dt, Measurement(pose=Stamped(reference.sample([10 * dt]).pose[0], 30 * dt)))
-    assert (after.mode is Mode.TRACKING) == drives_on

@@ -166,18 +166,6 @@ def test_parameters_of_others_are_let_through():
         assert set_over_dds(s, robot_base_frame=0.2).successful
 
 
-def test_a_limit_that_cannot_be_set_while_driving_is_refused_and_the_node_drives_on():
-    """Zero stands for none: to say again that there is none changes nothing."""
-    with stack(drive=True) as s:
-        s.base.run(10)
-        refused = set_over_dds(s, limits__min_turn_radius=0.8)
-        assert not refused.successful
-        assert "neither set nor unset" in refused.reason
-        assert set_over_dds(s, limits__min_turn_radius=0.0, limits__v=0.7).successful
-        assert s.base.run(20)[-1, 0] > 0.1
-        assert s.node._controller.config.limits.v == 0.7
-
-
 class Overridden(Shelf):
     """A shelf of a node that was started with parameters, which ROS lays over what is declared."""
 

@@ -131,47 +131,6 @@ def test_a_limit_that_the_robot_is_beyond_already_still_counts():
 
 # A softer heading near the goal.
 
-STIFF = 320.0
-
-
-def heading_term(near):
-    """Weight of the heading's error: `STIFF` - 1 from afar, and within `near` [m] of the goal less and less."""
-    pose, reference, goal = ca.SX.sym("pose", 3), ca.SX.sym("reference", 4), ca.SX.sym("parameters", 2)
-    square = ca.sumsqr(pose[:2] - goal)
-    weight = (STIFF - 1) * square / (square + near**2)
-    value = ca.sqrt(weight + 1e-9) * (pose[2] - reference[3])
-    function = ca.Function("heading", [goal, pose, reference], [value], ["parameters", "pose", "reference"], ["error"])
-    return Term("heading", function, defaults=GOAL[:2])
-
-
-def push_aside(at, terms, **weights):
-    """Distances from the line, and headings, after a push of 4 cm to the left at x = `at`."""
-    controller = Controller(load_config("ssm", SWERVES | {f"weights.{k}": v for k, v in weights.items()}), terms=terms)
-    pushed, pushed_at = robot(), []
-
-    def push(k, measurement):
-        if not pushed_at and pushed.pose[0] > at:
-            pushed.poses[-1] = pushed.pose + [0, 0.04, 0]
-            pushed_at.append(k)
-            return pushed.measure()
-        return measurement
-
-    results, poses, _ = drive(controller, pushed, LINE, LINE.duration + 1.0, change=push)
-    check_limits(results)
-    return poses[pushed_at[0] :, 1:].T
-
-
-def test_a_heading_may_be_softer_near_the_goal():
-    y_stiff, theta_stiff = push_aside(1.0, [], heading=STIFF)
-    y, theta = push_aside(1.0, [heading_term(0.5)], heading=1.0)
-    assert y[:100] == pytest.approx(y_stiff[:100], abs=1e-3), "far from the goal it is as stiff"
-    assert theta[:100] == pytest.approx(theta_stiff[:100], abs=3e-3)
-    y_stiff, theta_stiff = push_aside(3.3, [], heading=STIFF)
-    y, theta = push_aside(3.3, [heading_term(0.5)], heading=1.0)
-    assert y_stiff[-1] > 0.025, "a stiff heading leaves it beside the goal"
-    assert abs(y[-1]) < 0.007
-    assert np.abs(theta).max() > 2.5 * np.abs(theta_stiff).max()
-
 
 def test_a_residual_of_constant_weight_is_the_shipped_cost():
     """The heading's error times the root of its weight, in place of the weight."""

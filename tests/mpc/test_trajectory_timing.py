@@ -238,25 +238,6 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
     assert not trajectory.drawn_distance(instants(trajectory)).any()
 
 
-def test_cubic_pieces_are_exact_enough_at_the_highest_speeds() -> None:
-    arcs = [segment(1.2, 1.2, 3.0), segment(1.2, -1.2, 3.0), segment(-1.2, 1.2, 3.0), segment(-1.2, -0.4, 2.0)]
-    trajectory = lay_smooth(arcs, LIMITS, name="test")
-    assert isinstance(trajectory, SplineTrajectory)
-    fine = np.linspace(0.0, trajectory.duration, 40001)
-    sample = trajectory.sample(fine)
-    # Integrated anew by short arcs of the mean twist of each step, whose error goes with the square of the step.
-    twist = trajectory.sample((fine[1:] + fine[:-1]) / 2).twist
-    pose = np.zeros(3)
-    gap = 0.0
-    for step, expected in zip(twist * np.diff(fine)[:, None], sample.pose[1:], strict=True):
-        pose = integrate_pose(pose, step[0], step[1], 1.0)
-        gap = max(gap, float(np.hypot(*(pose - expected)[:2])))
-    assert gap < 5e-5
-    cos, sin = np.cos(sample.pose[:, 2]), np.sin(sample.pose[:, 2])
-    rate = np.gradient(sample.pose, fine, axis=0, edge_order=2)
-    assert np.abs(rate[:, 1] * cos - rate[:, 0] * sin).max() < 1e-3
-
-
 # --- files
 
 
