@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller, Measurement
+from diffdrive_mpc import Controller, Measurement, load_config
+from diffdrive_mpc.mpc.core import library
+from diffdrive_mpc.mpc.core.sources import CORE, declarations
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from oracle.controller import OracleController
 
@@ -108,3 +113,23 @@ def changed(m, **parts):
     """The measurement with some of its parts replaced."""
     fields = ("pose", "wheel_twist", "yaw_rate", "wheel_speeds", "sent")
     return Measurement(**{name: parts.get(name, getattr(m, name)) for name in fields})
+
+
+@cache
+def inner_core():
+    """cffi's declarations and the library that the product loads."""
+    text = "\n".join((CORE / name).read_text(encoding="utf-8") for name in ("core.h", "active_set.h", "internal.h"))
+    with patch.object(library, "core_declarations", lambda: declarations(text)):
+        return library.load_core.__wrapped__()
+
+
+class InnerController:
+    """A controller of the product, its `ddmpc_controller` as `c` and its constants, which may be changed, as `k`."""
+
+    def __init__(self, name="ssm", **changes):
+        self.ffi, self.lib = inner_core()
+        self.controller = Controller(load_config(name, changes))
+        tick = self.controller._tick
+        self.c = self.ffi.cast("ddmpc_controller *", int(tick.ffi.cast("uintptr_t", tick.c)))
+        assert self.ffi.sizeof("ddmpc_controller") == self.lib.ddmpc_controller_bytes()
+        self.k = self.ffi.cast("ddmpc_constants *", self.c.constants)

@@ -281,17 +281,6 @@ def test_without_a_home_there_is_a_private_folder(folder, tmp_path, monkeypatch)
     assert only(private(tmp_path)).suffix == ".so"
 
 
-@pytest.mark.parametrize("named", [".", "cache", "beside/me"])
-def test_a_relative_folder_works(folder, tmp_path, monkeypatch, named):
-    here = tmp_path / "here"
-    here.mkdir(0o700)
-    monkeypatch.chdir(here)
-    monkeypatch.setenv(cache.CACHE_VARIABLE, named)
-    assert answer() == 42
-    assert only(here / named).suffix == ".so"
-    assert not private(tmp_path).exists()
-
-
 def test_file_and_folder_are_on_the_disk_before_the_name_counts(folder, monkeypatch):
     order = []
     fsync, replace = os.fsync, Path.replace
@@ -425,23 +414,6 @@ def test_each_level_computes(wheel_core):
 
 
 # Declarations.
-
-
-def test_declarations_keep_what_cffi_reads():
-    header = (
-        "#ifndef A_H /* guard */\n#define A_H\n#include <math.h>\n"
-        '#ifdef __cplusplus\nextern "C" {\n#endif\n'
-        "#define MOST 12\n#define LONG(x) \\\n    (x + 1)\n"
-        "// a line; int no(void);\nenum { FEW = 3 };\n"
-        "typedef struct { real x[MOST], y[FEW]; /* int no; \n int no; */ ddmpc_time t; } thing;\n"
-        "int yes(const thing *thing);\n"
-        "#ifdef __cplusplus\n}\n#endif\n#endif\n"
-    )
-    ffi = library.cffi.FFI()
-    ffi.cdef(sources.declarations(header))
-    assert ffi.sizeof("thing") == 8 * 16
-    assert [name for name, _ in ffi.typeof("thing").fields] == ["x", "y", "t"]
-    assert ffi.typeof("int(*)(const thing *)") is not None
 
 
 # Functions of the user.

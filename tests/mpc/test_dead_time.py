@@ -157,20 +157,6 @@ def test_a_copy_for_another_process_begins_as_configured():
     assert np.array_equal(commands(driven(copy, (0.06, 0.06), seconds=2.0)[0]), commands(fresh))
 
 
-def test_weights_that_change_meanwhile_and_the_dead_time_both_arrive():
-    by = controller()
-
-    def often(k, measurement):
-        if k % 3 == 0 and k < 200:
-            by.update(weights={"across": 400.0 + k})
-        return measurement
-
-    results, _ = driven(by, (0.06, 0.06), change=often)
-    assert by.config.weights.across == 598.0
-    np.testing.assert_allclose(results[-1].dead_time.used, SM.dead_time + 0.06, atol=0.015)
-    np.testing.assert_array_equal(by.model.dead_time, results[-1].dead_time.used)
-
-
 def learner(seconds=6.0, **said):
     """Give one that learns a robot's exact answers, with results that say what is in `said`."""
     by, robot = DeadTimeEstimator(controller().config, SM), SM.with_extra_dead_time([0.05, 0.05]).discretise(DT)

@@ -185,10 +185,8 @@ def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
     controller.start(first, plant.time)
     for _ in range(60):
         plant.advance(controller.step(plant.time, plant.measure()).command)
-    here = plant.true_pose.copy()
     other = load_trajectory("cane")
-    begin = other.sample([0.0]).pose[0]
-    moved = MovedReference(other, here - begin) if np.allclose(begin, 0.0) else other
+    moved = MovedReference(other, plant.true_pose - other.sample([0.0]).pose[0])
     controller.switch_reference(moved, plant.time)
     assert controller.reference is moved
     until = plant.time + other.duration + 4.0

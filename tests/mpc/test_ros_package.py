@@ -18,8 +18,6 @@ from rclpy.context import Context
 from ros_parts import stack
 from rosgraph_msgs.msg import Clock
 
-from diffdrive_mpc.mpc.ros.node import TrackingNode
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.ros.pace import WallClock
 from diffdrive_mpc.sim.ros.run_robot import NODE_NAME
@@ -89,19 +87,6 @@ def test_what_setup_installs_is_there(monkeypatch):
         text = launch.read_text(encoding="utf-8")
         assert all(found == name for found in re.findall(r'package="diffdrive_mpc_ros",\s*executable="(\w+)"', text))
     assert f"lib/{NAME}" in (ROS / "setup.cfg").read_text(encoding="utf-8")
-
-
-def test_the_parameter_file_fits_the_node():
-    context = Context()
-    rclpy.init(context=context, args=["--ros-args", "--params-file", str(ROS / "config" / "node.yaml")])
-    node = TrackingNode(context=context)
-    given = yaml.safe_load((ROS / "config" / "node.yaml").read_text())["/**/diffdrive_mpc"]["ros__parameters"]
-    try:
-        assert set(given) <= set(NodeSettings.model_fields)
-        assert {name: node.get_parameter(name).value for name in given} == given
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def test_rviz_shows_topics_that_exist():

@@ -182,18 +182,6 @@ class Overridden(Shelf):
         return SimpleNamespace(warning=self.said.append)
 
 
-def test_a_parameter_file_of_earlier_names_is_taken_and_told():
-    """ROS passes over a parameter that nobody declares: a limit that a file states would be lost without a word."""
-    node = Overridden({"failure.max_position_error": 0.4, "limits.least_turn_radius": 0.7, "limits.v": 0.9})
-    declare(node, CONFIG)
-    config = read(node, ControllerConfig)
-    assert (config.failure.max_position_error, config.limits.min_turn_radius, config.limits.v) == (0.4, 0.7, 0.9)
-    assert node.said == [
-        "parameter failure.max_position_error is expert.failure.max_position_error now; it was taken",
-        "parameter limits.least_turn_radius is limits.min_turn_radius now; it was taken",
-    ]
-
-
 def test_a_limit_in_the_other_room_is_taken_and_one_that_is_stated_twice_is_told():
     twice = {"limits.least_commanded_radius": 0.3, "expert.limits.min_commanded_radius": 0.5}
     node = Overridden({"expert.limits.v": 0.3, **twice})

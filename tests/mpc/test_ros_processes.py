@@ -19,6 +19,7 @@ from commands import invoke
 from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
@@ -170,6 +171,7 @@ def test_nobody_sees_a_rival_in_another_namespace(driven):
 @pytest.mark.parametrize("name", ["", "r1"])
 def test_the_parameter_file_fits_every_namespace(name):
     given = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
+    assert set(given) <= set(NodeSettings.model_fields)
     context = Context()
     rclpy.init(context=context, args=["--ros-args", "--params-file", str(NODE_YAML), *in_name_space(name)[1:]])
     node = TrackingNode(context=context)

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from inner_core import InnerController
+from side_by_side import InnerController
 
 from diffdrive_mpc.mpc.core.sources import CORE
 from oracle.commands import PastCommands
