@@ -410,18 +410,6 @@ def test_faulty_poses_are_rejected_and_named(pose, message):
     assert estimator.estimate.pose == pytest.approx(before.pose)
 
 
-@pytest.mark.parametrize("field", ["wheel_twist", "yaw_rate"])
-@pytest.mark.parametrize("value", [[], None, "fast", [[0.1, 0.2], [0.3, 0.4]], [np.nan, np.nan]])
-def test_what_is_no_measurement_is_rejected_and_named(field, value):
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 10)
-    estimator.advance(robot.time)
-    (reason,) = estimator.update(robot.time, Measurement(**{field: Stamped(value, robot.time)}))
-    assert "finite" in reason
-    (reason,) = estimator.update(robot.time, Measurement(**{field: Stamped(0.0, None)}))
-    assert "rejected" in reason
-
-
 def test_a_single_spike_is_rejected_and_a_lasting_jump_believed():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
     run(estimator, robot, 60)
@@ -440,16 +428,6 @@ def test_a_single_spike_is_rejected_and_a_lasting_jump_believed():
     assert estimator.estimate.twist[0] == pytest.approx(speed - 2.0, abs=0.3)
 
 
-def test_the_same_sample_delivered_again_is_no_new_one():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 30)
-    frozen = Measurement(wheel_twist=Stamped([0.3, 0.0], robot.time - DT), yaw_rate=Stamped(0.1, robot.time - DT))
-    estimator.advance(robot.time)
-    reasons = estimator.update(robot.time, frozen)
-    assert len(reasons) == 2
-    assert all("not newer" in reason for reason in reasons)
-
-
 def test_late_wheels_and_gyro_count_at_their_stamp():
     """The same twists late by three ticks: the same estimate as without the last three."""
     late, short = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
@@ -466,15 +444,3 @@ def test_late_wheels_and_gyro_count_at_their_stamp():
     run(short, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, cut)
     assert late.estimate.twist == pytest.approx(short.estimate.twist, abs=1e-12)
     assert late.estimate.pose == pytest.approx(short.estimate.pose, abs=1e-12)
-
-
-def test_missed_ticks_are_made_up_for():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    command = np.array([0.6, 0.3])
-    for k in range(120):
-        if k % 3 == 0:
-            estimator.advance(robot.time)
-            estimator.update(robot.time, robot.measure())
-            estimator.commands.append(command)
-        robot.advance(command)
-    assert estimator.estimate.pose == pytest.approx(robot.poses[117], abs=1e-6)

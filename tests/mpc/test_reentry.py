@@ -350,17 +350,6 @@ def test_blocked_the_reference_waits_and_the_command_stays_gentle():
     assert {r.mode for r in results} == {Mode.TRACKING}
 
 
-def test_blocked_while_it_turns_on_the_spot():
-    reference = lay_segments(
-        [Segment(v=0.0, omega=0.8, duration=5.0)], TrajectoryLimits.of_robot(), name="turning on the spot"
-    )
-    results, poses, times = drive(reference, 9.0, held=(2.0, 4.0))
-    held = (times > 3.2) & (times < 4.0)
-    assert all("blocked" in r.message for r, h in zip(results, held, strict=True) if h)
-    assert poses[-1, 2] == pytest.approx(4.0, abs=0.03)
-    assert np.hypot(*poses[-1, :2]) < 0.02
-
-
 def test_at_the_end_of_the_reference_it_still_arrives():
     """Pushed sideways just before the end: the reference ends later, and so does the finish."""
     reference = load_trajectory("cane")

@@ -110,17 +110,6 @@ def test_a_fault_in_what_makes_ticks_replayable_ends_that_alone(tmp_path, monkey
     assert capfd.readouterr().err.count("its ticks cannot be replayed from here on: KeyError") == 1
 
 
-def test_where_no_recording_can_begin_the_robot_drives(tmp_path, monkeypatch, capfd):
-    def none_left(*_, **__):
-        raise OSError(24, "Too many open files")
-
-    monkeypatch.setattr(recording.DriveRecorder, "__init__", none_left)
-    with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
-        s.base.run(20)
-        assert s.node.parts["recording"].recording is None and s.loop.last.result is not None
-    assert "nothing is recorded: " in capfd.readouterr().err
-
-
 def test_without_the_parameter_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     with stack(drive=True) as s:

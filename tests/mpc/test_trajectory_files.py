@@ -12,11 +12,10 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from trajectory_checks import assert_holds_its_ends
 
-from diffdrive_mpc import ConfigError, Controller, Trajectory, integrate_pose, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.arcs import chained
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
@@ -202,18 +201,6 @@ def _wave(count: int) -> list[tuple[float, float]]:
     return [(0.2 * i, 0.3 * math.sin(0.05 * i)) for i in range(count)]
 
 
-def test_work_does_not_grow_with_the_number_of_close_waypoints() -> None:
-    """Ten times as many waypoints make no more pieces, and the same path and speed where both pass."""
-    few, many = (lay_waypoints(_wave(count), _LIMITS, name="wave") for count in (1001, 10_001))
-    most = load_settings().full_pieces
-    assert len(few.breaks) <= most + 1
-    assert len(many.breaks) <= most + 1
-    times = np.linspace(0.0, 0.5 * few.duration, 200)
-    a, b = few.sample(times), many.sample(times)
-    assert np.abs(a.pose - b.pose).max() < 1e-3
-    assert np.abs(a.twist - b.twist).max() < 1e-3
-
-
 def test_limits_hold_where_legs_are_cut_into_few_pieces() -> None:
     """Speed, yaw rate and accelerations, by differences of the twist between and at the nodes."""
     path = lay_waypoints(_wave(12_000), _LIMITS, name="wave")
@@ -225,18 +212,6 @@ def test_limits_hold_where_legs_are_cut_into_few_pieces() -> None:
     assert np.abs(twist[:, 1]).max() <= _LIMITS.omega * 1.001
     assert np.abs(rate[:, 0]).max() <= _LIMITS.v_acceleration * 1.01
     assert np.abs(rate[:, 1]).max() <= _LIMITS.omega_acceleration * 1.01
-
-
-def test_arcs_in_a_row_end_where_each_ends_after_the_other() -> None:
-    """The poses of many arcs at once are those of one after the other."""
-    random = np.random.default_rng(3)
-    forward, turn, length = random.uniform(-1, 1, 50), random.uniform(-2, 2, 50), random.uniform(0.1, 2, 50)
-    pose = np.array([1.0, -2.0, 0.5])
-    found = chained(pose, forward, turn, length)
-    assert np.array_equal(found[0], pose)
-    for i in range(50):
-        pose = integrate_pose(pose, forward[i], turn[i], length[i])
-        assert found[i + 1] == pytest.approx(pose, abs=1e-12)
 
 
 @pytest.mark.parametrize(

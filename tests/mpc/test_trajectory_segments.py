@@ -101,17 +101,6 @@ def test_built_in_trajectories_end_where_exact_arcs_say(
     assert np.all(largest_shares(trajectory, TrajectoryLimits.of_robot()) <= 1 + 1e-8)
 
 
-def test_square_turns_on_the_spot_in_its_four_corners() -> None:
-    square = load_trajectory("square")
-    sample = square.sample(np.arange(0, square.duration, 1e-3))
-    turning = sample.twist[:, 1] != 0
-    assert np.all(sample.twist[turning, 0] == 0)
-    corners = np.array([(1, 0), (1, 1), (0, 1), (0, 0)])
-    gap = np.abs(sample.pose[turning, None, :2] - corners).max(axis=2)
-    assert gap.min(axis=1).max() < 1e-14
-    assert set(gap.argmin(axis=1)) == {0, 1, 2, 3}
-
-
 def test_equal_curvature_is_joined_without_a_stop() -> None:
     trajectory = lay((0.5, 0.25, 2.0), (1.0, 0.5, 2.0), (0.4, 0.2, 2.0))
     speed_up, slow_down = 0.5, 0.4
