@@ -40,7 +40,7 @@ def drive(tmp_path_factory):
     return run, missed_samples(folder / "bag", plant.sample_time)
 
 
-def test_commands_over_dds_equal_one_process_without_covariances(drive):
+def test_commands_over_dds_equal_those_of_one_process(drive):
     """The node takes no covariance of wheels and gyro from messages; without them in one process nothing differs."""
     controller, plant, reference = build(CASE)
     measure = plant.measure
@@ -57,7 +57,7 @@ def test_commands_over_dds_equal_one_process_without_covariances(drive):
     assert drive[0].metrics.completed and drive[1] == 0
 
 
-def test_a_process_that_fails_is_named_with_its_words(tmp_path):
+def test_failing_process_is_reported_with_its_output(tmp_path):
     bad = Case(surface="sand")
     with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'sand'"):
         drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
@@ -89,7 +89,7 @@ def true_twists(environment):
         context.shutdown()
 
 
-def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
+def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
     """No zero is sent then: the robot's own timeout has to act."""
     environment, bag = own_domain(tmp_path), tmp_path / "bag"
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -38,7 +38,7 @@ def commanded(follow, since):
     return np.array(follow.base.commands[since:])
 
 
-def test_a_planners_grid_path_is_driven_to_its_goal(parts):
+def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
     path = staircase([(0, 0), (1, 0.35), (1, 1.2)], 0.4)
     with parts.following() as follow:
         follow.client.send("a", path)
@@ -65,7 +65,7 @@ def test_a_planners_grid_path_is_driven_to_its_goal(parts):
         fault.cancel()
 
 
-def test_a_newer_goal_takes_over_without_a_stop(parts):
+def test_newer_goal_takes_over_without_stop(parts):
     with parts.following() as follow:
         follow.client.send("old", STRAIGHT)
         follow.until(lambda: pose(follow)[0] > 0.5, "half a metre", pace=parts.DT)
@@ -89,7 +89,7 @@ def test_a_newer_goal_takes_over_without_a_stop(parts):
         assert np.hypot(*(pose(follow) - newer[-1])[:2]) < 0.02
 
 
-def test_a_cancelled_goal_is_braked_at_the_braking_limits(parts):
+def test_cancelled_goal_brakes_at_the_braking_limits(parts):
     with parts.following({"limits.v_braking": 0.8}) as follow:
         follow.client.send("a", STRAIGHT)
         follow.driven()
@@ -138,7 +138,7 @@ def answered_once(client, names):
     ],
     ids=["1000 poses", "a thousand", "zigzag"],
 )
-def test_every_goal_of_hundreds_a_second_gets_one_answer_and_one_result(parts, goals, rate, path):
+def test_each_goal_of_a_fast_burst_gets_one_answer_and_one_result(parts, goals, rate, path):
     """Goals of many poses come faster than they can be read, and only the last is driven to its end."""
     with parts.following() as follow:
         names = follow.client.burst("a", [{"poses": path}], times=goals, rate=rate)
@@ -159,7 +159,7 @@ def test_every_goal_of_hundreds_a_second_gets_one_answer_and_one_result(parts, g
 
 
 @pytest.mark.parametrize("how", ["terminate", pytest.param("kill", marks=pytest.mark.long)])
-def test_a_goal_whose_client_has_ended_is_braked(parts, how):
+def test_goal_of_an_ended_client_brakes(parts, how):
     """One that is killed says nothing: the middleware forgets it after its lease."""
     # Long enough for 25 s at 0.6 m/s.
     path = np.column_stack([np.linspace(0.0, 20.0, 401), np.zeros((401, 2))])
@@ -175,7 +175,7 @@ def test_a_goal_whose_client_has_ended_is_braked(parts, how):
         assert pose(follow)[0] < place + (1.2 if how == "terminate" else 15.0)
 
 
-def test_without_odometry_or_progress_it_gives_up(parts):
+def test_goal_is_aborted_without_odometry_or_progress(parts):
     with parts.following({"reentry.blocked_after": 0.3}, blocked_timeout=0.6) as follow:
         follow.client.send("a", STRAIGHT)
         follow.driven()
@@ -196,7 +196,7 @@ def test_without_odometry_or_progress_it_gives_up(parts):
         assert not np.any(follow.base.commands[-1])
 
 
-def test_what_cannot_be_driven_moves_nothing(parts):
+def test_goal_that_cannot_be_driven_is_aborted_without_motion(parts):
     wild = STRAIGHT + np.column_stack([np.random.default_rng(3).normal(0.0, 0.4, (41, 2)), np.zeros(41)])
     goals = {
         "empty": ([], {}, 103, "0 poses"),
@@ -224,7 +224,7 @@ def test_what_cannot_be_driven_moves_nothing(parts):
         assert not np.any(follow.base.commands[-1]) and pose(follow)[0] < 1.5
 
 
-def test_a_hold_and_a_pause_keep_the_goal_and_deactivation_ends_it(parts):
+def test_goal_survives_hold_and_pause_and_ends_on_deactivation(parts):
     from std_srvs.srv import SetBool, Trigger
 
     with parts.following(follow_patience=0.2) as follow:
@@ -250,7 +250,7 @@ def test_a_hold_and_a_pause_keep_the_goal_and_deactivation_ends_it(parts):
         follow.base.until(lambda: follow.client.of("b", "rejected"), "no")
 
 
-def test_where_the_type_is_missing_the_node_says_so_and_drives():
+def test_node_drives_without_the_action_type():
     code = (
         "import sys; sys.modules['nav2_msgs'] = None\n"
         "from ros_parts import stack\n"

@@ -60,7 +60,7 @@ def altered(place, value):
         (altered("header.stamp.sec", 1000), "s in the future: are the clocks in step?"),
     ],
 )
-def test_without_good_odometry_it_brakes_stands_and_drives_on(tamper, reason):
+def test_robot_brakes_without_good_odometry_and_then_resumes(tamper, reason):
     with stack(drive=True) as s:
         good = s.base.run(30)
         assert s.loop.last.mode == Mode.TRACKING
@@ -81,7 +81,7 @@ def test_without_good_odometry_it_brakes_stands_and_drives_on(tamper, reason):
 
 
 @pytest.mark.parametrize("ahead", [1.0, 100.0, 1000.0])
-def test_one_stamp_from_the_future_costs_one_message(ahead):
+def test_one_future_stamp_rejects_one_message_only(ahead):
     """Of each topic, on the way: what comes after it is believed as before."""
     with stack(drive=True, pose_topic=True) as s:
         s.base.run(30)
@@ -98,7 +98,7 @@ def test_one_stamp_from_the_future_costs_one_message(ahead):
         assert commands[-1, 0] > 0.1
 
 
-def test_without_leave_to_resume_it_waits_for_start():
+def test_robot_waits_for_start_if_resume_is_off():
     with stack({"failure.resume": False}, drive=True) as s:
         s.base.run(20)
         s.base.tamper = lost
@@ -110,7 +110,7 @@ def test_without_leave_to_resume_it_waits_for_start():
         assert s.base.run(20)[-1, 0] > 0.1
 
 
-def test_an_exception_ends_in_zero_and_the_node_lives_on(monkeypatch):
+def test_exception_in_a_step_sends_zero_and_node_recovers(monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError("a fault in the code")
 
@@ -125,7 +125,7 @@ def test_an_exception_ends_in_zero_and_the_node_lives_on(monkeypatch):
         assert s.base.run(20)[-1, 0] > 0.1
 
 
-def test_a_blocked_robot_is_paused():
+def test_blocked_robot_is_paused():
     with stack(drive=True, blocked_timeout=1.0) as s:
         before = s.base.run(20)
         s.base.held = True
@@ -142,7 +142,7 @@ def test_a_blocked_robot_is_paused():
         assert s.loop.state is LoopState.DRIVING
 
 
-def test_before_it_leaves_its_fence_it_stops_and_start_does_not_let_it_out():
+def test_robot_stops_inside_its_fence_and_start_keeps_it_inside():
     fence = {
         "fence.enabled": True,
         "fence.length": 0.8,
@@ -162,7 +162,7 @@ def test_before_it_leaves_its_fence_it_stops_and_start_does_not_let_it_out():
         assert np.abs(s.base.plant.true_pose[:2]).max() < 0.4
 
 
-def test_paused_simulated_time_pauses_the_commands():
+def test_paused_simulated_time_pauses_commands():
     with stack(drive=True) as s:
         before = s.base.run(30)
         count = len(s.base.commands)
@@ -174,7 +174,7 @@ def test_paused_simulated_time_pauses_the_commands():
         assert_smooth(np.vstack([before, after]))
 
 
-def test_simulated_time_that_runs_backwards_stops_it():
+def test_backward_jump_of_simulated_time_stops_the_robot():
     with stack(drive=True) as s:
         s.base.run(60)
         s.base.tick = 0
@@ -208,7 +208,7 @@ def settle(s, wanted):
     return s.base.run(60)
 
 
-def test_in_metres_and_percent_and_off_again(limited):
+def test_speed_limit_in_metres_and_percent_is_kept_until_cleared(limited):
     s, limit = limited
     assert s.base.run(60)[-1, 0] > 0.4
     limit(0.2)
@@ -230,7 +230,7 @@ def test_what_is_no_limit_is_refused_and_the_last_stays(limited, value, capfd):
     assert s.node._controller.speed_limit == 0.2
 
 
-def test_a_percentage_follows_the_limit_that_it_is_of_and_outlasts_deactivation(limited):
+def test_percentage_limit_follows_its_base_and_outlasts_deactivation(limited):
     s, limit = limited
     s.base.run(20)
     limit(20.0, percentage=True)
@@ -260,7 +260,7 @@ def tracking_distance(s):
     return abs(math.hypot(x, y - 1.0) - 1.0)
 
 
-def test_it_brakes_at_the_limits_keeps_the_goal_and_drives_on():
+def test_hold_brakes_within_limits_and_release_resumes_the_goal():
     with stack(drive=True) as s:
         before = s.base.run(60)
         assert hold(s, on=True) == "is held; brakes"
@@ -284,7 +284,7 @@ def test_it_brakes_at_the_limits_keeps_the_goal_and_drives_on():
         assert hold(s, on=False) == "was not held"
 
 
-def test_pushed_off_its_path_while_held_it_rejoins_it():
+def test_robot_pushed_during_a_hold_rejoins_its_path():
     with stack(drive=True) as s:
         s.base.run(60)
         hold(s, on=True)
@@ -299,7 +299,7 @@ def test_pushed_off_its_path_while_held_it_rejoins_it():
         assert tracking_distance(s) < 0.03
 
 
-def test_start_pause_and_reset_are_taken_but_do_not_move_it():
+def test_held_robot_accepts_services_without_moving():
     with stack() as s:
         assert hold(s, on=True) == "is held"
         answer = s.trigger("start")
@@ -324,7 +324,7 @@ def test_start_pause_and_reset_are_taken_but_do_not_move_it():
 
 
 @pytest.mark.parametrize("while_active", [True, False])
-def test_it_outlasts_deactivation_and_cleanup(while_active):
+def test_hold_outlasts_deactivation_and_cleanup(while_active):
     with stack(drive_on_activate=True, autostart=while_active) as s:
         if while_active:
             s.base.run(20)
@@ -340,7 +340,7 @@ def test_it_outlasts_deactivation_and_cleanup(while_active):
         assert s.base.run(20)[-1, 0] > 0.1
 
 
-def test_a_hold_is_no_failure_and_diagnostics_tell_it():
+def test_hold_is_no_failure_and_appears_in_diagnostics():
     with stack({"failure.resume": False}, drive=True, diagnostics_rate=20.0) as s:
         heard = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
