@@ -157,31 +157,6 @@ def test_start_pause_and_reset():
         assert not s.base.run(5).any()
 
 
-def test_pause_takes_back_a_start_that_waits_for_measurements():
-    with stack(drive_on_activate=True, odom_frame="elsewhere", autostart=False) as s:
-        assert s.change(Transition.TRANSITION_CONFIGURE)
-        assert s.change(Transition.TRANSITION_ACTIVATE)
-        s.base.until(lambda: s.base.silent(1) and s.node._inbox.odometry.refused, "odometry that is refused")
-        assert "expected 'elsewhere'" in s.loop.last.message
-        assert s.trigger("pause").message == "does not begin any more"
-        s.base.tamper = moved_to_elsewhere
-        assert not s.base.run(20).any()
-
-
-def moved_to_elsewhere(odometry):
-    odometry.header.frame_id = "elsewhere"
-    return odometry
-
-
-def test_without_odometry_start_is_refused():
-    with stack() as s:
-        s.base.tamper = lambda odometry: None
-        s.base.run(12)
-        answer = s.trigger("start")
-        assert not answer.success
-        assert "odometry is 0.2" in answer.message
-
-
 def test_the_trajectory_is_laid_where_the_robot_stands():
     with stack(start_at_robot=True) as s:
         s.base.plant.reset((2.0, -1.0, 2.0))

@@ -4,14 +4,11 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
-from rclpy.context import Context
-from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.parameter import Parameter
 from ros_parts import CONFIG, stack
 
@@ -193,16 +190,3 @@ def test_a_limit_in_the_other_room_is_taken_and_one_that_is_stated_twice_is_told
         "parameter limits.least_commanded_radius is expert.limits.min_commanded_radius now; it was not taken, as that "
         "is stated, too",
     ]
-
-
-def test_a_former_name_takes_the_type_of_its_parameter():
-    arguments = ["--ros-args", "-p", "failure.max_position_error:=1"]
-    context = Context()
-    rclpy.init(args=arguments, context=context)
-    node = rclpy.create_node("typed", context=context)
-    try:
-        with pytest.raises(InvalidParameterTypeException):
-            declare(node, CONFIG)
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)

@@ -1,7 +1,5 @@
 """Who else sends commands to the same base: refused, braked for, or named; over DDS."""
 
-import threading
-
 import numpy as np
 import pytest
 import rclpy
@@ -187,26 +185,3 @@ def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():
         s.base.node.destroy_publisher(teleop)
         s.base.until(lambda: not s.node.parts["rivals"].rivals.others().foreign, "its end")
         assert s.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-
-
-def test_activated_at_the_same_time_both_are_refused():
-    """Neither can know whether the other is: none drives, and each names the other."""
-    nodes = [Second("one"), Second("two")]
-    try:
-        for second in nodes:
-            second.node.trigger_configure()
-        said = {}
-        threads = [
-            threading.Thread(target=lambda second=second: said.update({second: second.node.trigger_activate()}))
-            for second in nodes
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        drive = [found is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS for found in said.values()]
-        assert sum(drive) <= 1
-        assert any("of this project drives by /cmd_vel too" in second.node.failure for second in nodes)
-    finally:
-        for second in nodes:
-            second.close()

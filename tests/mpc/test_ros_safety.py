@@ -284,21 +284,6 @@ def test_hold_brakes_within_limits_and_release_resumes_the_goal():
         assert hold(s, on=False) == "was not held"
 
 
-def test_robot_pushed_during_a_hold_rejoins_its_path():
-    with stack(drive=True) as s:
-        s.base.run(60)
-        hold(s, on=True)
-        s.base.run(TO_REST + 5)
-        s.base.plant._pose[1] += 0.25
-        s.base.run(40)
-        hold(s, on=False)
-        s.base.run(5)
-        assert "rejoining" in s.loop.last.message
-        s.base.run(250)
-        assert s.loop.last.mode == Mode.TRACKING
-        assert tracking_distance(s) < 0.03
-
-
 def test_held_robot_accepts_services_without_moving():
     with stack() as s:
         assert hold(s, on=True) == "is held"
