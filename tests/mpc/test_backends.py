@@ -113,7 +113,7 @@ def assert_optimal(program, plan, pressing, within):
 
 @settings(max_examples=40)
 @given(st.integers(0, 10_000), st.floats(0.2, 2.0))
-def test_daqps_solution_is_optimal(seed, tightness):
+def test_solution_of_daqp_is_optimal(seed, tightness):
     program = random_program(seed, tightness)
     found = solve(program, "daqp")
     assert found.status is SolverStatus.SOLVED
@@ -122,14 +122,14 @@ def test_daqps_solution_is_optimal(seed, tightness):
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
-def test_osqps_solution_is_optimal(seed):
+def test_solution_of_osqp_is_optimal(seed):
     program = random_program(seed)
     found = solve(program, "osqp")
     assume(found.status is SolverStatus.SOLVED)
     assert_optimal(program, found.plan, found.multipliers, 1e-5)
 
 
-def test_the_random_programs_have_limits_of_all_sorts():
+def test_random_programs_exercise_all_limits():
     """Else the conditions above would hold of problems without limits only."""
     programs = [random_program(seed) for seed in range(40)]
     found = [solve(program, "daqp") for program in programs]
@@ -142,7 +142,7 @@ def test_the_random_programs_have_limits_of_all_sorts():
 @every_backend
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), tightness=st.floats(0.02, 0.6))
-def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(backend, seed, tightness):
+def test_adding_violated_limits_gives_the_full_solution(backend, seed, tightness):
     program = random_program(seed, tightness, softness=0.3)
     whole = solve(program, "daqp")
     asked, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
@@ -152,14 +152,14 @@ def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(ba
 
 
 @every_backend
-def test_numbers_that_are_none_are_reported(backend):
+def test_nan_in_a_program_is_reported(backend):
     program = random_program(0)
     program.g = np.full_like(program.g, np.nan)
     _, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assert not report.status.usable
 
 
-def test_osqp_ends_at_its_tolerance():
+def test_osqp_stops_at_its_tolerance():
     for seed in range(5):
         program = random_program(seed)
         exact = solve(program, "daqp").plan
@@ -171,7 +171,7 @@ def test_osqp_ends_at_its_tolerance():
         assert errors[0] > 10 * errors[1] > 100 * errors[2]
 
 
-def test_osqp_starts_from_the_plan_and_the_multipliers_that_it_is_given():
+def test_osqp_uses_the_warm_start():
     for seed in range(5):
         program = random_program(seed)
         cold = solve(program, "osqp", check_every=1)
@@ -181,7 +181,7 @@ def test_osqp_starts_from_the_plan_and_the_multipliers_that_it_is_given():
 
 
 @every_backend
-def test_the_iteration_limit_is_kept(backend):
+def test_backend_stops_at_its_iteration_limit(backend):
     """Of 10 iterations OSQP needs more to any tolerance worth the name; DAQP where enough limits press."""
     program = random_program(0, tightness=2.0)
     assert solve(program, backend).status is SolverStatus.SOLVED
@@ -190,7 +190,7 @@ def test_the_iteration_limit_is_kept(backend):
     assert stopped.iterations <= 11  # DAQP counts the one that it did not begin
 
 
-def test_without_iterations_the_active_set_leaves_it_to_the_backend():
+def test_backend_solves_if_the_active_set_has_no_iterations():
     tight = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     config = load_config("ssm", {"horizon": 15, **tight})
     drives = {}
@@ -211,7 +211,7 @@ def test_without_iterations_the_active_set_leaves_it_to_the_backend():
 
 
 @every_backend
-def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
+def test_backend_plan_equals_the_active_set_with_active_limits(backend):
     """On the problems of a drive, solved again from the core's memory."""
     limits = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     controller = Controller(load_config("ssm", limits | {"horizon": 15}))
@@ -231,7 +231,7 @@ def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
     assert compared > 20
 
 
-def test_a_limit_broken_at_one_step_is_named_whichever_step_it_is():
+def test_violated_limit_is_detected_at_every_step():
     """Above and below, by more than the margin, and of the other command nothing."""
     reference = load_trajectory("s")
     controller = Controller(load_config("ssm", {"limits.v": 0.6, "limits.omega": 1.0}))
@@ -295,7 +295,7 @@ def inside(limits, dt, plan, last):
     return kept.reshape(-1)
 
 
-def test_a_stopped_plan_keeps_ranges_and_slew_and_costs_no_more_than_the_rest_of_the_last_one():
+def test_stopped_plan_is_feasible_and_no_worse_than_the_previous_plan():
     driven, robot = controller(**{"solver.active_set_iterations": 3}), plant()
     driven.start(load_trajectory("s"), robot.time)
     limits, dt = driven.config.limits, driven.sample_time
@@ -321,7 +321,7 @@ def test_a_stopped_plan_keeps_ranges_and_slew_and_costs_no_more_than_the_rest_of
     assert stopped > 50
 
 
-def test_a_tick_that_the_clock_stopped_is_repeated_bit_for_bit():
+def test_tick_stopped_by_the_clock_is_reproduced_exactly():
     by_clock = drive(controller(), plant(), 60, deadline=lambda k: time.monotonic() + 2e-4 if k % 3 else 1e-9)
     assert SolverStatus.STOPPED_IN_TIME in {result.solver.status for result in by_clock}
     stops = [r.solver.iterations if r.solver.status is SolverStatus.STOPPED_IN_TIME else None for r in by_clock]
@@ -331,7 +331,7 @@ def test_a_tick_that_the_clock_stopped_is_repeated_bit_for_bit():
 
 
 @pytest.mark.parametrize("time_limit", [None, 1e-6])
-def test_the_node_bounds_its_solves_by_the_clock_and_its_replay_is_exact(time_limit, tmp_path):
+def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_path):
     driven, robot = controller(**({} if time_limit is None else {"solver.time_limit": time_limit})), plant()
     fresh = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
     inbox = SimpleNamespace(now=0.0, odometry=fresh, newest_pose=None, look_up_pose=lambda: None)
@@ -369,7 +369,7 @@ def test_the_node_bounds_its_solves_by_the_clock_and_its_replay_is_exact(time_li
 
 
 @pytest.mark.parametrize("backend", ["osqp", "daqp"])
-def test_the_clock_ends_a_backend_too(backend):
+def test_clock_stops_a_backend(backend):
     by_backend = controller(**{"solver.method": backend})
     results = drive(by_backend, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
     late = results[20]
@@ -378,7 +378,7 @@ def test_the_clock_ends_a_backend_too(backend):
     assert results[25].mode is Mode.TRACKING
 
 
-def test_where_limits_press_everywhere_the_active_set_needs_no_backend():
+def test_active_set_needs_no_backend_with_limits_active_everywhere():
     run = simulate(controller(), make_plant("model:ssm", seed=1), load_trajectory("s"))
     assert set(run.solver_methods) <= {"none", "unlimited", "active_set"}
     assert {status for status in run.solver_statuses if status} <= {"solved"}

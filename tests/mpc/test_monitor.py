@@ -136,7 +136,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_sensor_that_two_others_contradict_is_not_used(fault, model):
+def test_sensor_contradicted_by_two_others_is_not_used(fault, model):
     """The robot goes on: the others are enough."""
     change, trajectory, name, soon = FAULTS[fault]
     results, apart = run(change, trajectory, model)
@@ -157,7 +157,7 @@ POSE_FAULTS = {
 
 @pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
 @pytest.mark.parametrize("fault", POSE_FAULTS)
-def test_without_poses_to_believe_it_brakes(fault, model):
+def test_robot_brakes_if_poses_are_faulty(fault, model):
     change, trajectory, soon = POSE_FAULTS[fault]
     results, apart = run(change, trajectory, model)
     assert first(results, "pose") < soon
@@ -167,7 +167,7 @@ def test_without_poses_to_believe_it_brakes(fault, model):
     assert apart.max() < 0.3
 
 
-def test_a_gyro_with_a_bias_is_not_at_fault():
+def test_biased_gyro_is_not_accused():
     """The bias is learned, as slip is."""
     results, apart = run(spoilt("yaw_rate", lambda rate, _: rate + 0.05))
     assert accused(results) == set()
@@ -185,14 +185,14 @@ class SlidingRobot(IdealRobot):
 
 
 @pytest.mark.parametrize("trajectory", ["circle", "square", "s", "cane"])
-def test_a_robot_that_slides_down_a_slope_is_not_stopped(trajectory):
+def test_robot_sliding_down_a_slope_is_not_stopped(trajectory):
     results, _ = run(trajectory=trajectory, robot=SlidingRobot, seconds=12.0)
     assert accused(results) == set()
     assert {result.mode for result in results} <= {Mode.TRACKING, Mode.FINISHED}
 
 
 @pytest.mark.parametrize("every", [1, 5, 10])
-def test_a_held_robot_with_quiet_encoders_is_not_asked_for_more_and_more(every):
+def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
     """Zeros are right there, and poses say so, however seldom they come."""
 
     def seldom(k, m):
@@ -206,13 +206,13 @@ def test_a_held_robot_with_quiet_encoders_is_not_asked_for_more_and_more(every):
 
 
 @pytest.mark.parametrize("path", ["s", "circle"])
-def test_poses_that_turn_are_found_without_wheels(path):
+def test_turning_poses_are_detected_without_wheels(path):
     turning = spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t])
     results, _ = run(lambda k, m: replace(turning(k, m), wheel_twist=None), path)
     assert first(results, "pose") < 5.0
 
 
-def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
+def test_repeated_readings_against_the_commands_are_not_used():
     """A gyro that is stuck before a curve is left out before poses have told whose fault it is."""
     results, apart = run(stuck("yaw_rate"), "cane", seconds=6.0)
     assert accused(results) <= {"yaw rate"}
@@ -220,7 +220,7 @@ def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
 
 
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
-def test_zeros_against_the_commands_fool_the_estimate_for_less_than_a_fifth_of_a_second(field, name, channel):
+def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
     """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""
     results, _ = run(spoilt(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
     twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
@@ -231,12 +231,12 @@ def test_zeros_against_the_commands_fool_the_estimate_for_less_than_a_fifth_of_a
 
 @pytest.mark.parametrize("robot", [IdealRobot, HeldRobot, SpinningRobot, PushedRobot])
 @pytest.mark.parametrize("trajectory", ["circle", "cane", "square"])
-def test_what_happens_to_the_robot_is_no_fault_of_a_sensor(robot, trajectory):
+def test_disturbed_robot_accuses_no_sensor(robot, trajectory):
     results, _ = run(trajectory=trajectory, robot=robot)
     assert accused(results) == set()
 
 
-def test_a_monitor_that_finds_nothing_changes_nothing():
+def test_monitor_without_findings_changes_no_command():
     watched, blind = (run(seconds=5.0, **{"monitor.enabled": on})[0] for on in (True, False))
     assert all((a.command == b.command).all() for a, b in zip(watched, blind, strict=True))
     assert {result.message for result in watched} == {""}
@@ -245,7 +245,7 @@ def test_a_monitor_that_finds_nothing_changes_nothing():
 @pytest.mark.parametrize(
     ("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")]
 )
-def test_a_sensor_that_agrees_again_is_used_again(name, field):
+def test_recovered_sensor_is_used_again(name, field):
     broken = stuck(field) if field == "pose" else spoilt(field, lambda value, _: 0.0 * value)
     # Long enough to be found, and for the robot to stop.
     results, apart = run(lambda k, m: broken(k, m) if k < FAULT + 75 else m, "circle")
@@ -258,7 +258,7 @@ def test_a_sensor_that_agrees_again_is_used_again(name, field):
 
 
 @pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.0312]], ids=["position", "heading"])
-def test_poses_are_told_to_scatter_as_far_as_they_do(scale):
+def test_reported_scatter_of_poses_equals_the_noise_ratio(scale):
     """Noise of six stated deviations beside the stated one: the root of 37 times as far, on average."""
     rng = np.random.default_rng(0)
 
@@ -271,7 +271,7 @@ def test_poses_are_told_to_scatter_as_far_as_they_do(scale):
 
 
 @pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
-def test_what_was_known_from_noisy_poses_is_known_less_at_once(scale):
+def test_detected_pose_noise_raises_the_deviation_at_once(scale):
     """Of position or heading alone, whichever scatters."""
     rng = np.random.default_rng(0)
 
@@ -286,7 +286,7 @@ def test_what_was_known_from_noisy_poses_is_known_less_at_once(scale):
     assert (rises[~is_noisy] < 1.1).all()
 
 
-def test_poses_later_than_stamped_are_told_and_not_accused():
+def test_poses_later_than_their_stamps_are_reported_but_not_accused():
     late = []
 
     def change(k, m):
@@ -327,7 +327,7 @@ SYMMETRIC = {
 
 
 @pytest.mark.parametrize("fault", SYMMETRIC)
-def test_neither_a_side_nor_a_direction_is_preferred(fault):
+def test_verdicts_are_invariant_under_reflection_and_rotation(fault):
     """Mirrored measurements give mirrored commands, those in another frame the same, and both the same verdicts.
 
     The other frame is turned by a right angle: a surprise widens the belief along the axes of the poses.
@@ -362,14 +362,14 @@ def test_neither_a_side_nor_a_direction_is_preferred(fault):
 
 
 @pytest.mark.parametrize(("track", "told"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])
-def test_a_wrong_track_is_told_within_ten_seconds_of_turning(track, told):
+def test_wrong_track_is_reported_within_ten_seconds_of_turning(track, told):
     results, _ = run(None, "circle", seconds=10.0, **{"wheels.encoder_track": track})
     assert accused(results) == set()
     assert ("wrong wheels.track" in results[-1].message) == told
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_false_report_of_the_base_lets_a_command_leap(seed):
+def test_false_reports_of_the_base_keep_the_slew_limit(seed):
     """Slew counts from the controller's own last command, whatever the base says it got."""
     rng, limits = np.random.default_rng(seed), load_config("ssm").limits
 

@@ -91,7 +91,7 @@ def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
     assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
 
 
-def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_little():
+def test_turning_points_of_the_guess_cost_little():
     """The iteration ends where the plan is best for its own turning points: nearly as good as if it moved them."""
     subject, tick = setting("ssm")
     tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
@@ -104,7 +104,7 @@ def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_littl
 
 
 @given(st.tuples(st.floats(0, 0.1), st.floats(0, 0.1)), st.integers(1, 25), st.integers(0, 1000))
-def test_the_roll_out_is_the_models_simulation(dead_time, horizon, seed):
+def test_roll_out_equals_the_simulation_of_the_model(dead_time, horizon, seed):
     model = load_model("ssm").with_extra_dead_time(dead_time).discretise(DT)
     rng = np.random.default_rng(seed)
     state, past, plan = rng.normal(size=model.order), rng.normal(size=(model.memory, 2)), rng.normal(size=(horizon, 2))
@@ -138,7 +138,7 @@ def test_gradient_agrees_with_finite_differences_of_the_cost(seed):
     assert np.linalg.eigvalsh(qp.H).min() > 0
 
 
-def test_soft_rows_are_the_gradients_of_what_they_limit():
+def test_soft_rows_equal_the_gradients_of_limited_values():
     subject, tick = setting("ssm")
     flat, step = tick.feed_forward.ravel(), 1e-6
     qp = subject.quadratic_program(tick, tick.feed_forward)
@@ -155,7 +155,7 @@ def test_soft_rows_are_the_gradients_of_what_they_limit():
 
 
 @pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
-def test_the_feed_forward_holds_a_constant_twist_against_slip(name):
+def test_feed_forward_holds_a_constant_twist_against_slip(name):
     model = load_model(name)
     slip = Slip(v_offset=0.03, omega_gain=0.9, longitudinal_gain=0.97, yaw_gain=0.8, turn_left=0.05)
     feed_forward = FeedForward(model, DT, 10)
@@ -165,7 +165,7 @@ def test_the_feed_forward_holds_a_constant_twist_against_slip(name):
     assert np.column_stack([v + 0.05 * omega, omega]) == pytest.approx(np.tile([0.6, 0.4], (10, 1)))
 
 
-def test_the_feed_forward_answers_one_lag_ahead():
+def test_feed_forward_leads_by_one_lag():
     model = load_model("ssm")
     feed_forward = FeedForward(model, DT, 10)
     ramp = np.outer(np.arange(feed_forward.samples) * DT, [1.0, 1.0])
@@ -173,7 +173,7 @@ def test_the_feed_forward_answers_one_lag_ahead():
     assert twist == pytest.approx(np.arange(10)[:, None] * DT + model.lag, abs=1e-9)
 
 
-def test_a_model_that_leads_is_answered_now():
+def test_feed_forward_of_a_leading_model_does_not_look_back():
     """A zero near the origin gives a negative lag; there is no twist before now."""
     # v: (1 + 0.4 s) / ((1 + s / 5) (1 + s / 6)), by partial fractions.
     A, B = np.diag([-5.0, -6.0, -10.0]), np.array([[-30.0, 0.0], [42.0, 0.0], [0.0, 10.0]])

@@ -111,7 +111,7 @@ def beside(start, pose):
     return -math.sin(start[2]) * (pose[0] - start[0]) + math.cos(start[2]) * (pose[1] - start[1])
 
 
-def test_by_transforms_it_drives_in_the_map_as_it_does_by_poses(localised):
+def test_poses_from_transforms_drive_the_robot_in_the_map(localised):
     robot = localised((3.0, -2.0, 0.7), pose_source="tf", trajectory="circle", start_at_robot=True)
     s = robot.s
     assert s.trigger("start").success
@@ -125,7 +125,7 @@ def test_by_transforms_it_drives_in_the_map_as_it_does_by_poses(localised):
 
 
 @pytest.mark.parametrize("missing", ["odom", "base_link"])
-def test_without_transforms_it_brakes_as_without_poses_and_drives_on(localised, missing):
+def test_missing_transforms_brake_the_robot_until_they_return(localised, missing):
     robot = localised(pose_source="tf", trajectory="circle", start_at_robot=True)
     s = robot.s
     assert s.trigger("start").success
@@ -142,7 +142,7 @@ def test_without_transforms_it_brakes_as_without_poses_and_drives_on(localised, 
     assert (np.abs(np.diff(np.vstack([late, stopped, again]), axis=0)) <= SLEW).all()
 
 
-def test_what_is_wrong_with_transforms_is_named(localised):
+def test_faults_of_transforms_appear_in_diagnostics(localised):
     robot = localised(pose_source="tf", trajectory="circle", diagnostics_rate=20.0)
     s = robot.s
     heard = s.listen(DiagnosticArray, "/diagnostics")
@@ -165,7 +165,7 @@ def test_what_is_wrong_with_transforms_is_named(localised):
     told("bytes, and none of its kind")
 
 
-def test_a_path_in_the_map_is_driven_by_odometry_and_follows_the_map(localised):
+def test_path_in_the_map_follows_corrections_of_the_localisation(localised):
     """Control in odom, and a localisation that corrects itself: by little, by more than the band, and far too much."""
     start = (1.0, 1.0, 0.5)
     robot = localised((1.0, 1.0, 0.5), ahead=10**9, use_tf=True, trajectory="''", drive_on_reference=True)
@@ -191,7 +191,7 @@ def test_a_path_in_the_map_is_driven_by_odometry_and_follows_the_map(localised):
     assert "from the reference; the limit is" in s.loop.last.message
 
 
-def test_where_the_frame_of_its_path_is_no_longer_known_it_brakes_and_drives_on(localised):
+def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
     robot = localised(
         (0.0, 0.3, 0.0), use_tf=True, tf_timeout=0.5, trajectory="''", drive_on_reference=True, diagnostics_rate=20.0
     )
@@ -213,7 +213,7 @@ def test_where_the_frame_of_its_path_is_no_longer_known_it_brakes_and_drives_on(
     assert s.loop.last.mode == Mode.TRACKING
 
 
-def test_a_metre_ahead_means_from_where_the_robot_was_at_the_stamp(localised):
+def test_path_in_the_body_frame_starts_at_the_pose_of_its_stamp(localised):
     robot = localised(use_tf=True, trajectory="''")
     s = robot.s
     s.base.plant.reset((2.0, 1.0, 1.0))
@@ -229,7 +229,7 @@ def test_a_metre_ahead_means_from_where_the_robot_was_at_the_stamp(localised):
     np.testing.assert_allclose(s.loop._laid.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
 
 
-def test_a_path_that_lies_nobody_knows_where_is_refused(localised, capfd):
+def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
     robot = localised(use_tf=True, trajectory="circle")
     s = robot.s
     assert s.trigger("start").success
@@ -254,12 +254,12 @@ def refused_for(s, reason, capfd):
     s.base.until(lambda: reason in capfd.readouterr().err, f"the refusal: {reason}")
 
 
-def test_two_names_of_one_setting_are_refused_where_they_contradict():
+def test_contradicting_pose_sources_raise_error():
     with pytest.raises(ValueError, match="use_pose_topic means pose_source topic"):
         Stack(autostart=True, pose_source="tf", use_pose_topic=True)
 
 
-def test_a_goal_of_follow_path_in_the_map_is_brought_to_odom_and_driven(ros_types):
+def test_follow_path_goal_in_the_map_is_driven_in_odom(ros_types):
     from follow_parts import SUCCEEDED, following
     from tf2_msgs.msg import TFMessage
 

@@ -57,18 +57,18 @@ def stamped_points(frame="odom", last="odom"):
     return SimpleNamespace(header=SimpleNamespace(stamp=time_message(0), frame_id=frame), points=points)
 
 
-def test_a_trajectory_with_stamped_points_is_read():
+def test_trajectory_with_stamped_points_is_read():
     reference = timed_trajectory_reference(stamped_points(), Limits())
     assert reference.duration == pytest.approx(4.0)
     np.testing.assert_allclose(reference.sample([2.0]).pose[0], (0.5, 0.0, 0.0), atol=1e-3)
 
 
-def test_a_point_in_another_frame_is_refused():
+def test_point_in_another_frame_raises_error():
     with pytest.raises(MessageError, match="point 20 is in 'map', the trajectory in 'odom'"):
         timed_trajectory_reference(stamped_points(last="map"), Limits())
 
 
-def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
+def test_trajectory_of_the_installed_type_is_driven(ros_types):
     from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_type
 
     kind = timed_trajectory_type()
@@ -86,7 +86,7 @@ def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
         drive_along(s, message, "set_timed_trajectory")
 
 
-def test_the_estimate_is_odometry_with_frames_and_covariance():
+def test_estimate_is_published_with_frames_and_covariance():
     with stack(drive=True) as s:
         heard = s.listen(Odometry, "/diffdrive_mpc/estimate")
         s.base.until(lambda: s.base.silent(1) is not None and heard, "the estimate")
@@ -138,7 +138,7 @@ def begin(s, *, crossed=False):
     return base
 
 
-def test_wheel_speeds_drive_a_base_without_a_twist():
+def test_wheel_speeds_drive_a_base_without_twist_commands():
     with wheels() as s:
         base = begin(s)
         s.base.run(100)
@@ -150,7 +150,7 @@ def test_wheel_speeds_drive_a_base_without_a_twist():
         s.base.until(lambda: base.heard[-1] == [0.0, 0.0], "zero at the end")
 
 
-def test_limits_and_slew_hold_for_the_wheels():
+def test_wheel_speeds_keep_limits_and_slew():
     with wheels({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
         base = begin(s, crossed=True)
         before = len(base.heard)
@@ -164,14 +164,14 @@ def test_limits_and_slew_hold_for_the_wheels():
         assert rim[-1, 0] > rim[-1, 1] > 0.0
 
 
-def test_wheels_without_a_radius_are_refused():
+def test_missing_wheel_radius_raises_error():
     with pytest.raises(Exception, match="needs wheel_radius"), wheels(wheel_radius=0.0) as s:
         s.node.trigger_configure()
         raise ValueError(s.node.failure)
 
 
 @pytest.mark.parametrize("sides", ["left", "left,middle", "", "left,left"])
-def test_sides_that_are_none_are_refused(sides):
+def test_wrong_wheel_sides_raise_error(sides):
     with pytest.raises(Exception, match="wheel_sides"), wheels(wheel_sides=f"'{sides}'") as s:
         s.node.trigger_configure()
         raise ValueError(s.node.failure)
@@ -182,19 +182,19 @@ ANGLES = st.floats(-10, 10)
 
 
 @given(METRES, METRES, ANGLES)
-def test_a_pose_survives_the_message(x, y, theta):
+def test_pose_message_preserves_the_pose(x, y, theta):
     back = planar_pose(pose_message((x, y, theta)))
     assert back[:2] == (x, y)
     assert abs(wrap_angle(back[2] - theta)) < 1e-9
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
-def test_a_time_survives_the_message(time):
+def test_time_message_preserves_the_time(time):
     assert nanoseconds(time_message(time)) == time
 
 
 @given(ANGLES, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
-def test_yaw_is_that_of_the_x_axis_on_the_floor(yaw, pitch, roll):
+def test_yaw_is_the_direction_of_the_x_axis_in_the_plane(yaw, pitch, roll):
     """Composed from the half-angle quaternions of z, y, x; the x axis then points to (yaw, -pitch)."""
 
     def half(angle):
@@ -211,12 +211,12 @@ def test_yaw_is_that_of_the_x_axis_on_the_floor(yaw, pitch, roll):
 
 
 @pytest.mark.parametrize("q", [Quaternion(w=0.0), Quaternion(w=2.0), Quaternion(w=math.nan), Quaternion(x=1e200)])
-def test_what_is_no_rotation_is_refused(q):
+def test_invalid_quaternion_raises_error(q):
     with pytest.raises(MessageError, match="no unit quaternion"):
         yaw_of(q)
 
 
-def test_the_covariance_of_a_pose_is_its_planar_part_and_zero_means_unknown():
+def test_pose_covariance_is_the_planar_part_and_zero_means_unknown():
     message = PoseWithCovarianceStamped()
     assert measured_pose(message, 0, covariance=True).covariance is None
     message.pose.covariance = [float(index) for index in range(36)]
@@ -226,7 +226,7 @@ def test_the_covariance_of_a_pose_is_its_planar_part_and_zero_means_unknown():
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=50), st.integers(1, 20))
-def test_percentiles_are_those_of_the_window(values, window):
+def test_percentiles_cover_the_window(values, window):
     durations = Durations(window)
     for value in values:
         durations.add(value)
@@ -236,7 +236,7 @@ def test_percentiles_are_those_of_the_window(values, window):
     assert min(kept) <= found.p50 <= found.p99 <= found.max
 
 
-def test_late_and_long_ticks_are_misses():
+def test_late_and_long_ticks_count_as_misses():
     times = LoopTimes(0.02, 100)
     for begin, duration in ((0.0, 0.001), (0.0201, 0.001), (0.06, 0.001), (0.08, 0.03)):
         times.begin(begin)
@@ -247,7 +247,7 @@ def test_late_and_long_ticks_are_misses():
 
 
 @given(METRES, METRES, ANGLES)
-def test_a_moved_reference_starts_where_it_shall_and_keeps_its_shape(x, y, theta):
+def test_moved_reference_starts_at_the_given_pose_and_keeps_its_shape(x, y, theta):
     original = load_trajectory("s")
     moved = starting_at(original, (x, y, theta))
     times = np.linspace(0.0, original.duration, 7)
@@ -274,7 +274,7 @@ def path_of(poses, frame="odom"):
 
 @settings(deadline=None, max_examples=30)
 @given(poses=st.integers(0, 50), name=st.integers(0, LONGEST_NAME), other=st.integers(0, LONGEST_NAME))
-def test_no_path_that_can_be_used_is_longer_than_its_bound(poses, name, other):
+def test_bound_of_bytes_covers_every_usable_path(poses, name, other):
     path = Path(poses=[PoseStamped()] * poses)
     path.header.frame_id = "x" * name
     for pose in path.poses:
@@ -284,14 +284,14 @@ def test_no_path_that_can_be_used_is_longer_than_its_bound(poses, name, other):
 
 @settings(deadline=None, max_examples=10)
 @given(points=st.integers(1, 50))
-def test_nor_is_a_trajectory_with_velocities_and_accelerations(points):
+def test_bound_of_bytes_covers_trajectories_with_velocities_and_accelerations(points):
     point = MultiDOFJointTrajectoryPoint(transforms=[Transform()], velocities=[Twist()], accelerations=[Twist()])
     message = MultiDOFJointTrajectory(joint_names=["base_link"], points=[point] * points)
     message.header.frame_id = "x" * LONGEST_NAME
     assert len(serialize_message(message)) <= path_bytes(points)
 
 
-def test_a_path_too_long_is_refused_unread_and_the_robot_drives_on(capfd):
+def test_too_long_path_is_rejected_unread_and_the_robot_drives_on(capfd):
     with stack(drive=True) as s:
         s.base.run(20)
         publisher = s.publisher(Path, "set_path")
@@ -302,7 +302,7 @@ def test_a_path_too_long_is_refused_unread_and_the_robot_drives_on(capfd):
         assert s.loop.begun.reference.name == "circle"
 
 
-def test_while_a_reference_is_read_the_loop_goes_on():
+def test_control_loop_runs_while_a_reference_is_read():
     with stack(drive=True) as s:
         s.base.run(20)
         before = s.loop.begun
@@ -331,7 +331,7 @@ def long_frame(odometry):
     return odometry
 
 
-def test_odometry_with_a_name_too_long_is_refused_and_at_last_the_robot_brakes():
+def test_odometry_with_a_too_long_name_is_rejected_and_the_robot_brakes():
     with stack(drive=True) as s:
         s.base.run(20)
         s.base.tamper = long_frame
@@ -378,7 +378,7 @@ def aside(begun):
     return begun
 
 
-def test_what_is_wrong_with_a_message_is_said_as_before(aside):
+def test_side_process_reports_mistakes_of_messages(aside):
     aside.ask("reference", read_path, bytes(serialize_message(path_of(1))), CONFIG.limits)
     aside.ask("other", read_path, b"\x00\x01\x00\x00" + b"\xff" * 40, CONFIG.limits)
     aside.wait(2)
@@ -386,7 +386,7 @@ def test_what_is_wrong_with_a_message_is_said_as_before(aside):
     assert any("it has 1 poses" in reason for reason in aside.failed)
 
 
-def test_a_process_that_was_killed_is_replaced(aside):
+def test_killed_side_process_is_replaced(aside):
     aside.ask("a", os.getpid)
     aside.wait(1)
     first = aside.done[0]
@@ -401,7 +401,7 @@ def test_a_process_that_was_killed_is_replaced(aside):
     assert aside.done[1] not in (first, os.getpid())
 
 
-def test_what_takes_too_long_is_given_up():
+def test_side_process_gives_up_after_its_timeout():
     aside = Aside(patience=2.0)
     try:
         aside.ask("a", time.sleep, 1000.0)
@@ -411,7 +411,7 @@ def test_what_takes_too_long_is_given_up():
         aside.process.close()
 
 
-def test_the_newest_of_a_kind_counts(aside):
+def test_newer_message_of_a_kind_replaces_older_ones(aside):
     aside.ask("first", time.sleep, 0.5)
     for number in range(3):
         aside.ask("a", abs, number)
@@ -420,7 +420,7 @@ def test_the_newest_of_a_kind_counts(aside):
     assert aside.failed == ["a newer one came before it was read"] * 2
 
 
-def test_closed_while_it_works_it_leaves_no_process():
+def test_closing_a_busy_side_process_ends_it():
     aside = Aside()
     aside.ask("a", os.getpid)
     aside.wait(1)

@@ -40,14 +40,14 @@ class Shelf:
 
 
 @pytest.mark.parametrize("schema", [ControllerConfig, NodeSettings])
-def test_what_is_declared_is_read_back(schema):
+def test_declared_parameters_are_read_back(schema):
     shelf, instance = Shelf(), schema()
     declare(shelf, instance)
     assert set(shelf.held) == {name for name, _ in fields(schema)}
     assert read(shelf, schema) == instance
 
 
-def test_no_time_limit_is_zero_as_a_parameter():
+def test_missing_time_limit_is_declared_as_zero():
     shelf = Shelf()
     declare(shelf, CONFIG)
     assert shelf.held["solver.time_limit"].value == 0.0
@@ -55,7 +55,7 @@ def test_no_time_limit_is_zero_as_a_parameter():
     assert read(shelf, ControllerConfig, {"solver.time_limit": 0.0}).solver.time_limit is None
 
 
-def test_a_choice_names_what_there_is_to_choose_from():
+def test_choice_parameter_lists_its_values():
     shelf = Shelf()
     declare(shelf, CONFIG)
     assert descriptor(FIELDS["solver.method"]).additional_constraints == "one of auto, osqp, daqp"
@@ -124,7 +124,7 @@ def test_weights_and_limits_change_between_two_ticks():
         ({"use_sim_time": False}, "use_sim_time cannot change"),
     ],
 )
-def test_refused_while_driving_with_a_reason_and_nothing_changes(values, reason):
+def test_rejected_change_while_driving_reports_its_reason(values, reason):
     with stack(drive=True) as s:
         s.base.run(5)
         result = set_over_dds(s, **values)
@@ -148,7 +148,7 @@ def test_structural_changes_while_inactive_act_on_activation():
         assert s.node._controller.model.structure == "sm"
 
 
-def test_the_configuration_file_gives_the_defaults(tmp_path):
+def test_configuration_file_gives_the_defaults(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("model: ssm\nhorizon: 25\nweights: {across: 321.0}\n")
     with stack(config=file, autostart=False) as s:
@@ -157,7 +157,7 @@ def test_the_configuration_file_gives_the_defaults(tmp_path):
         assert not set_over_dds(s, config="ssm").successful
 
 
-def test_parameters_of_others_are_let_through():
+def test_foreign_parameters_are_accepted():
     with stack() as s:
         s.node.declare_parameter("robot_base_frame", 0.1)
         assert set_over_dds(s, robot_base_frame=0.2).successful
@@ -179,7 +179,7 @@ class Overridden(Shelf):
         return SimpleNamespace(warning=self.said.append)
 
 
-def test_a_limit_in_the_other_room_is_taken_and_one_that_is_stated_twice_is_told():
+def test_former_parameter_names_are_applied_and_duplicates_reported():
     twice = {"limits.least_commanded_radius": 0.3, "expert.limits.min_commanded_radius": 0.5}
     node = Overridden({"expert.limits.v": 0.3, **twice})
     declare(node, CONFIG)

@@ -52,7 +52,7 @@ def moving(base, process):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_it_sends_zero_last(driving, number):
+def test_interrupted_node_sends_zero_last(driving, number):
     base, process = driving
     assert any(base.commands[-1])
     process.send_signal(number)
@@ -63,7 +63,7 @@ def test_interrupted_it_sends_zero_last(driving, number):
     assert process.returncode == 0
 
 
-def test_killed_it_is_silent(driving):
+def test_killed_node_sends_no_command(driving):
     """It cannot send zero then: the base has to stop by itself when commands cease."""
     base, process = driving
     process.kill()
@@ -79,12 +79,12 @@ def test_killed_it_is_silent(driving):
         (["--trajectry", "s"], "unknown argument '--trajectry'"),
     ],
 )
-def test_what_cannot_be_started_ends_in_one_line(words, line):
+def test_failed_start_is_reported_in_one_line(words, line):
     result = invoke(app, "node", *words, code=2)
     assert line in result.stderr and result.stderr.count("\n") == 1
 
 
-def test_a_parameter_that_cannot_be_ends_the_process_in_one_line():
+def test_wrong_parameter_ends_the_process_with_one_line():
     words = ["--ros-args", "-p", "weights.across:=-1.0"]
     result = subprocess.run([COMMAND, "node", *words], capture_output=True, text=True, timeout=60, check=False)
     (error,) = (text for text in result.stderr.splitlines() if text.startswith("error: "))
@@ -163,13 +163,13 @@ def test_diagnostics_name_each_robot(driven):
     assert {status.hardware_id for status in statuses} == {f"{name}/diffdrive_mpc" for name in PATHS}
 
 
-def test_nobody_sees_a_rival_in_another_namespace(driven):
+def test_robots_of_other_namespaces_are_no_rivals(driven):
     _, _, loops = driven
     assert all(loop.warning == loop.objection == "" for loop in loops)
 
 
 @pytest.mark.parametrize("name", ["", "r1"])
-def test_the_parameter_file_fits_every_namespace(name):
+def test_parameter_file_fits_every_namespace(name):
     given = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
     assert set(given) <= set(NodeSettings.model_fields)
     context = Context()

@@ -109,7 +109,7 @@ def test_equal_curvature_is_joined_without_a_stop() -> None:
     assert inside.max() == pytest.approx(1.0, abs=1e-12)
 
 
-def test_a_short_fast_segment_never_reaches_its_cruise_speed() -> None:
+def test_short_fast_segment_does_not_reach_its_cruise_speed() -> None:
     trajectory = lay((1.5, 0.0, 0.1))
     assert trajectory.duration == pytest.approx(2 * np.sqrt(0.15))
     assert trajectory.sample([trajectory.duration / 2]).twist[0, 0] == pytest.approx(np.sqrt(0.15))
@@ -120,7 +120,7 @@ def test_yaw_acceleration_binds_on_a_tight_arc() -> None:
     assert trajectory.duration == pytest.approx(3.0 + 2.0 / LIMITS.omega_acceleration)
 
 
-def test_reversing_goes_backwards_along_the_arc_with_growing_arc_length() -> None:
+def test_arc_length_grows_while_reversing() -> None:
     trajectory = lay((0.5, 0.5, 2.0), (-0.5, -0.5, 2.0))
     sample = trajectory.sample([trajectory.duration / 2, trajectory.duration])
     np.testing.assert_allclose(sample.pose[1], 0.0, atol=1e-15)
@@ -136,18 +136,18 @@ def test_waiting_rests_for_its_duration() -> None:
     assert trajectory.duration == pytest.approx(8.0)
 
 
-def test_a_time_that_is_no_number_gives_a_pose_that_is_none() -> None:
+def test_nan_time_gives_a_nan_pose() -> None:
     assert np.isnan(load_trajectory("circle").sample([np.nan]).pose).all()
 
 
 @pytest.mark.parametrize(("v", "omega", "named"), [(1.6, 0.0, "segments.1.v"), (0.0, -2.1, "segments.1.omega")])
-def test_a_segment_beyond_the_speed_limits_is_named(v: float, omega: float, named: str) -> None:
+def test_segment_beyond_the_speed_limits_is_named(v: float, omega: float, named: str) -> None:
     with pytest.raises(ConfigError, match=rf"{named} = .* beyond the limit"):
         lay((0.5, 0.0, 1.0), (v, omega, 1.0))
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-def test_a_limit_must_be_positive_and_finite(bad: float) -> None:
+def test_limit_that_is_not_positive_and_finite_raises_error(bad: float) -> None:
     with pytest.raises(ValueError, match="omega_acceleration"):
         TrajectoryLimits(v=1.0, omega=1.0, v_acceleration=1.0, omega_acceleration=bad)
 
@@ -209,7 +209,7 @@ def test_bounds_of_each_piece_are_those_of_its_curvature(waypoints: list[tuple[f
     np.testing.assert_allclose(np.diff(path.heading) / path.lengths, middle, atol=1e-3 * np.abs(path.bend).max() + 1e-9)
 
 
-def test_a_slalom_is_driven_at_the_limits_but_not_beyond() -> None:
+def test_slalom_reaches_the_limits_without_exceeding_them() -> None:
     trajectory = lay_waypoints([(0, 0), (0.5, 0.5), (1, 0), (1.5, -0.5), (2, 0), (6, 0)], LIMITS, name="test")
     shares = largest_shares(trajectory, LIMITS)
     assert np.all(shares <= 1 + 1e-3), shares
@@ -237,7 +237,7 @@ def test_random_paths_pass_their_waypoints_and_agree_with_their_twist(waypoints:
     assert_holds_its_ends(trajectory)
 
 
-def test_a_straight_line_takes_the_shortest_time() -> None:
+def test_straight_line_takes_the_shortest_time() -> None:
     trajectory = lay_waypoints([(0, 0), (1, 1), (3, 3)], LIMITS, name="test")
     length = np.hypot(3, 3)
     assert trajectory.duration == pytest.approx(length / 1.5 + 1.5 / 1.0, rel=1e-3)
@@ -245,7 +245,7 @@ def test_a_straight_line_takes_the_shortest_time() -> None:
     np.testing.assert_allclose(trajectory.sample(np.linspace(0, 4, 50)).pose[:, 2], np.pi / 4, atol=1e-12)
 
 
-def test_a_path_around_the_origin_keeps_its_heading_unwrapped() -> None:
+def test_heading_of_a_path_around_the_origin_is_unwrapped() -> None:
     angles = np.linspace(0, 4 * np.pi, 33)
     trajectory = lay_waypoints(list(zip(np.cos(angles), np.sin(angles), strict=True)), LIMITS, name="test")
     theta = trajectory.sample([0.0, trajectory.duration]).pose[:, 2]
