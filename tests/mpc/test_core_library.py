@@ -476,7 +476,7 @@ def test_wheel_contains_the_package_only(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {Path(name).parts[0] for name in names if ".dist-info/" not in name} == {"diffdrive_mpc"}
     rooms = {Path(name).parts[1] for name in names if ".dist-info/" not in name}
-    assert rooms == {"__init__.py", "py.typed", "models", "mpc", "sim", "bench", "app"}
+    assert rooms == {"__init__.py", "core_sources.py", "py.typed", "models", "mpc", "sim", "bench", "app"}
     for name in ("ddmpc_core-baseline.so", "ddmpc_core.json", "core.h", "real.h"):
         assert f"diffdrive_mpc/mpc/core/{name}" in names
     for name in ("ddmpc_twin-baseline.so", "ddmpc_twin.json", "twin.c", "twin.h"):
