@@ -69,12 +69,6 @@ def test_every_word_of_the_field_leads_to_a_key(key):
     assert any(name in hint for name in SYNONYMS[key] for hint in hints), hints
 
 
-def test_unknown_source():
-    shipped = "kinematic, lstm, mbm, p2_experimental, p2_physical, sm, ssm"
-    with pytest.raises(ConfigError, match=f"unknown configuration 'smm': give one of {shipped} or"):
-        load_config("smm")
-
-
 @pytest.mark.parametrize("text", ["", "- 1\n", "just words"])
 def test_a_file_without_keys(tmp_path, text):
     path = tmp_path / "c.yaml"

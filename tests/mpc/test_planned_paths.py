@@ -139,13 +139,6 @@ def test_heading_of_the_goal_is_reached(goal):
     assert np.allclose(sample.pose[on_the_spot, 0], 3.0, atol=1e-6)
 
 
-def test_hairpin_is_turned_on_the_spot():
-    poses = headed(np.concatenate([np.column_stack([X, 0 * X]), np.column_stack([3 - X[1:], 0 * X[1:]])]))
-    sample = check(laid(poses), poses)
-    turning = np.abs(sample.twist[:, 1]) > 0.1
-    assert np.allclose(sample.pose[turning, :2], (3.0, 0.0), atol=0.01)
-
-
 def test_poses_that_turn_at_one_place_give_a_turn_on_the_spot():
     turn = [(1.0, 0.0, angle) for angle in np.linspace(0.0, 1.5, 6)]
     poses = [*((x, 0.0, 0.0) for x in X[:20] / X[20]), *turn, *((1.0, y, math.pi / 2) for y in X[1:21])]

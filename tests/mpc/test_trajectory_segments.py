@@ -243,11 +243,3 @@ def test_straight_line_takes_the_shortest_time() -> None:
     assert trajectory.duration == pytest.approx(length / 1.5 + 1.5 / 1.0, rel=1e-3)
     assert trajectory.sample([trajectory.duration]).arc_length[0] == pytest.approx(length)
     np.testing.assert_allclose(trajectory.sample(np.linspace(0, 4, 50)).pose[:, 2], np.pi / 4, atol=1e-12)
-
-
-def test_heading_of_a_path_around_the_origin_is_unwrapped() -> None:
-    angles = np.linspace(0, 4 * np.pi, 33)
-    trajectory = lay_waypoints(list(zip(np.cos(angles), np.sin(angles), strict=True)), LIMITS, name="test")
-    theta = trajectory.sample([0.0, trajectory.duration]).pose[:, 2]
-    # The first and the last of the 32 chords differ by 31 steps; the arcs beyond their middles add one step at most.
-    assert 31 * np.pi / 8 < theta[1] - theta[0] < 32 * np.pi / 8
