@@ -22,7 +22,7 @@ NODE = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", 
 
 
 def random_path(rng, start):
-    """From the robot on: one or two arcs, of which one in four is driven backwards; a goal that looks anywhere."""
+    """Return one or two arcs from the robot on, one in four driven backwards, with any goal heading."""
     pose, poses = np.array(start, dtype=float), [np.array(start, dtype=float)]
     for _ in range(rng.integers(1, 3)):
         sense, length, bend = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
@@ -36,7 +36,7 @@ def random_path(rng, start):
 
 
 def resources(process):
-    """Memory [MB] and threads of a process."""
+    """Return memory [MB] and threads of a process."""
     lines = dict(line.split(":", 1) for line in Path(f"/proc/{process.pid}/status").read_text().splitlines())
     return int(lines["VmRSS"].split()[0]) / 1024.0, int(lines["Threads"])
 

@@ -92,7 +92,7 @@ class IdealRobot:
         self.k += 1
 
     def moved(self, theta: float, before: FloatArray, after: FloatArray) -> FloatArray:
-        """(3,) displacement over a sample from the heading `theta`, at the mean of the twists at its ends."""
+        """Return the displacement (3,) over a sample from the heading `theta`, with the mean twist of its ends."""
         (v, omega), dt, slip = 0.5 * (before + after), self.model.dt, self.slip
         ahead = slip.turn_ahead - slip.load_shift * (after - before)[0] / dt
         move = np.array(arc(theta, v, omega, dt, sideways(v, omega, slip.side_slip, ahead)))

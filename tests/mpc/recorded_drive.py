@@ -18,7 +18,7 @@ _MISSED = 1.5
 
 
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
-    """The part of a recorded drive in which `reference` was tracked.
+    """Return the part of a recorded drive in which `reference` was tracked.
 
     The reference begins at the first command that is not zero. Step times, modes and measurements are those of another
     process and not in the bag: the times are NaN, the others empty.
@@ -71,12 +71,12 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
 
 
 def command_times(commands: TopicRows) -> FloatArray:
-    """(n,) instants of the commands [ns]: their stamps, or where they have none the times of receipt."""
+    """Return the instants (n,) of the commands [ns]: their stamps, or the times of receipt if they have none."""
     return np.asarray(commands.stamped if commands.has_stamps else commands.received)
 
 
 def _held(commands: TopicRows, ticks: FloatArray) -> FloatArray:
-    """(n, 2) the newest command at each of `ticks` (n,) [ns]."""
+    """Return the newest command (n, 2) at each of `ticks` (n,) [ns]."""
     newest = np.searchsorted(command_times(commands), ticks, side="right") - 1
     return np.where(newest[:, None] >= 0, commands.value[newest], 0.0)
 

@@ -58,7 +58,7 @@ class PlainProgram:
 
 
 def random_program(seed, tightness=0.5, softness=1.0):
-    """Strictly convex; about `tightness` of the limits matter."""
+    """Return a strictly convex program; about `tightness` of its limits matter."""
     rng = np.random.default_rng(seed)
     n = 2 * STEPS
     root = rng.normal(size=(n, n))
@@ -89,7 +89,7 @@ def solver_settings(backend, tolerance=1e-8, max_iterations=100_000, check_every
 
 
 def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
-    """From nothing, or from a solution that is near."""
+    """Solve from a cold start, or from a solution `near` it."""
     chosen = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
     return chosen.solve(program, kinds, *((program.guess, program.multipliers) if near is None else near))
 
@@ -182,7 +182,7 @@ def test_osqp_uses_the_warm_start():
 
 @every_backend
 def test_backend_stops_at_its_iteration_limit(backend):
-    """Of 10 iterations OSQP needs more to any tolerance worth the name; DAQP where enough limits press."""
+    """OSQP needs more than 10 iterations to any useful tolerance; DAQP does if enough limits are active."""
     program = random_program(0, tightness=2.0)
     assert solve(program, backend).status is SolverStatus.SOLVED
     stopped = solve(program, backend, max_iterations=10)
@@ -263,7 +263,7 @@ def plant():
 
 
 def drive(driven, robot, ticks, **bounds):
-    """Results of so many steps; `bounds` gives the arguments that bound each, by the number of the step."""
+    """Return the results of some steps; `bounds` maps step numbers to the arguments that bound each step."""
     driven.start(load_trajectory("s"), robot.time)
     results = []
     for number in range(ticks):
@@ -274,7 +274,7 @@ def drive(driven, robot, ticks, **bounds):
 
 
 def priced(program, plan):
-    """What a plan costs, soft limits included, from the program's own matrices."""
+    """Return the cost of a plan, soft limits included, from the matrices of the program."""
     cost = 0.5 * plan @ program.H @ plan + program.g @ plan
     weights = load_config("ssm").weights
     for kind in range(4, len(program.lower)):
@@ -285,7 +285,7 @@ def priced(program, plan):
 
 
 def inside(limits, dt, plan, last):
-    """The plan (2 N,) brought inside ranges and slew, command by command."""
+    """Return the plan (2 N,) clipped to ranges and slew, command by command."""
     kept = plan.reshape(-1, 2).copy()
     before = np.array(last)
     for command in kept:

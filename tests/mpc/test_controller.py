@@ -64,14 +64,14 @@ def test_constant_slip_leaves_no_steady_error():
 
 
 def hurried():
-    """Curves to both sides, each at two speeds."""
+    """Return curves to both sides, each at two speeds."""
     twists = [(0.8, 0.8), (0.3, 0.8), (0.9, -0.8), (0.3, -0.8)] * 4
     segments = [Segment(v=v, omega=omega, duration=1.2) for v, omega in twists]
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
 def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
-    """Position errors after a share `begin` of the drive, by whether slip is compensated, and the estimate with it."""
+    """Return position errors after a share `begin` of the drive, by compensation of slip, and the estimate with it."""
     reference, errors, estimates = hurried(), {}, {}
     for on in (True, False):
         driver = controller(**{"compensation.side_slip": on} | settings)

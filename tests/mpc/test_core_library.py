@@ -91,7 +91,7 @@ def compilations(monkeypatch):
 
 
 def answer():
-    """What a freshly loaded core says."""
+    """Return the result of a function of a freshly loaded core."""
     library.load_core.cache_clear()
     _, lib = library.load_core()
     return lib.ddmpc_answer()
@@ -155,7 +155,7 @@ def no_library(path):
 
 
 def foreign(path):
-    """A sound library that is another one."""
+    """Put a sound library of other content at the path."""
     other = path.with_suffix(".c")
     other.write_text("int ddmpc_answer(void) { return 666; }")
     subprocess.run(["gcc", "-shared", "-fPIC", other, "-o", path], check=True)
@@ -202,7 +202,7 @@ def test_concurrent_compilations_do_not_collide(folder, core):
 
 
 def test_library_that_fails_to_load_is_compiled_in_the_private_folder(folder, tmp_path, monkeypatch):
-    """As in a folder from which nothing may be executed."""
+    """The folder forbids execution."""
     ffi_class = library.cffi.FFI
     dlopen = ffi_class.dlopen
 
@@ -249,7 +249,7 @@ def test_folder_of_another_user_is_not_used(folder, tmp_path, monkeypatch, caplo
 
 @pytest.mark.parametrize("trap", ["open", "link", "file"])
 def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path, trap):
-    """What somebody else has put where the private folder would be."""
+    """Another user has prepared the place of the private folder."""
     folder.mkdir()
     folder.chmod(0o777)
     other = private(tmp_path)

@@ -57,7 +57,7 @@ def test_known_dead_time_is_estimated_and_used(shift):
 
 
 def test_late_wheel_readings_do_not_change_the_dead_time():
-    """What counts is the stamp."""
+    """The stamp counts, not the time of receipt."""
     kept = []
 
     def late(_, measurement):
@@ -158,7 +158,7 @@ def test_pickled_copy_starts_as_configured():
 
 
 def learner(seconds=6.0, **said):
-    """Give one that learns a robot's exact answers, with results that say what is in `said`."""
+    """Return an estimate from a robot's exact responses, with results that contain `said`."""
     by, robot = DeadTimeEstimator(controller().config, SM), SM.with_extra_dead_time([0.05, 0.05]).discretise(DT)
     given = 0.4 * np.sin(np.arange(round(seconds / DT))[:, None] * DT * [2.0, 3.0])
     for k, (command, twist) in enumerate(zip(given, robot.simulate(given), strict=True)):

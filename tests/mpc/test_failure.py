@@ -1,4 +1,4 @@
-"""What happens when a measurement, the clock or a solve fails: the ladder down to zero, and back."""
+"""Failures of measurements, clock and solver: the ladder down to zero, and back."""
 
 import math
 from dataclasses import replace
@@ -33,7 +33,7 @@ def robot():
 
 
 def modes(results):
-    """The modes in order, repetitions left out."""
+    """Return the modes in order, without repetitions."""
     sequence = [result.mode for result in results]
     return [mode for k, mode in enumerate(sequence) if k == 0 or mode != sequence[k - 1]]
 
@@ -74,7 +74,7 @@ def test_missing_poses_lead_to_dead_reckoning_braking_and_standstill(dead_reckon
 
 
 def without_poses(begin, *, wheels=True):
-    """A change for `drive`: from tick `begin` on no pose comes for 1.2 s of each 1.8 s."""
+    """Return a change for `drive`: from tick `begin` on no pose arrives for 1.2 s of each 1.8 s."""
 
     def change(k, m):
         if k < begin or (k - begin) * DT % 1.8 >= 1.2:
@@ -117,7 +117,7 @@ def test_dead_reckoning_ends_without_wheels_or_beyond_the_band(wheels, band):
 
 
 def rare_poses(interval, latency, until=math.inf):
-    """A change for `drive`: up to `until` [s] one pose each `interval`, and each `latency` late [samples]."""
+    """Return a change for `drive`: up to `until` [s] one pose each `interval`, each `latency` late [samples]."""
     waiting = []
 
     def change(k, m):

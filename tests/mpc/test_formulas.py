@@ -73,7 +73,7 @@ def arguments(function):
 
 
 def call(function, values):
-    """Results as arrays, columns flat."""
+    """Return results as arrays, columns flat."""
     shaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
     results = function.call([ca.DM(value) for value in shaped])
     return [np.array(result).ravel() if result.shape[1] == 1 else np.array(result) for result in results]
@@ -119,7 +119,7 @@ def test_gradients_agree_with_finite_differences(function, data):
 
 
 def carried(pose, place):
-    """Where a point at `place` (2,) in the robot's frame is, and its heading."""
+    """Return the position of a point at `place` (2,) in the robot's frame, and its heading."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return pose + [c * place[0] - s * place[1], s * place[0] + c * place[1], 0.0]
 
@@ -198,7 +198,7 @@ def test_slip_inverts_the_feed_forward(values):
 
 @given(arguments(FORMULAS["twist"]))
 def test_rim_speeds_are_those_of_the_model_output(values):
-    """Whatever the body does on its floor, its wheels turn as the model says but for their offset."""
+    """The wheels turn as the model says apart from their offset, for any slip of the body."""
     (v, omega), slip = values
     twist, _ = call(FORMULAS["twist"], values)
     limited, _ = call(FORMULAS["soft"], [np.zeros(3), twist, [0, 0], np.zeros(4), [*slip, 0.3]])
@@ -235,7 +235,7 @@ def test_curved_formula_without_curvature_equals_the_flat_one(name, data):
     st.floats(-1, 1),
 )
 def test_slip_of_floors_inverts_the_feed_forward(small, turning, v, omega):
-    """Of those of P4 and around: a32 is -0.34 to -0.41 there, a33 up to 0.12, the others mostly far below 0.05."""
+    """Ranges cover the floors of P4: a32 is -0.34 to -0.41, a33 up to 0.12, the others mostly far below 0.05."""
     coefficients = np.array([*small, *turning])
     slip = [getattr(Slip.of_polynomial(coefficients), name) for name in SLIPS]
     (y,) = call(FORMULAS["feed_forward_curved"], [[v, omega], slip, [1, 0, 0, 1]])
@@ -250,7 +250,7 @@ def test_slip_of_floors_inverts_the_feed_forward(small, turning, v, omega):
     st.floats(-3, 3),
 )
 def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
-    """What the body does in a short time is the polynomial, but for a lateral term in the square of the yaw rate."""
+    """The motion in a short time is the polynomial apart from a lateral term in the square of the yaw rate."""
     coefficients = np.array(coefficients)
     slip, dt = Slip.of_polynomial(coefficients), 1e-7
     assert slip.polynomial == pytest.approx(coefficients, abs=0.012)
@@ -417,7 +417,7 @@ def test_null_results_are_not_computed(library, precision):
 
 
 def test_single_precision_code_uses_no_doubles(tmp_path):
-    """Not one instruction on doubles, and no function of doubles called."""
+    """The machine code has no instruction on doubles and calls no function of doubles."""
     generated = generate_formulas()
     compiled(generated, tmp_path, "float")
     listing = subprocess.run(
@@ -436,7 +436,7 @@ def test_generated_text_is_deterministic():
 
 
 def point_distance():
-    """A residual of a user: distance to a point that moves, beyond which nothing counts."""
+    """Return a user residual: distance to a moving point, zero beyond a radius."""
     pose, parameters = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 3)
     distance = ca.sqrt(ca.sumsqr(pose[:2] - parameters[:2]) + 1e-6)
     return ca.Function(
@@ -485,7 +485,7 @@ def test_mx_function_is_accepted():
 
 
 def lag():
-    """First-order lag of both speeds after one sample of delay, with an acceleration that saturates."""
+    """Return a first-order lag of both speeds after one sample of delay, with a saturating acceleration."""
     x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 4)
     step = x + 0.2 * ca.tanh((window[:2] - x) / 0.4)
     return ca.Function("step", [x, window], [step], ["x", "window"], ["next"])

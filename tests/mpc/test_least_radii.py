@@ -31,7 +31,7 @@ HELD = "the turn is held to limits.min_commanded_radius"
 
 
 def excess(commands, radius):
-    """By how much commands turn tighter than allowed [m/s]."""
+    """Return the violation of the radius by commands [m/s]."""
     v, omega = np.abs(np.atleast_2d(commands)).T
     return omega * radius - v
 
@@ -42,7 +42,7 @@ def driven(config, reference, **plant):
 
 @st.composite
 def paths(draw):
-    """Forwards and backwards, with cusps and stops, as sharp as the robot turns at all."""
+    """Draw paths forwards and backwards, with cusps and stops, as sharp as the robot turns at all."""
     parts = []
     for _ in range(draw(st.integers(1, 4))):
         v = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(0.2, 0.8))
@@ -164,7 +164,7 @@ def circle(radius, v=0.5, turn=1.0):
 
 
 def drive(config, reference, surface, start=(0.0, 0.0, 0.0), seconds=None):
-    """True twists (K, 2), and those at the end of the first step of each plan."""
+    """Return true twists (K, 2) of a drive."""
     controller, plant = Controller(config), make_plant("model:ssm", surface, sensors="perfect", seed=2)
     plant.reset(reference.sample([0.0]).pose[0] + start)
     controller.start(reference, 0.0)

@@ -73,7 +73,7 @@ class PushedRobot(IdealRobot):
 
 
 def stuck(field):
-    """The sensor repeats what it said at the fault."""
+    """Return a change after which the sensor repeats its value at the fault."""
     last = {}
 
     def change(k, m):
@@ -86,7 +86,7 @@ def stuck(field):
 
 
 def spoilt(field, value):
-    """From the fault on the sensor says value(what it should, seconds since then)."""
+    """Return a change after which the sensor reads value(correct reading, seconds since the fault)."""
 
     def change(k, m):
         if k < FAULT:
@@ -98,13 +98,13 @@ def spoilt(field, value):
 
 
 def dead_encoder(wheels, _):
-    """One of the two wheels on the left reads zero, so the left side reads half its speed."""
+    """Return the twist with one of the two left wheels at zero, so the left side reads half its speed."""
     right, left = wheels[0] + 0.5 * TRACK * wheels[1], wheels[0] - 0.5 * TRACK * wheels[1]
     return np.array([0.5 * (right + 0.5 * left), (right - 0.5 * left) / TRACK])
 
 
 def run(change=None, trajectory="s", model="ssm", robot=IdealRobot, seconds=9.0, **settings):
-    """Results, and distances to the path at each tick."""
+    """Return results, and distances to the path at each tick."""
     straight = trajectory == "straight"
     reference = Trajectory.from_waypoints([[0, 0], [7, 0]], speed=0.5) if straight else load_trajectory(trajectory)
     base = robot(load_model(model).discretise(DT), reference.sample([0.0]).pose[0], noise=1.0, seed=1)
@@ -119,7 +119,7 @@ def accused(results):
 
 
 def first(results, name):
-    """Seconds from the fault until the sensor was no longer used."""
+    """Return the seconds from the fault until the sensor was no longer used."""
     return next(k - FAULT for k, result in enumerate(results) if name in result.unused_sensors) * DT
 
 
@@ -272,7 +272,7 @@ def test_reported_scatter_of_poses_equals_the_noise_ratio(scale):
 
 @pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
 def test_detected_pose_noise_raises_the_deviation_at_once(scale):
-    """Of position or heading alone, whichever scatters."""
+    """Noise of position or of heading alone raises its deviation only."""
     rng = np.random.default_rng(0)
 
     def noisy(k, m):

@@ -32,7 +32,7 @@ def problem(model_name, horizon, **overrides):
 
 
 def setting(model_name, horizon=15, **overrides):
-    """A robot beside a curve, at speed."""
+    """Return the problem and the tick of a robot next to a curve, at speed."""
     subject = problem(model_name, horizon, **overrides)
     # Driving outwards where the corridor is to matter.
     heading = -0.3 if "limits.corridor" in overrides else 0.06
@@ -62,7 +62,7 @@ def setting(model_name, horizon=15, **overrides):
 
 
 def converge(subject, tick, iterations=30):
-    """Real-time iterations without the robot moving on."""
+    """Return the fixed point of real-time iterations of a resting robot."""
     plan = tick.feed_forward
     for _ in range(iterations):
         before, answer = plan, solve(subject.quadratic_program(tick, plan))
@@ -113,7 +113,7 @@ def test_roll_out_equals_the_simulation_of_the_model(dead_time, horizon, seed):
 
 
 def nonlinear_cost(subject, tick, ahead):
-    """The cost of a plan without slacks, as a function of the flat plan."""
+    """Return the cost of a plan without slacks, as a function of the flat plan."""
     program, _ = nonlinear_program(subject, tick, ahead)
     cost = ca.Function("cost", [program["x"]], [program["f"]])
     slack = np.zeros(10 * subject.steps)

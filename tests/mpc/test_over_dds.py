@@ -65,7 +65,7 @@ def test_failing_process_is_reported_with_its_output(tmp_path):
 
 @contextmanager
 def true_twists(environment):
-    """A function that waits for the next true twist of the robot and returns its v and omega."""
+    """Yield a function that waits for the next true twist of the robot and returns its v and omega."""
     context, arrived = Context(), []
     rclpy.init(context=context, domain_id=int(environment["ROS_DOMAIN_ID"]))
     node = rclpy.create_node("watcher", context=context)
@@ -118,7 +118,7 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
 
 
 def check_record(folder, commands):
-    """The node's own file is whole although the node was killed, and holds every command that the robot got."""
+    """Check that the file of a killed node is whole and holds every command that the robot received."""
     (path,) = folder.iterdir()
     end = time.monotonic() + BOUND
     while not path.read_bytes().endswith(MAGIC):

@@ -25,7 +25,7 @@ def laid(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
 
 
 def on_grid(corners, cell=0.05):
-    """Cells from corner to corner, as a planner on an eight-connected grid walks."""
+    """Return cells from corner to corner, as a planner on an eight-connected grid."""
     cells = [np.round(np.array(corners[0]) / cell)]
     for corner in corners[1:]:
         first, last = cells[-1], np.round(np.array(corner) / cell)
@@ -46,7 +46,7 @@ def sampled(found):
 
 
 def distance(points, line):
-    """(n,) distance of points from a line of chords."""
+    """Return the distance (n,) of points from a line of chords."""
     start, step = line[:-1], np.diff(line, axis=0)
     gap = points[:, None] - start
     share = np.clip((gap * step).sum(-1) / np.maximum((step**2).sum(-1), 1e-12), 0.0, 1.0)
@@ -54,7 +54,7 @@ def distance(points, line):
 
 
 def check(found, poses, limits=LIMITS):
-    """What holds of every reference: its limits, its motion without slipping sideways, its line, its end."""
+    """Check limits, motion without lateral slip, deviation and end of a reference."""
     times, sample = sampled(found)
     assert np.all(np.abs(sample.twist).max(axis=0) <= np.array([limits.v, limits.omega]) * 1.01 + 1e-9)
     change = np.abs(np.diff(sample.twist, axis=0) / np.diff(times)[:, None])

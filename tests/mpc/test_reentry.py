@@ -110,7 +110,7 @@ def test_braking_follows_the_arc_of_motion():
 
 
 def connect(name, time, across, turned, v=0.0, omega=0.0):
-    """A robot `across` [m] from the reference at `time` [s] and `turned` [rad] from it; its way back."""
+    """Return a pose `across` [m] and `turned` [rad] from the reference at `time` [s], and its way back."""
     reference = REFERENCES[name]
     pose = reference.sample([time]).pose[0]
     pose[:2] += across * np.array([-np.sin(pose[2]), np.cos(pose[2])])
@@ -256,7 +256,7 @@ def beside(reference, time, across, turned):
 
 
 def lateral(reference, results, poses, times):
-    """Signed distance from the path near where the reference is, positive to its left."""
+    """Return the signed distance from the path near the reference, positive to its left."""
     fine = np.linspace(0.0, reference.duration, 6000)
     path = reference.sample(fine).pose
     out = []
@@ -422,7 +422,7 @@ def test_robot_too_far_from_the_reference_stops_and_reports_the_distance():
 
 
 def wheels(most=np.inf, share=(1.0, 1.0)):
-    """A base whose right and left wheels do `share` of what they are asked, and get no faster than `most` [m/s]."""
+    """Return a base whose right and left wheels do `share` of their command, at most `most` [m/s]."""
     half_track = 0.5 * load_config("ssm").wheels.track
 
     def base(command):

@@ -54,7 +54,7 @@ def test_delay_is_worked_off_in_minimum_time():
 
 
 def run(clock, seconds, most=FASTEST, start=0.0):
-    """Tick with a robot that allows the rate `most`; returns the reference's times and the delays."""
+    """Run the clock with a robot that allows the rate `most`; return the reference's times, delays and rates."""
     out = []
     for k in range(round(seconds / DT)):
         time = clock.advance(start + k * DT, driving=True)
@@ -148,7 +148,7 @@ SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}
 
 
 def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
-    """Commands, and distances from the path [m], where a planner speaks each second or not at all."""
+    """Return commands, and distances from the path [m], with or without a planner that acts each second."""
     controller = Controller(load_config(overrides=options))
     reference, plant = load_trajectory("circle"), make_plant("mujoco", **SLIPPERY)
     plant.reset(reference.sample([0.0]).pose[0])
@@ -208,7 +208,7 @@ def test_unusable_switch_of_reference_raises_error():
 
 
 def test_core_rejects_references_without_finite_times():
-    """As an exported controller is given one: refused, and what was tracked before goes on."""
+    """An exported controller rejects such references and keeps the previous one."""
     tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
     endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
     endless.duration = np.inf
@@ -256,7 +256,7 @@ def test_start_error_names_the_expected_shape(change):
 
 
 def standing(change, late=30, ticks=60):
-    """Steps of a robot that stands on its first pose; the reference is wrong from its sample number `late` on."""
+    """Return steps of a robot that stands on its first pose; the reference is wrong from its sample `late` on."""
     controller = Controller(CONFIG)
     reference = OwnReference(change, late)
     pose = reference.circle.sample([0.0]).pose[0]

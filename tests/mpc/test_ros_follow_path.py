@@ -119,7 +119,7 @@ def without_result(client, names):
 
 
 def answered_once(client, names):
-    """The result of each goal; each has one answer, and one result."""
+    """Return the result of each goal; check that each has one answer and one result."""
     heard = {name: {"accepted": [], "result": []} for name in names}
     for event in list(client.events):
         if event["event"] in ("accepted", "result"):

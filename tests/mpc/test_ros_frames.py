@@ -48,7 +48,7 @@ class Localised:
         self._publish_sensors()
 
     def in_map(self):
-        """True pose of the robot in the map."""
+        """Return the true pose of the robot in the map."""
         return placed(self.map_to_odom, self.s.base.plant.true_pose)
 
 
@@ -87,7 +87,7 @@ def localised(ros_types):
 
 
 def straight(frame, start, length=2.0, speed=0.4, stamp=0):
-    """From rest to rest along x of `frame`, beginning at `start` (3,) there."""
+    """Return a path from rest to rest along x of `frame`, starting at `start` (3,) there."""
     path = Path()
     path.header.frame_id, path.header.stamp = frame, time_message(stamp)
     duration = 1.5 * length / speed
@@ -98,7 +98,7 @@ def straight(frame, start, length=2.0, speed=0.4, stamp=0):
 
 
 def send(s, path):
-    """Have a path accepted; it is driven with the next tick."""
+    """Send a path and wait until it is accepted; the next tick drives it."""
     publisher = s.publisher(Path, "set_path")
     s.base.silent(3)
     before = s.loop._reference
@@ -107,7 +107,7 @@ def send(s, path):
 
 
 def beside(start, pose):
-    """How far `pose` lies to the left of the line that `start` (3,) begins [m]."""
+    """Return the offset of `pose` to the left of the line that starts at `start` (3,) [m]."""
     return -math.sin(start[2]) * (pose[0] - start[0]) + math.cos(start[2]) * (pose[1] - start[1])
 
 

@@ -43,7 +43,7 @@ RADIUS = 0.0675
 
 
 def stamped_points(frame="odom", last="odom"):
-    """As nav_msgs/Trajectory has it: a header in each point; 1 m ahead in 4 s."""
+    """Return points with a header each, as in nav_msgs/Trajectory; 1 m ahead in 4 s."""
     times = np.linspace(0.0, 4.0, 21)
     x = 0.5 - 0.5 * np.cos(np.pi * times / 4.0)
     points = [

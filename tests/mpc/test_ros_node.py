@@ -170,7 +170,7 @@ def test_trajectory_starts_at_the_robot():
 
 
 def straight(frame="odom", speed=0.4, seconds=4.0, count=21, sideways=0.0):
-    """A path along x from rest to rest."""
+    """Return a path along x from rest to rest."""
     share = np.linspace(0.0, 1.0, count)
     along = speed / 1.5 * seconds * (3 * share**2 - 2 * share**3)
     path = Path()

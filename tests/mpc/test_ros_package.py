@@ -125,7 +125,7 @@ class Recorded(types.ModuleType):
 
 
 def entities(monkeypatch, name):
-    """What a launch file starts, by kind."""
+    """Return the entities that a launch file starts."""
     for module in ("launch", "launch.actions", "launch.conditions", "launch.substitutions", "launch_ros.actions"):
         monkeypatch.setitem(sys.modules, module, Recorded(module))
     monkeypatch.setitem(sys.modules, "launch_ros", Recorded("launch_ros"))
@@ -166,7 +166,7 @@ KINDS = {"publish": "publisher", "subscribe": "subscriber", "reply": "service"}
 
 
 def included(element):
-    """The children of an element, with those of other files in the place of their inclusion."""
+    """Yield the children of an element, with included files in place."""
     for child in element:
         if child.tag == XI:
             root = ElementTree.parse(SECURITY / child.get("href")).getroot()
@@ -177,7 +177,7 @@ def included(element):
 
 
 def allowed(enclave):
-    """What an enclave of the policy allows: pairs of a rule and a full name."""
+    """Return pairs of rule and full name that an enclave of the policy allows."""
     root = ElementTree.parse(SECURITY / "policy.xml").getroot()
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     (profiles,) = root.find(f"enclaves/enclave[@path='/diffdrive_mpc/{enclave}']")
@@ -194,7 +194,7 @@ def allowed(enclave):
 
 
 def had(node, name=None):
-    """The same of a running node, whose names of actions are those of the topics and services they are made of."""
+    """Return such pairs of a running node; actions are named by their topics and services."""
     found = set()
     for rule, kind in KINDS.items():
         listed = getattr(node, f"get_{kind}_names_and_types_by_node")(name or node.get_name(), "/")

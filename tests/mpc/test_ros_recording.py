@@ -1,4 +1,4 @@
-"""What the node records of a drive: the commands as they were sent, over DDS, and nothing that can stop the robot."""
+"""Recordings of the node: commands as sent over DDS, and no influence on the drive."""
 
 import numpy as np
 import pytest

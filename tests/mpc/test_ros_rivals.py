@@ -1,4 +1,4 @@
-"""Who else sends commands to the same base: refused, braked for, or named; over DDS."""
+"""Rivals for the same base over DDS: rejected, braked for, or reported."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_second_node_on_the_same_topic_is_not_activated(name):
 
 
 def test_rival_found_while_driving_brakes_the_robot_until_it_leaves():
-    """Where discovery was slower than both: here somebody else claims the topic while the robot drives."""
+    """Discovery was slower than both nodes: another participant claims the topic while the robot drives."""
     with stack(drive=True) as s:
         before = s.base.run(40)
         claim = s.base.node.create_publisher(Empty, "/cmd_vel/_diffdrive_mpc", 1)

@@ -22,7 +22,7 @@ BRAKING = math.ceil(max(LIMITS.v / LIMITS.v_slew, LIMITS.omega / LIMITS.omega_sl
 
 
 def assert_smooth(commands):
-    """Finite, inside the limits, and no faster than the slew limits from tick to tick."""
+    """Check that commands are finite, within limits, and within slew from tick to tick."""
     assert np.isfinite(commands).all()
     assert (np.abs(commands) <= [LIMITS.v + 1e-9, LIMITS.omega + 1e-9]).all()
     assert (np.abs(np.diff(commands, axis=0)) <= WITHIN_SLEW).all()
@@ -82,7 +82,7 @@ def test_robot_brakes_without_good_odometry_and_then_resumes(tamper, reason):
 
 @pytest.mark.parametrize("ahead", [1.0, 100.0, 1000.0])
 def test_one_future_stamp_rejects_one_message_only(ahead):
-    """Of each topic, on the way: what comes after it is believed as before."""
+    """One future stamp on each topic does not affect later messages."""
     with stack(drive=True, pose_topic=True) as s:
         s.base.run(30)
         topics = s.node._inbox.topics
@@ -255,7 +255,7 @@ def hold(s, on):
 
 
 def tracking_distance(s):
-    """From the true pose to the path of the circle [m]."""
+    """Return the distance of the true pose from the path of the circle [m]."""
     x, y, _ = s.base.plant.true_pose
     return abs(math.hypot(x, y - 1.0) - 1.0)
 

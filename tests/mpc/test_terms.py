@@ -60,17 +60,17 @@ def check_limits(results):
 
 
 def standing(t):
-    """Beside the path."""
+    """Return a point next to the path."""
     return np.stack([2.0 + 0.0 * t, 0.25 + 0.0 * t], axis=-1)
 
 
 def crossing(t):
-    """On the path when the robot would be there."""
+    """Return a point that crosses the path when the robot arrives."""
     return np.stack([2.0 + 0.0 * t, 1.8 - 0.4 * t], axis=-1)
 
 
 def drive_past(term, point, overrides, *, foreseen=True):
-    """Results of a noisy drive past a point, and how near it came to it; `foreseen`: where the point will be, too."""
+    """Return results of a noisy drive past a point, and the minimum distance; `foreseen` adds predicted positions."""
     controller = Controller(load_config("ssm", overrides), terms=[term] if term else [])
 
     def tell(k, measurement):
@@ -179,7 +179,7 @@ FIRST = Measurement(pose=Stamped(np.array([1.6, 0.0, 0.0]), 0.0))
 
 
 def one_step(controller):
-    """In another process: the next step, and the controller back."""
+    """Return the next step and the controller, from another process."""
     controller.update(limits={"v": 0.9})
     return controller.step(0.0, FIRST), controller
 
@@ -241,7 +241,7 @@ HEAD = "import casadi as ca\npose, p = ca.SX.sym('pose', 3), ca.SX.sym('paramete
 
 
 def taking(inputs, output="pose[0]", names=None):
-    """A file with a function of these inputs."""
+    """Return a file with a function of these inputs."""
     named = names or inputs.split(", ")
     return HEAD + f"x = ca.SX.sym('x', 2)\nkeep_off = ca.Function('f', [{inputs}], [{output}], {named}, ['out'])\n"
 

@@ -154,7 +154,7 @@ def test_limit_that_is_not_positive_and_finite_raises_error(bad: float) -> None:
 
 @st.composite
 def winding_waypoints(draw: st.DrawFn) -> list[tuple[float, float]]:
-    """Two to six points; each leg turns by at most 1.2 rad against the one before."""
+    """Draw two to six points; each leg turns by at most 1.2 rad against the previous one."""
     scale = draw(st.floats(0.3, 5.0))
     legs = draw(st.lists(st.tuples(st.floats(0.5, 1.5), st.floats(-1.2, 1.2)), min_size=1, max_size=5))
     heading = np.cumsum([turn for _, turn in legs])
@@ -166,7 +166,7 @@ def winding_waypoints(draw: st.DrawFn) -> list[tuple[float, float]]:
 def broken_limits(
     square: FloatArray, lengths: FloatArray, bend: FloatArray, bend_change: FloatArray, cruise: float
 ) -> bool:
-    """Whether squared speeds at the ends of the pieces of a path break any limit by more than rounding."""
+    """Return True if squared speeds at the ends of the pieces break a limit by more than rounding."""
     faster = np.maximum(square[:-1], square[1:])
     acceleration = np.abs(np.diff(square)) / (2 * lengths)
     yaw_acceleration = bend_change * faster + bend * acceleration

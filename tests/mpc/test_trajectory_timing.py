@@ -46,7 +46,7 @@ def segment(v: float, omega: float, duration: float) -> Segment:
 
 @st.composite
 def segment_lists(draw: st.DrawFn) -> list[Segment]:
-    """One to six segments: arcs forwards and backwards, straights, turns on the spot, waits."""
+    """Draw one to six segments: arcs forwards and backwards, straights, turns on the spot, waits."""
     speeds = st.sampled_from([-0.8, -0.3, 0.0, 0.4, 0.9, 1.3])
     turns = st.sampled_from([-1.4, -0.5, 0.0, 0.3, 1.0])
     pieces = st.tuples(speeds, turns, st.floats(0.3, 4.0))
@@ -58,7 +58,7 @@ def instants(trajectory: Trajectory, count: int = 4001) -> FloatArray:
 
 
 def drawn_path(segments: list[Segment]) -> FloatArray:
-    """(n, 2) x, y [m] along the segments, a millimetre apart."""
+    """Return points (n, 2) x, y [m] along the segments, a millimetre apart."""
     pose, points = np.zeros(3), [np.zeros((1, 2))]
     for one in segments:
         share = np.linspace(0.0, one.duration, 2 + int(abs(one.v) * one.duration / 1e-3))
@@ -372,7 +372,7 @@ def write(folder: Path, drawn: str, use: dict[str, object], timing: str = "smoot
 
 
 def allowed(curvature: float, row: int) -> float:
-    """Greatest speed [m/s] for a curvature [1/m], taken from the table by hand."""
+    """Return the maximum speed [m/s] for a curvature [1/m], from the table."""
     speeds, curvatures = PASSPORT["rows"][row]["speeds"], PASSPORT["curvatures"]
     index = next(k for k, end in enumerate(curvatures) if curvature <= end + 1e-6)
     return float(min(speeds[: index + 1]))
