@@ -33,7 +33,7 @@ LONG_TESTS = {
     "test_identify_command.py",
     "test_identify_truth.py",
     "test_model_comparison.py",
-    "test_monitor_over_dds.py",
+    "test_monitor_with_node.py",
     "test_network_identification.py",
     "test_over_dds.py",
     "test_real_time_iterations.py",

@@ -79,7 +79,7 @@ TERMS = {
 def own_model(name: str) -> NonlinearModel | None:
     """A model that is no shipped one; None where `name` is that of a configuration."""
     from hybrid_parts import random_hybrid
-    from nonlinear_parts import saturating, windowed
+    from nonlinear_program import saturating, windowed
 
     own = {"hybrid": lambda: random_hybrid(size=0.005), "nonlinear": saturating, "windowed": windowed}
     return own[name]() if name in own else None

@@ -21,7 +21,7 @@ from diffdrive_mpc.models.identification.fit.poses import rotation_centre
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.pose import arc_displacement, wrap_angle
 from diffdrive_mpc.models.slip_laws import virtual_track_yaw_rate
-from oracle.arc import linearised_arc
+from oracle.motion import linearised_arc
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
 speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)
