@@ -10,22 +10,12 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from diffdrive_mpc.models.plug_ins import plug_in_names
 from fuzz import odd, shrink
 from fuzz.case import Case, FaultError, HangError
 
-# They run for minutes, on processes of their own, or until interrupted: only their words are tried, with one too many.
-_LONG = {
-    "bench",
-    "campaign",
-    "doctor",
-    "export",
-    "node",
-    "prove",
-    "sim-robot",
-    "tune",
-    "twin",
-    "monitor",
-}
+# These run for minutes or until interrupted, or belong to packages: only their options are parsed, with an unknown one.
+_LONG = {"bench", "doctor", "node", "sim-robot", "tune", *plug_in_names("commands")}
 _CODES = {0, 1, 2}
 _FOR = 8.0
 FILES = ("own.csv", "mapped.csv", "mapping.yaml", "own.mcap", "bag", "short.yaml")
@@ -137,9 +127,7 @@ def _value(random: Random) -> str:
     if way == 2:
         return random.choice(FILES)
     if way == 3:
-        return random.choice(
-            ("ssm", "sm", "circle", "s", "mujoco", "model:ssm", "default", "none", "perfect", "ideal", "push")
-        )
+        return random.choice(("ssm", "sm", "circle", "s", "mujoco", "model:ssm", "default", "none", "ideal", "push"))
     return random.choice(
         (
             "horizon=5",

@@ -37,11 +37,8 @@ from fuzz import odd, shrink
 from fuzz.case import Case, FaultError
 from fuzz.configs import Overrides, draw_overrides, draw_value, fields
 
-CONFIGS = (
-    *("ssm", "ssm", "sm", "mbm", "kinematic", "lstm", "p2_experimental", "p2_physical"),
-    *("hybrid", "nonlinear", "windowed"),
-)
-"""Shipped configurations, and the models of `own_model`."""
+CONFIGS = ("ssm", "ssm", "sm", "mbm", "kinematic", "nonlinear", "windowed")
+"""Shipped configurations, and models of `user_model`."""
 EXTRAS = (
     {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.0, "online_dead_time.min_rate_omega": 0.0},
     {"online_dead_time.enabled": True},
@@ -49,6 +46,8 @@ EXTRAS = (
 )
 """What is off as shipped, and seldom drawn by chance."""
 _CHANGEABLE = [(key, one) for key, one in fields(type(load_config("ssm"))) if key.startswith(("weights.", "limits."))]
+_KINDS_OF_EVENTS = (*4 * ("tick",), *2 * ("clock", "start", "update", "hold"), "reset", "overrule", "limit_speed")
+_KINDS_OF_EVENTS += ("carry", "foresee", "again", "parameters", "bound")
 _REFUSED = (ConfigError, ModelError, ValueError)
 
 _POSE, _POINT = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
@@ -76,13 +75,12 @@ TERMS = {
 
 
 @cache
-def own_model(name: str) -> NonlinearModel | None:
-    """A model that is no shipped one; None where `name` is that of a configuration."""
-    from hybrid_parts import random_hybrid
+def user_model(name: str) -> NonlinearModel | None:
+    """Return a model that is not shipped; None if `name` is that of a configuration."""
     from nonlinear_parts import saturating, windowed
 
-    own = {"hybrid": lambda: random_hybrid(size=0.005), "nonlinear": saturating, "windowed": windowed}
-    return own[name]() if name in own else None
+    models = {"nonlinear": saturating, "windowed": windowed}
+    return models[name]() if name in models else None
 
 
 @dataclass
@@ -148,7 +146,7 @@ class ControllerFuzzer:
     def check(self, case: Case) -> None:
         """Live through it."""
         try:
-            model = own_model(case["config"])
+            model = user_model(case["config"])
             config = load_config("sm" if model else case["config"], case["overrides"])
             controller = Controller(config, model, [TERMS[name] for name in case["terms"]])
         except _REFUSED as error:
@@ -466,30 +464,7 @@ def checked_reference(reference: Any, limits: TrajectoryLimits) -> Any:
 
 def draw_event(random: Random, references: int, terms: list[str]) -> Case:
     """Something that happens between ticks, or one odd tick."""
-    kind = random.choice(
-        (
-            "tick",
-            "tick",
-            "tick",
-            "tick",
-            "clock",
-            "clock",
-            "start",
-            "start",
-            "reset",
-            "update",
-            "update",
-            "overrule",
-            "limit_speed",
-            "hold",
-            "hold",
-            "carry",
-            "foresee",
-            "again",
-            "parameters",
-            "bound",
-        )
-    )
+    kind = random.choice(_KINDS_OF_EVENTS)
     if kind == "tick":
         return ["tick", 0.0202, draw_spoilt(random)]
     if kind == "clock":

@@ -1,7 +1,7 @@
-"""What was promised of the commands of a live node, held against what a watcher wrote down. Needs no ROS.
+"""Check the commands of a live node against the promises of docs/safety.md; needs no ROS.
 
-Each command is one tick. From one to the next it changes by no more than slew, or by braking, times the sample time; or
-it is zero at once, where the node says why: STOPPED, FAULT, IDLE, or because it was told to (deactivation, a signal).
+Each command is one tick. Between ticks it changes by at most slew, or braking, times the sample time. It may become
+zero at once if the node reports STOPPED, FAULT or IDLE, or by request (deactivation, a signal).
 """
 
 from __future__ import annotations
@@ -113,15 +113,6 @@ def _of_gaps(account: Account) -> list[str]:
         if worst[0] > MOST_GAP:
             found.append(f"gap: no command for {worst[0]:.2f} s from {worst[1]:.3f} on while active")
     return found
-
-
-def longest_gap(account: Account) -> float:
-    """Longest time without a command while active [s]."""
-    gaps = [0.0]
-    for begin, end in account.active:
-        times = [one.time for one in account.commands if begin < one.time < end]
-        gaps += [_due(account, before, after) for before, after in pairwise(times)]
-    return max(gaps)
 
 
 def _due(account: Account, before: float, after: float) -> float:
