@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from studies.documents import declared_tables
 
@@ -30,21 +28,3 @@ def test_every_parameter_has_its_row_with_unit_default_and_advice():
         _, _, unit, default, _, what, when, _ = line.replace("\\|", "¦").split("|")
         assert default.strip() and what.strip() and when.strip(), line
         assert unit.strip() or "provenance" in line, line
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [("weights: x", "no advice on 'config'"), ("weigths: x", "'weigths' is no parameter and no group")],
-)
-def test_advice_that_does_not_fit_is_refused(text, complaint, tmp_path, monkeypatch):
-    file = tmp_path / "advice.yaml"
-    file.write_text(text)
-    monkeypatch.setattr(declared_tables, "_ADVICE", file)
-    with pytest.raises(ConfigError, match=complaint):
-        declared_tables.parameter_tables()
-
-
-def test_the_table_of_scalars_has_a_line_for_each():
-    assert all(
-        f"| `{name}` | {scalar.unit} |" in declared_tables.scalars_table() for name, scalar in step_scalars().items()
-    )

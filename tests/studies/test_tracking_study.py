@@ -17,13 +17,13 @@ from tracking_parts import TINY, case, made_up, recovery, row, tiny_study, write
 
 from commands import invoke
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.bench.experiment import frame, json_rows
+from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.peers import make_peer
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.sim import simulate
 from studies.cli import app
 from studies.documents.documents import TRACKING, copy_report, sections, with_report
-from studies.tracking.measured import BOUND, decompose, load_targets, measured, worst_arc
+from studies.tracking.measured import decompose, measured, worst_arc
 from studies.tracking.study import TrackingStudy, judge, load_study, target_table
 
 TUNING_SEEDS = {100, 101}
@@ -45,15 +45,6 @@ def study(request):
 
 def test_no_seed_of_the_study_was_used_for_tuning(study):
     assert not {case.seed for case in every(cases_of(study))} & TUNING_SEEDS
-
-
-def test_weights_limits_and_horizon_are_the_shipped_ones_everywhere(study):
-    """Only the ablation changes anything, and only what compensates."""
-    parts = cases_of(study)
-    changed = {key for case in every(parts) for key, _ in case.overrides}
-    assert {key.partition(".")[0] for key in changed} == {"compensation"}
-    others = [case for name, cases in parts.items() if name != "ablation" for case in cases]
-    assert not any(case.overrides or case.config for case in others)
 
 
 def test_no_part_runs_a_case_twice_and_parts_share_cases(study):
@@ -86,22 +77,6 @@ def test_the_ablation_leaves_out_each_part_alone_and_all_of_them():
     four = tuple(f"compensation.{name}" for name in ("dead_time", "v_offset", "yaw_gain", "side_slip"))
     assert left_out == [(), *((one,) for one in four), four]
     assert len(cases_of(study, ["ablation"])["ablation"]) == 6 * 2 * 3 * 4 * 3
-
-
-def test_the_cross_table_has_every_controller_on_every_model_as_plant():
-    pairs = {(case.model, case.plant) for case in cases_of(load_study())["cross"]}
-    assert pairs == set(itertools.product(MODELS, [f"model:{name}" for name in MODELS]))
-
-
-def test_the_bound_has_perfect_sensors_and_every_surface_of_the_ablation(study):
-    parts = cases_of(study)
-    assert {(case.controller, case.sensors, case.plant) for case in parts["bound"]} == {(BOUND, "perfect", "mujoco")}
-    assert {case.surface for case in parts["bound"]} == {case.surface for case in parts["ablation"]}
-
-
-def test_an_unknown_part_is_refused():
-    with pytest.raises(ConfigError, match=r"--only: unknown part 'crosses'; known: targets, ablation"):
-        load_study().drives(["crosses"])
 
 
 @pytest.mark.parametrize(
@@ -149,15 +124,6 @@ def test_a_row_keeps_the_arcs_and_the_lateral_error_after_the_start(run):
     assert kept["arcs"] == pytest.approx([run.errors.lateral[run.counted][kept["steady"]].mean()])
 
 
-def test_a_row_is_plain_json_without_series_and_step_times():
-    (values,) = json_rows(frame([row(case(overrides=(("horizon", 12),)), **recovery(), late_lateral_m=0.0012345678)]))
-    assert json.loads(json.dumps(values, allow_nan=False)) == values
-    assert values["recovery_time_s"] is None
-    assert values["late_lateral_m"] == 0.00123457
-    assert values["set"] == {"horizon": 12}
-    assert not [name for name in values if "step_time" in name or name in ("across", "case")]
-
-
 def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_neither():
     wave = 0.002 * (-1.0) ** np.arange(100)
     steady = np.arange(100) >= 50
@@ -177,26 +143,6 @@ def test_the_parts_add_up_to_the_mean_square_whatever_the_errors(seeds, key):
     rows = [row(case(seed=k), across=random.normal(size=100), along=random.normal(size=100)) for k in range(seeds)]
     total = np.mean([one["across"] ** 2 + one["along"] ** 2 for one in rows])
     assert decompose(frame(rows)).total == pytest.approx(total)
-
-
-def test_pure_noise_leaves_little_that_repeats():
-    random = np.random.default_rng(1)
-    rows = [row(case(seed=k), across=0.003 * random.normal(size=100)) for k in range(200)]
-    parts = decompose(frame(rows))
-    assert parts.noise == pytest.approx(0.003**2, rel=0.05)
-    assert abs(parts.bias + parts.transient) < 0.01 * parts.noise
-
-
-def test_a_single_run_has_no_noise_to_see():
-    parts = decompose(frame([row(case(), across=np.full(100, 0.004))]))
-    assert parts.noise == 0.0
-    assert math.sqrt(parts.total) == pytest.approx(0.004)
-
-
-def test_runs_of_different_length_are_refused():
-    short = row(case(seed=21), time=0.02 * np.arange(90))
-    with pytest.raises(ValueError, match="ticks cannot be compared"):
-        decompose(frame([row(case()), short]))
 
 
 STUDY = load_study(quick=True)
@@ -274,19 +220,6 @@ def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, pla
     assert cells[-1] == "no"
 
 
-def test_a_value_at_the_limit_is_inside_it():
-    limit = next(one.limit for one in load_targets().targets if one.what == "position RMSE [m]")
-    found = verdicts(lambda case: {"position_rmse_m": limit})
-    assert found["position RMSE [m]", "default"].met
-    assert not found["position RMSE [m], the aim", "default"].met
-
-
-def test_what_could_not_be_computed_reaches_nothing():
-    found = verdicts(lambda case: {**recovery(), "course_rmse_rad": math.nan})
-    assert not found["longest recovery [s]", "start_offset"].met
-    assert not found["course RMSE [rad]", "default"].met
-
-
 def test_the_worst_arc_is_the_largest_mean_over_seeds_whatever_its_side():
     case = CASES[0]
     other = replace(case, trajectory="cane")
@@ -323,31 +256,6 @@ def test_every_part_has_its_tables_and_every_cell_is_filled():
         assert all(cell for cells in table.rows for cell in cells)
 
 
-def test_the_diagonal_of_the_cross_table_is_marked():
-    table = tables()["Cross table"]
-    marked = {
-        (cells[0], column)
-        for cells in table.rows
-        for column, cell in zip(table.columns, cells, strict=True)
-        if "*" in cell
-    }
-    assert marked == {("SM", "plant model:sm [mm]"), ("SSM", "plant model:ssm [mm]")}
-    assert "proves little" in table.note
-
-
-def test_what_is_left_is_ours_minus_the_bound():
-    table = tables()["Bound"]
-    assert [cells[1] for cells in table.rows] == ["s", "cane", "mean"]
-    for cells in table.rows:
-        assert (cells[2], cells[-2], cells[-1]) == ("2.0", "8.0", "6.0")
-
-
-def test_the_ablation_has_every_variant_and_the_bound_on_every_surface():
-    variants = list(load_study(quick=True).variants)
-    assert [cells[1] for cells in tables()["Ablation"].rows] == [*variants, "clairvoyant bound"]
-    assert [cells[1] for cells in tables()["Ablation by trajectory"].rows] == variants
-
-
 def test_a_variant_is_told_by_its_values():
     """Each variant gets an error of its own; the table must give it back under the right name."""
     study = load_study(quick=True)
@@ -366,12 +274,6 @@ def test_the_report_has_figures_and_every_run_once(report: Path):
     for name in ("ablation.png", "error-sources.png"):
         assert (report / "figures" / name).stat().st_size > 20_000
         assert f"](figures/{name})" in text
-
-
-def test_figures_are_the_same_for_the_same_rows(report: Path, tmp_path: Path):
-    write_made_up(made_up(), tmp_path)
-    for name in ("ablation.png", "error-sources.png"):
-        assert (tmp_path / "figures" / name).read_bytes() == (report / "figures" / name).read_bytes()
 
 
 PAGE = """# Page
@@ -415,11 +317,6 @@ def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_p
     page = with_report(TRACKING, PAGE, text)
     assert page.count("This part was not run.") == 2
     assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
-
-
-def test_without_a_report_nothing_is_copied(tmp_path: Path):
-    with pytest.raises(ConfigError, match="run `make study NAME=tracking` first"):
-        copy_report(TRACKING, tmp_path, tmp_path / "docs")
 
 
 @pytest.fixture(scope="module")
