@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
-from diffdrive_mpc.app.tune.tune_file import load_plan
-from diffdrive_mpc.bench.case import combinations, split_names
+from diffdrive_mpc.bench.case import combinations
 from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
 from diffdrive_mpc.bench.sweep import sweep_settings
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.reading import read_log
 
 
@@ -35,21 +33,6 @@ def test_a_bench_counts_its_controllers_and_settings_too() -> None:
     asked = read_options({"seeds": "10000", "trajectories": "circle,s"}, settings=["weights.across=1,2,3,4,5,6"])
     with pytest.raises(ValueError, match="480,000 runs"):
         plan_cases(asked)
-
-
-def test_plan_counts_points_times_runs() -> None:
-    plan = read_yaml(PLAN) | {"points": 100_000}
-    plan["tuning_seeds"] = {"first": 0, "count": 10_000}
-    with pytest.raises(ConfigError, match=r"4,000,\d\d\d,\d\d\d runs are asked for"):
-        check(type(load_plan()), plan, "plan.yaml")
-
-
-def test_names_given_twice_are_found_among_many() -> None:
-    """The first that comes again is named."""
-    names = [f"n{i}" for i in range(50_000)]
-    assert split_names(",".join(names), "--models") == tuple(names)
-    with pytest.raises(ValueError, match="'n7' is given twice"):
-        split_names(",".join([*names, "n7", "n3"]), "--models")
 
 
 def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """How records are divided, and what is read off their wheels."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -52,16 +50,6 @@ def test_radius_and_tracks_are_read_off_the_wheels(radius, track, effective, fir
     assert firmware_track([drive], geometry, gain) == pytest.approx(firmware, rel=1e-6)
 
 
-def test_without_a_gyro_the_model_s_omega_is_that_of_the_wheels():
-    drive = driven(0.1, 0.4, 0.6, 0.5, gyro=False)
-    geometry = wheel_geometry([drive])
-    assert firmware_track([drive], geometry, np.diag([1.0, 0.5 / 0.4])) == pytest.approx(0.5, rel=1e-9)
-
-
-def test_a_log_without_wheels_has_no_geometry():
-    assert wheel_geometry([record(50)]) is None
-
-
 def test_all_logs_get_the_sample_time_of_the_first(tmp_path):
     mapping = str(write_mapping(tmp_path / "map.yaml"))
     logs = [write_csv(tmp_path / f"{dt}.csv", drive(seconds=20.0, dt=dt)) for dt in (0.02, 0.05)]
@@ -83,19 +71,6 @@ def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
     assert tuple(doubt.words for doubt in data.warnings) == (
         "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 5; the stretch is not used to validate on",
     )
-
-
-def test_wheels_and_gyro_that_were_never_read_together_tell_no_track():
-    drive = driven(0.1, 0.4, 0.6, 0.5)
-    even = np.arange(200) % 2 == 0
-    apart = replace(
-        drive,
-        twist=np.where(even[:, None], drive.twist, np.nan),
-        yaw_rate=np.where(even, np.nan, drive.yaw_rate),
-        fresh_twist=even,
-        fresh_yaw_rate=~even,
-    )
-    assert firmware_track([apart], wheel_geometry([apart]), np.eye(2)) is None
 
 
 def test_of_many_rows_the_parts_that_are_driven_most_are_used():

@@ -66,34 +66,23 @@ def folder(tmp_path_factory):
     ("arguments", "message"),
     [
         ("missing.csv --mapping map.yaml", "column 'gyro' is missing"),
-        ("constant.csv --mapping map.yaml", "constant.csv"),
-        ("ten.csv --mapping map.yaml", "10 samples in the longest stretch, at least 20 are needed"),
         ("nan.csv --mapping map.yaml", "nan.csv: column 'v_ref' holds no usable number"),
-        ("stamped.csv --mapping two_clocks.yaml", "two clocks"),
         (
             "slow.csv --mapping no_pose.yaml",
             "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
         ),
-        ("silent", "neither /odom nor /imu is there"),
-        ("damaged", "damaged"),
         ("none.csv", "none.csv: there is no such file or folder"),
         ("good.csv", "which column is what? Give a mapping file"),
-        ("good.csv --mapping nope", "unknown mapping 'nope'"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
         ("good.csv --mapping map.yaml --structure mbm", "wheels"),
-        ("good.csv --mapping no_gyro.yaml --structure mbm", "wheels"),
         ("good.csv --mapping map.yaml --structure ssm --order 7", "--order '7': give auto, or 1 to 5"),
-        ("good.csv --mapping map.yaml --order 2", "--order 2: only ssm has a choice of order"),
         ("good.csv --mapping map.yaml --structure ssm --effects", "--effects: they stand around an sm"),
         ("good.csv --mapping map.yaml --fit-share 1", "--fit-share 1: give 0.1 to 0.9"),
-        ("good.csv --mapping map.yaml --fit-share nan", "--fit-share nan: give 0.1 to 0.9"),
         ("good.csv --mapping map.yaml --fit-share 0.5 --validate ten.csv", "--fit-share: with --validate"),
         ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
-        ("good.csv --mapping map.yaml --validate ten.csv", "ten.csv: 10 samples"),
         ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
-        ("good.csv --mapping map.yaml --model sm", "--model"),
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
         ("", "LOG"),
     ],
@@ -132,21 +121,6 @@ def test_a_warning_s_remedy_stands_in_the_report_with_its_mapping_beside_it(fold
     assert "gyro `delay: +0.30`" in result.stdout and str(tmp_path / "out" / "fixed.yaml") in result.stdout
     for report in ("report.md", "report.html"):
         assert "With the mapping fixed.yaml" in (tmp_path / "out" / report).read_text()
-
-
-def test_findings_are_shown_before_the_error_that_stops(folder, tmp_path):
-    """A gap is no reason to stop, a gyro in degrees is."""
-    rows = np.r_[0:200, 300:600]
-    columns = {name: column[rows] for name, column in COLUMNS.items()} | {"gyro": np.degrees(COLUMNS["gyro"][rows])}
-    log = write_csv(tmp_path / "gap.csv", columns)
-    result = runner.invoke(
-        app, ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
-    )
-    assert result.exit_code == 2
-    lines = result.stdout.splitlines()
-    assert [line.split()[0] for line in lines[:6]] == ["gap.csv", "streams", "time", "commands", "v", "omega"]
-    assert lines[6].startswith("note: gap.csv, 4.0 to 6.0 s: no data")
-    assert "deg/s" in result.stderr
 
 
 def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(folder, tmp_path):

@@ -57,17 +57,6 @@ def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     assert file.read_text(encoding="utf-8") == _POSES
 
 
-@pytest.mark.parametrize("given", ["--trajectory={}", "--trajectory=./{}"])
-def test_files_are_known_however_the_option_is_written(
-    tmp_path: Path, given: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In one word, and by another way."""
-    monkeypatch.chdir(tmp_path)
-    file = tmp_path / "x.csv"
-    file.write_text(_POSES, encoding="utf-8")
-    assert "this command reads that file" in _refused("simulate", given.format(file.name), f"--log={file}")
-
-
 def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> None:
     """The model of a configuration, which is known only once that is read."""
     model = tmp_path / "model.csv"
@@ -77,14 +66,6 @@ def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> N
     config.write_text(f"model: {model}\n", encoding="utf-8")
     assert "this command reads that file" in _refused("simulate", "--config", config, "--log", model)
     assert model.read_bytes() == before
-
-
-def test_tune_says_at_once_that_it_would_replace_its_configuration(tmp_path: Path) -> None:
-    """Hours before it would."""
-    config = tmp_path / "config.yaml"
-    config.write_text("model: ssm\n", encoding="utf-8")
-    assert "this command reads that file" in _refused("tune", config, "--out", tmp_path)
-    assert config.read_text(encoding="utf-8") == "model: ssm\n"
 
 
 def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Path) -> None:

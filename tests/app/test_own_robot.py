@@ -16,7 +16,6 @@ from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_ca
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.identification.deliver.configuration import round_period
 from diffdrive_mpc.models.load import model_path
-from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -71,12 +70,6 @@ def test_python_hands_over_the_configuration_and_is_told_whose_limits_counted(fi
     assert load_trajectory("straight.yaml", config).duration < 7.0
     with pytest.raises(ConfigError, match=r"papers' robot; for another robot: load_trajectory\(path, config\)"):
         load_trajectory("straight.yaml")
-
-
-def test_a_reference_accelerates_no_faster_than_the_commands_may():
-    config = load_config("sm", {"limits.v_slew": 0.4})
-    assert load_trajectory("circle", config).duration > load_trajectory("circle").duration + 0.5
-    assert load_trajectory("circle", load_config("sm")).duration == load_trajectory("circle").duration
 
 
 def test_a_controller_and_a_plant_of_other_sample_times_are_refused_with_both_values():
@@ -153,19 +146,6 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     assert NodeSettings(**parameters)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (MAPPING + "wheels: {radius: 0.1, track: 0.5}\n", "wheels.radius is not used"),
-        ("topics: {command: {topic: /cmd_vel, sign: -1}}\n", "topics.command.sign is not used"),
-        ("topics: {odometry: {topic: /odom, on_change: true}}\n", "topics.odometry.on_change is not used"),
-    ],
-)
-def test_a_stated_value_of_a_mapping_that_is_not_used_is_said(tmp_path, text, words):
-    (line,) = load_mapping(write_mapping(tmp_path / "map.yaml", text)).unused()
-    assert line.startswith(words)
-
-
 @pytest.mark.parametrize("structure", ["sm", "ssm"])
 def test_dead_time_and_lag_are_shown_by_their_sum_first(tmp_path, structure):
     """The robot's lag is 0.1 s, without dead time: the sum is well known, its parts need not be."""
@@ -192,13 +172,6 @@ def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     (sentence,) = other_robots([fast_robot])
     assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
     assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []
-
-
-def test_simulate_and_bench_say_so(files):
-    words = ["--config", "fast.yaml", "--trajectory", "circle"]
-    assert "note: the plant 'mujoco' is another robot" in run("simulate", *words)
-    bench = ["bench", "--config", "fast.yaml", "--seeds", "1", "--trajectories", "circle", "--jobs", "1"]
-    assert "note: the plant 'mujoco' is another robot" in run(*bench, "--horizons", "none", "--out", "out")
 
 
 def test_config_check_names_what_is_left_to_the_papers_robot(files):

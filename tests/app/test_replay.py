@@ -123,13 +123,6 @@ def test_changed_setting_is_compared_with_the_recorded_commands(mcap):
     assert 0.0 < float(row[0]) < float(row[1]) < 1.0 and int(row[3]) > 0 and float(row[4]) <= float(row[2])
 
 
-def test_cut_mcap_log_replays_with_a_note(mcap, tmp_path):
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(mcap.read_bytes()[: mcap.stat().st_size // 2])
-    output = log_replay(cut)
-    assert "cut.mcap: the end of the file is missing" in output and EQUAL in output
-
-
 @pytest.fixture
 def log(tmp_path):
     _, path, _ = logged(Case(plant="model:ssm", trajectory="circle"), tmp_path)
@@ -182,10 +175,3 @@ def test_broken_log_is_read_or_refused_with_one_line(name, log):
 def test_bad_option_is_refused_with_one_line(words, expected, log):
     output = log_replay(log, *words, code=2)
     assert expected in output and "Traceback" not in output
-
-
-def test_missing_file_and_foreign_bag_are_refused(tmp_path):
-    assert "there is no such file" in log_replay(tmp_path / "nowhere.csv", code=2)
-    bag = tmp_path / "bag.mcap"
-    bag.write_bytes(b"\x89MCAP0\r\n")
-    assert "only these can be replayed" in log_replay(bag, code=2)

@@ -10,8 +10,6 @@ from typer.testing import CliRunner
 from commands import invoke
 from diffdrive_mpc import ControllerConfig, identify
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.run_log import repeating
-from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.sim import log_mcap
 
@@ -38,11 +36,6 @@ def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
     assert yaml.safe_load(told["model"]["yaml"])["name"]
 
 
-def test_it_holds_the_plans_of_its_controller(logs):
-    plans = read_drive_log(logs / "s.mcap", plans=True).plans
-    assert {len(plan) for plan in plans if plan is not None} == {13}
-
-
 def test_identify_finds_the_same_in_both(logs):
     one, other = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
     sampled, expected = one.model.discretise(0.0202), other.model.discretise(0.0202)
@@ -58,13 +51,6 @@ def test_drive_of_a_peer_is_logged_without_plans(tmp_path):
     log = read_drive_log(tmp_path / "run.mcap", plans=True)
     assert "--controller pursuit" in log.metadata["case"]["repeat"]
     assert all(plan is None for plan in log.plans)
-
-
-def test_the_line_of_a_case_names_what_is_not_usual():
-    assert repeating(Case()) == []
-    case = Case(model="sm", trajectory="cane", scaled=True, overrides=(("weights.across", 60.0),))
-    words = ["--model", "sm", "--trajectory", "cane", "--scale-to-robot", "--set", "weights.across=60.0"]
-    assert repeating(case) == words
 
 
 def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from tune_parts import write_plan
 
 from commands import call
 from diffdrive_mpc import load_config
-from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint, best_of
+from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint
 from diffdrive_mpc.app.tune.study import Comparison, TuningOutcome, tune
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -110,20 +110,9 @@ def test_seed_fixes_the_search_with_any_number_of_processes(tmp_path: Path) -> N
     assert other[1:] != points[1:]
 
 
-def test_best_point_has_the_smallest_error() -> None:
-    points = [TunePoint(k, {}, error, 0) for k, error in enumerate((3e-3, 1e-3, 2e-3, 1e-3))]
-    assert best_of(points).number == 1
-
-
 def run_rows(errors: list[float], completed: list[bool]) -> pd.DataFrame:
     ended = ["" if is_complete else "off the path" for is_complete in completed]
     return pd.DataFrame({"position_rmse_m": errors, "completed": completed, "ended": ended})
-
-
-def test_failed_run_counts_with_the_failure_error(tmp_path: Path) -> None:
-    search = ConfigurationSearch("ssm", load_plan(write_plan(tmp_path, {"failure_error": 0.25})))
-    rows = run_rows([0.004, 0.004, 0.9, np.nan], [True, False, False, False])
-    assert search.errors(rows).tolist() == [0.004, 0.25, 0.9, 0.25]
 
 
 @pytest.mark.parametrize(
