@@ -87,7 +87,7 @@ def test_model_path_is_relative_to_the_new_folder(tmp_path: Path) -> None:
         ({"parameters": {"horizon": {"low": 10}}}, "give either times: [LOW, HIGH], or low and high"),
         ({"parameters": {"model": {"times": [0.5, 2]}}}, "parameters.model: its value is 'ssm'; only numbers are"),
         (
-            {"parameters": {"estimator.load_shift": {"times": [0.5, 2]}}},
+            {"parameters": {"fence.x": {"times": [0.5, 2]}}},
             "factors need a value above zero, it is 0; give low",
         ),
         ({"report_seeds": {"first": 600, "count": 4}}, "report_seeds: 600 to 603 overlap with tuning_seeds"),

@@ -10,6 +10,7 @@ from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.schema import OnlineDeadTime
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.step_result import Mode
@@ -120,8 +121,10 @@ def test_it_never_falls_below_zero():
     assert np.all(found.used < 0.012)
 
 
-def test_it_changes_in_steps_and_the_command_does_not_jump():
-    by = controller(step=0.015, pause=0.5)
+def test_it_changes_in_steps_and_the_command_does_not_jump(monkeypatch):
+    monkeypatch.setattr(OnlineDeadTime, "step", 0.015)
+    monkeypatch.setattr(OnlineDeadTime, "pause", 0.5)
+    by = controller()
     results, _ = driven(by, (0.06, 0.06))
     used = np.array([result.dead_time.used for result in results])
     changed = np.flatnonzero(np.diff(used, axis=0).any(axis=1))

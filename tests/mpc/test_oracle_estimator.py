@@ -1,6 +1,7 @@
 """The oracle's estimator, and its filter against differences of its own predictions and the textbook."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -19,8 +20,16 @@ from oracle.kalman import Belief, SlipFilter
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
+
+
+def with_constants(**constants):
+    """Return the estimator's group with other values of its constants."""
+    annotations = dict.fromkeys(constants, ClassVar[float])
+    return type("Changed", (Estimator,), {"__annotations__": annotations, **constants})()
+
+
 # Nothing surprises it, and nothing is too slow: its corrections are those of the textbook.
-SETTINGS = Estimator(surprise=1e9, min_yaw_rate=1e-9, min_speed=1e-9)
+SETTINGS = with_constants(surprise=1e9, min_yaw_rate=1e-9, min_speed=1e-9)
 FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
 N = MODEL.order
 SIZE = N + 14
@@ -173,7 +182,7 @@ def test_a_surprise_that_lasts_is_learned_from_and_a_new_one_is_not():
 
 @given(st.floats(-9, 9))
 def test_gains_stay_such_as_a_robot_can_have(value):
-    settings = Estimator(surprise=1e9)
+    settings = with_constants(surprise=1e9)
     trusting = SlipFilter(MODEL, settings, Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
@@ -309,7 +318,7 @@ def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_for
 
 def test_wheels_that_turn_less_are_not_taken_for_slip():
     """Encoders see what the wheels do: their gain goes into omega_gain, not into yaw_gain."""
-    estimator = StateEstimator(MODEL, Estimator(omega_gain_uncertainty=0.1))
+    estimator = StateEstimator(MODEL, with_constants(omega_gain_uncertainty=0.1))
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=Slip(omega_gain=0.9)), 600)
     assert estimator.estimate.slip.omega_gain == pytest.approx(0.9, abs=0.01)
     assert estimator.estimate.slip.yaw_gain == pytest.approx(1.0, abs=0.01)

@@ -26,7 +26,7 @@ from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc_extras.rehearsal.lap_parts import lap_parts
 from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
-_ENABLED = "rehearsal.enabled"
+_ENABLED = "expert.rehearsal.enabled"
 
 
 @dataclass(frozen=True)
