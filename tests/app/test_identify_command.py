@@ -192,18 +192,6 @@ def without_times(path: Path) -> bytes:
     return b"\n".join(line for line in path.read_bytes().split(b"\n") if not line.startswith(b"* Estimation took"))
 
 
-def test_orders_are_compared_and_one_can_be_asked_for(third_order):
-    """The drive's robot has one lag on each channel: order 2 holds it, order 1 cannot."""
-    out, screen = third_order
-    assert load_model(out / "model.yaml").order == 3
-    assert "order 3: as asked for" in screen
-    assert (out / "figures" / "orders.png").is_file()
-    rows = [line for line in (out / "report.md").read_text().splitlines() if line.startswith("| 1 |")]
-    (first,) = (row.split("|")[8] for row in rows if len(row.split("|")) > 9)
-    report = json.loads((out / "report.json").read_text())
-    assert report["validation_fit_percent"]["v"] > float(first) + 3.0
-
-
 def test_a_bag_gives_the_model_of_the_csv_of_the_same_drive(tmp_path):
     columns = drive(seconds=20.0)
     _, of_csv = identified(tmp_path, columns, NO_POSE)
@@ -229,16 +217,6 @@ def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_pa
     config = load_config(out / "config.yaml")
     assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
     assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)
-
-
-def test_without_a_gyro_the_wheels_are_taken_and_the_user_is_told(tmp_path):
-    no_gyro = MAPPING.replace("  gyro: {yaw_rate: gyro}\n", "")
-    out, report = identified(tmp_path, drive(seconds=40.0), no_gyro)
-    assert load_model(out / "model.yaml").dc_gain[1, 1] == pytest.approx(1.6, rel=0.02)
-    assert any("the log has no gyro" in warning for warning in report["warnings"])
-    # The poses tell how the body turns beside its wheels.
-    assert report["parameters"]["poses.yaw_gain"]["value"] == pytest.approx(1 / 1.6, rel=0.02)
-    assert report["pose_error"][0]["heading_rmse_rad"] < 0.02
 
 
 def test_what_the_base_does_around_the_model_goes_into_both_files(tmp_path):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.models.identification.log_data import divide, most_informative, read_data
+from diffdrive_mpc.models.identification.log_data import divide, read_data
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import firmware_track, wheel_geometry
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -71,12 +71,3 @@ def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
     assert tuple(doubt.words for doubt in data.warnings) == (
         "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 5; the stretch is not used to validate on",
     )
-
-
-def test_of_many_rows_the_parts_that_are_driven_most_are_used():
-    command = np.zeros((12000, 2))
-    command[3000:6000] = np.repeat(np.random.default_rng(1).normal(size=(60, 2)), 50, axis=0)
-    record = Record("long", 0.0, 0.02, command, twist=command)
-    (part,) = most_informative([record], 4000)
-    assert (part.start, len(part.command)) == (60.0, 3000)
-    assert most_informative([record], 12000) == [record]

@@ -112,17 +112,6 @@ def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder
     assert (tmp_path / "out" / "fixed.yaml").exists(), "it is read, so it stays"
 
 
-def test_a_warning_s_remedy_stands_in_the_report_with_its_mapping_beside_it(folder, tmp_path):
-    columns = drive(seconds=30.0)
-    log = write_csv(tmp_path / "late.csv", columns | {"gyro": np.roll(columns["gyro"], 15)})
-    words = ["identify", str(log), "--out", str(tmp_path / "out"), "--mapping", str(folder / "map.yaml")]
-    result = runner.invoke(app, words)
-    assert result.exit_code == 0, result.stderr
-    assert "gyro `delay: +0.30`" in result.stdout and str(tmp_path / "out" / "fixed.yaml") in result.stdout
-    for report in ("report.md", "report.html"):
-        assert "With the mapping fixed.yaml" in (tmp_path / "out" / report).read_text()
-
-
 def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(folder, tmp_path):
     log = write_csv(tmp_path / "rpm.csv", COLUMNS | {"v": 60 / (2 * np.pi) * COLUMNS["v"]})
     words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]

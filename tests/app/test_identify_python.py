@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc import ConfigError, Controller, ControllerConfig, identify, load_config, load_model
+from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
-from diffdrive_mpc.models.robot import SampleTime
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +93,3 @@ def test_one_path_is_a_log_and_progress_is_told(folder):
 def test_an_argument_that_cannot_be_used_is_named(folder, options, message):
     with pytest.raises(ConfigError, match=message):
         identify([folder / "one.csv"], folder / "map.yaml", **options)
-
-
-def test_a_log_is_refused_where_no_controller_could_run_at_its_rate():
-    """The rule stands once, and the controller's schema uses it."""
-    assert ControllerConfig.model_fields["sample_time"].metadata == list(SampleTime.__metadata__[0].metadata)

@@ -65,13 +65,6 @@ def test_a_fast_path_is_driven_by_the_commands_with_its_configuration(files):
     assert "beyond the limit of 1.5 m/s; lower it, or give the configuration of the robot (--config)" in message
 
 
-def test_python_hands_over_the_configuration_and_is_told_whose_limits_counted(files):
-    config = load_config("fast.yaml")
-    assert load_trajectory("straight.yaml", config).duration < 7.0
-    with pytest.raises(ConfigError, match=r"papers' robot; for another robot: load_trajectory\(path, config\)"):
-        load_trajectory("straight.yaml")
-
-
 def test_a_controller_and_a_plant_of_other_sample_times_are_refused_with_both_values():
     controller, circle = Controller(load_config("sm", {"sample_time": 0.05})), load_trajectory("circle")
     with pytest.raises(ValueError, match=r"sample_time is 0.05 s, .* 0.0202 s: .*make_plant\(..., sample_time=0.05\)"):
@@ -144,22 +137,6 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
     assert parameters == {"stamped": False, "use_imu": True, "pose_source": "odometry"}
     assert NodeSettings(**parameters)
-
-
-@pytest.mark.parametrize("structure", ["sm", "ssm"])
-def test_dead_time_and_lag_are_shown_by_their_sum_first(tmp_path, structure):
-    """The robot's lag is 0.1 s, without dead time: the sum is well known, its parts need not be."""
-    log, mapping = write_csv(tmp_path / "drive.csv", drive()), write_mapping(tmp_path / "map.yaml")
-    report = identify(log, mapping=mapping, structure=structure, order=2 if structure == "ssm" else "auto").report
-    delays = report.fitted.identified.delays
-    for i, channel in enumerate(("v", "omega")):
-        whole, dead_time, lag = delays.values[3 * i : 3 * i + 3]
-        assert whole == pytest.approx(0.1, abs=0.01)
-        assert dead_time + lag == pytest.approx(whole)
-        assert delays.standard_deviation[3 * i] < 0.1 * delays.standard_deviation[3 * i + 2] + 0.002
-        row = next(line for line in report.markdown().splitlines() if line.startswith(f"| {channel} | {whole:.3g} +- "))
-        assert f" | {dead_time:.3g} +- " in row
-    assert "dead_time" not in report.markdown()
 
 
 def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):

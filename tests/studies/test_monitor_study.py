@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 
 import pytest
-from studies.monitor import watched
 from studies.monitor.faults import FAULTS
 from studies.monitor.trial import HARM, drawn_trial, faulty_trial, nominal_trial
-from studies.monitor.watched import MonitoredController
 from typer.testing import CliRunner
 
-from diffdrive_mpc.mpc import Controller, Trajectory, load_config
-from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc_extras.free_space import MovingDisc, Surroundings
 from diffdrive_mpc_monitor.judge import rule_names
 from diffdrive_mpc_monitor.rules import load_rules
 from studies.cli import app
@@ -65,63 +58,6 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
     assert rows["not a number"]["rule"] == "not_finite" and rows["wrong sign"]["rule"] == ""
     assert sum(row["driven"] for row in content["trials"] if not row["fault"]) >= 36.0
     assert "Faults" in (tmp_path / "out" / "monitor.md").read_text(encoding="utf-8")
-
-
-class Waits:
-    """A sound controller that something makes wait: `happens` is called before each step with the controller and t."""
-
-    def __init__(self, controller, happens):
-        self.inner, self.happens, self.late = controller, happens, 0.0
-
-    planned_delay = property(lambda self: self.inner.planned_delay)
-
-    def start(self, reference, t0):
-        self.inner.start(reference, t0)
-
-    def step(self, t, measurement):
-        hold = self.happens(self.inner, t)
-        step = self.inner.step(t, measurement, hold)
-        self.late = max(self.late, step.reference_delay)
-        return step
-
-
-def pauses(_, t):
-    return Hold("paused") if 3.0 <= t < 10.0 else None
-
-
-def slows_down(controller, t):
-    if t == 0.0:
-        controller.limit_speed(0.2)
-    elif abs(t - 15.0) < 0.0102:
-        controller.limit_speed(None)
-
-
-def meets_somebody(controller, t):
-    """Somebody crosses the path slowly."""
-    controller.feature("free_space").set_obstacles(
-        Surroundings(discs=[MovingDisc(2.2, 0.08 * t - 0.8, 0.3, 0.0, 0.08)], time=t)
-    )
-
-
-WAITS = {
-    "paused": (pauses, {}, 7.0),
-    "a speed limit": (slows_down, {}, 5.0),
-    "somebody crosses": (meets_somebody, {"free_space.enabled": True}, 6.0),
-}
-
-
-@pytest.mark.parametrize("told", [True, False])
-@pytest.mark.parametrize("name", WAITS)
-def test_a_controller_that_waits_on_purpose_is_let_pass_where_it_says_so(name, told, monkeypatch):
-    happens, settings, late = WAITS[name]
-    if not told:
-        monkeypatch.setattr(watched, "_TOLD_AGAIN", math.inf)
-    reference = Trajectory.from_waypoints([[0, 0], [5, 0]], speed=0.4)
-    controller = Waits(Controller(load_config("ssm", settings)), happens)
-    watch = MonitoredController(controller, RULES)
-    simulate(watch, make_plant("model:ssm"), reference, extra_time=late + 12.0)
-    assert controller.late > late
-    assert bool(watch.verdict) is not told
 
 
 def test_a_controller_that_stops_half_way_is_stopped(kind=2):

@@ -12,7 +12,6 @@ from hypothesis.extra.numpy import arrays
 
 from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.bench.plain_values import plain
-from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc_extras.turn_costs import load_vehicle
 from studies.reproduce.drive_models import (
@@ -29,13 +28,11 @@ from studies.reproduce.drives import (
     dead_reckon,
     trajectory_commands,
 )
-from studies.reproduce.published import ScatterFloor, SsmStudy, load_published, load_study
+from studies.reproduce.published import ScatterFloor, load_published, load_study
 from studies.reproduce.slip_scatter import Foresight, scatter_of
-from studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
-from studies.reproduce.study import ReproduceStudy
 from studies.reproduce.turn_learning import learn_turns
 from studies.reproduce.turning import turn_steadily
-from studies.reproduce.virtual_track import check_virtual_track, fit_line
+from studies.reproduce.virtual_track import fit_line
 
 DT = load_robot().sample_time
 twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.floats(-2.0, 2.0))
@@ -73,15 +70,6 @@ def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
     assert not np.array_equal(steps[0].yaw_rate[:20], steps[1].yaw_rate[:20])
 
 
-def test_the_printed_tests_contradict_the_printed_line():
-    """The slope has the wrong sign; four tracks exchanged, it is the printed one."""
-    found = check_virtual_track(load_published().virtual_track, certain=2.0)
-    assert (found.fitted.p1, found.fitted.p0) == pytest.approx((-0.022, 0.337), abs=5e-4)
-    assert (found.fitted_exchanged.p1, found.fitted_exchanged.p0) == pytest.approx((0.054, 0.283), abs=5e-4)
-    assert sorted(found.tests[:, 1]) == sorted(found.exchanged[:, 1])
-    assert found.printed.misfit(found.exchanged) < 0.2 * found.printed.misfit(found.tests)
-
-
 def test_a_line_is_found_whatever_the_sign_of_the_yaw_rate():
     rates = np.array([-1.0, 0.3, -0.5, 0.9])
     line = fit_line(np.column_stack([rates, 0.05 * np.abs(rates) + 0.3]))
@@ -111,47 +99,6 @@ def test_the_papers_statistics_are_copied_without_slips():
     steps = load_study().cost.simulation_steps
     for name, cost in published.cost.items():
         assert cost.simulation_time[0] == pytest.approx(steps[name] * cost.time_per_step[0], rel=0.01)
-
-
-class CountingBar(ProgressBar):
-    def __init__(self):
-        super().__init__("test")
-        self.done, self.total = 0, None
-
-    def begin(self, text, total):
-        self.total = total
-
-    def advance(self):
-        self.done += 1
-
-
-SMALL = SsmStudy(
-    train_duration=12.0,  # in 8 s the faster pole of some drives is not seen
-    largest_order=2,
-    test_drives=1,
-    free_drives=1,
-    free_duration=6.0,
-    paper_range={"v": 1.5, "omega": 2.0},
-)
-
-
-@pytest.mark.long
-def test_results_depend_on_the_repetition():
-    """A fit beside drives, and the same fit alone; what another repetition is fitted to."""
-    track = load_study(quick=True).driven_track.model_copy(update={"duration": 1.5, "settling": 0.5})
-    study = load_study(quick=True).model_copy(update={"ssm": SMALL, "driven_track": track})
-    whole = ReproduceStudy(study, ["ssm", "virtual_track"])
-    bar = CountingBar()
-    found = whole.run(whole.plan(), 1, bar)
-    assert bar.done == bar.total == 2
-    (result,) = found.ssm
-    assert plain(result) == plain(compare_orders(SMALL, result.repetition))
-    assert plain(found.driven_track[0]) == plain(drive_tests(track, "default"))
-    assert set(result.free_drives) == set(result.full_range) == {IDENTIFIED, PRINTED}
-    assert result.orders[1].train.fit_percent[1] > result.orders[0].train.fit_percent[1]
-    own, other = (RobotLogs(repetition).free(1, 2.0)[0] for repetition in (result.repetition, result.repetition + 1))
-    assert not np.array_equal(own.command, other.command)
-    assert not np.array_equal(own.yaw_rate[:20], other.yaw_rate[:20])
 
 
 def test_in_a_steady_turn_what_the_outer_side_drives_the_inner_one_brakes_but_for_the_drag():

@@ -8,11 +8,9 @@ from pathlib import Path
 
 import pytest
 from reproduce_parts import (
-    lstm,
     made_up,
     mbm_sm,
     report_of,
-    scatter,
     ssm,
     steady,
     turning,
@@ -66,31 +64,6 @@ def test_who_beats_whom_is_counted_by_repetition():
 )
 def test_orders_are_judged_by_their_test_fit(omega, words, expected):
     assert verdict(replace(made_up(), ssm=(ssm(1, omega=omega),)), words) == expected
-
-
-def test_lstm_and_ssm_are_compared_by_repetition():
-    results = made_up()
-    better, worse = lstm(1, ssm=95.0, lstm=93.0), lstm(2, ssm=93.0, lstm=95.0)
-    for pair, expected in (((better, better), "yes"), ((better, worse), "1 of 2"), ((worse, worse), "no")):
-        found = replace(results, lstm=pair)
-        assert verdict(found, "SSM explains v and omega better than LSTM") == expected
-        assert verdict(found, "odometry of SSM has the smaller errors") == expected
-
-
-def test_what_is_foreseen_is_judged_floor_by_floor():
-    results = made_up()
-    good, modest = scatter(), scatter("mujoco default", modest=5.0)
-    found = replace(results, slip_scatter=(good, modest))
-    assert verdict(found, "foreseen deviations are those") == "1 of 2"
-    assert verdict(found, "foreseen deviations, scaled") == "yes"
-    assert verdict(found, "ellipses for 95 %") == "yes"
-    worse = replace(results, slip_scatter=(good, scatter("mujoco default", nominal=0.5)))
-    assert verdict(worse, "with learned slip foreseen poses are nearer") == "1 of 2"
-    (finding,) = [one for one in find(found) if one.claim.startswith("foreseen deviations are those")]
-    first, second = finding.plant.removesuffix(" times as large").split("; ")
-    assert [5 * float(one) for one in first.split(", ")] == pytest.approx(
-        [float(one) for one in second.split(", ")], rel=0.02
-    )
 
 
 @pytest.mark.parametrize(
@@ -171,14 +144,6 @@ def test_the_report_has_every_figure_and_the_verdicts(report: Path):
     for name in FIGURES:
         assert (report / "figures" / name).stat().st_size > 20_000
         assert f"](figures/{name})" in text
-
-
-def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
-    only = replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None, slip_scatter=())
-    write_made_up(replace(only, turning=None, learned_turns=()), tmp_path)
-    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
-    text = (tmp_path / "reproduce.md").read_text()
-    assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]
 
 
 def test_the_command_writes_its_report(tmp_path: Path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from diffdrive_mpc_extras.campaign.conditions import load_conditions
 from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
 from studies.cli import app
 from studies.robustness.market import market_cases
-from studies.robustness.results import measured, ratios, study_tables
+from studies.robustness.results import measured, study_tables
 from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()
@@ -37,15 +36,6 @@ def test_every_condition_has_a_plant_and_settings_that_exist(name: str) -> None:
     plant.measure()
     plant.advance([0.1, 0.0])
     assert plant.time == plant.sample_time
-
-
-def test_a_peer_on_the_same_estimate_is_told_the_same_of_the_robot_and_others_nothing() -> None:
-    long = CONDITIONS.conditions["long"]
-    law, other = long.case("kanayama", "ssm", "s", 2), long.case("rpp", "ssm", "s", 2)
-    assert (law.model, dict(law.overrides)) == ("none", dict(long.settings))
-    assert (other.model, other.overrides) == ("none", ())
-    errors = [run_case(replace(law, overrides=told)).metrics.position_rmse_m for told in (law.overrides, ())]
-    assert errors[0] != errors[1]
 
 
 def _row(condition: str, case: Case, error: float, **changes: object) -> dict[str, object]:
@@ -68,14 +58,6 @@ def _row(condition: str, case: Case, error: float, **changes: object) -> dict[st
         "message_percent": 0.0,
         "driven_s": 0.0,
     } | changes
-
-
-def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
-    ours, peer = Case(), Case(controller="kanayama", model="none")
-    lost = _row("a", ours, 0.001, completed=False)
-    rows = [lost, _row("a", ours, 0.003), _row("a", peer, 0.004)]
-    assert ratios(frame(rows)) == {"SSM": pytest.approx(0.5), "kanayama": 1.0}
-    assert all(math.isnan(ratio) for ratio in ratios(frame([lost])).values())
 
 
 def test_tables_show_every_condition_and_what_was_said() -> None:
@@ -109,24 +91,6 @@ def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() ->
     tuning = market_cases(2, "mpc", "ssm", "circle", spot_turns=False, tuning=True)
     assert all(case.seed % 2 == 1 for case in tuning)
     assert [turns_on_the_spot(path) for path in ("circle", "square", "s", "cane")] == [False, True, False, False]
-
-
-def test_robots_of_the_market_are_counted_by_controller_and_alarms_by_rate() -> None:
-    ours, often = Case(), Case(overrides=(("monitor.false_alarm_rate", 100.0),))
-    rows = [
-        _row("market", ours, 0.004, driven_s=1800.0, recovery_command_rate_omega=1.0),
-        _row("market", ours, 0.006, driven_s=1800.0, recovery_command_rate_omega=2.0, stopped=True, given_up=1),
-        _row("market", Case(controller="kanayama", model="none"), 0.010, completed=False),
-        _row("market, 100/h", often, 0.004, driven_s=360.0, given_up=9),
-        _row("ice", ours, 0.004),
-    ]
-    *_, robots, alarms = study_tables(frame(rows))
-    ssm = dict(zip(robots.columns, robots.rows[0], strict=True))
-    assert (ssm["drives"], ssm["arrive"], ssm["stops"], ssm["sensors given up"]) == ("2", "2/2", "1", "1")
-    assert ssm["rate of omega_ref [rad/s^2]"] == "1.50"
-    assert robots.rows[1][:3] == ("kanayama", "1", "0/1")
-    assert alarms.rows == (("0.02", "1.00", "1", "0.0", "0 to 0"), ("100.00", "0.10", "9", "10.0", "4 to 17"))
-    assert "Robots of the market" not in [table.title for table in study_tables(frame(rows[-1:]))]
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +21,10 @@ from diffdrive_mpc.bench.peers import make_peer
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.sim import simulate
 from studies.cli import app
-from studies.documents.documents import TRACKING, copy_report, sections, with_report
-from studies.tracking.measured import decompose, measured, worst_arc
+from studies.documents.documents import TRACKING, copy_report, with_report
+from studies.tracking.measured import decompose, measured
 from studies.tracking.study import TrackingStudy, judge, load_study, target_table
 
-TUNING_SEEDS = {100, 101}
 MODELS, TRAJECTORIES = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane")
 
 
@@ -41,10 +39,6 @@ def every(parts):
 @pytest.fixture(params=[False, True], ids=["whole", "quick"])
 def study(request):
     return load_study(quick=request.param)
-
-
-def test_no_seed_of_the_study_was_used_for_tuning(study):
-    assert not {case.seed for case in every(cases_of(study))} & TUNING_SEEDS
 
 
 def test_no_part_runs_a_case_twice_and_parts_share_cases(study):
@@ -69,14 +63,6 @@ def test_what_was_asked_for_is_driven_by_every_model_along_every_trajectory_with
     driven = {(c.model, c.trajectory, c.seed, (c.surface, c.sensors, c.scenario)) for c in targets}
     assert driven == {(*one, place) for one in everything for place in places}
     assert all(case.plant == "mujoco" for case in targets)
-
-
-def test_the_ablation_leaves_out_each_part_alone_and_all_of_them():
-    study = load_study()
-    left_out = [tuple(key for key, value in one.items() if value is False) for one in study.variants.values()]
-    four = tuple(f"compensation.{name}" for name in ("dead_time", "v_offset", "yaw_gain", "side_slip"))
-    assert left_out == [(), *((one,) for one in four), four]
-    assert len(cases_of(study, ["ablation"])["ablation"]) == 6 * 2 * 3 * 4 * 3
 
 
 @pytest.mark.parametrize(
@@ -116,14 +102,6 @@ def test_along_and_across_are_the_position_error_in_the_frame_of_the_reference(r
     assert len(kept["time"]) == run.metrics.steps
 
 
-def test_a_row_keeps_the_arcs_and_the_lateral_error_after_the_start(run):
-    kept = measured(case(surface="slippery"), run)
-    late = np.abs(run.errors.lateral[run.counted & (run.time >= 2.0)]).max()
-    assert kept["late_lateral_m"] == pytest.approx(late)
-    assert late < 0.5 * run.metrics.lateral_max_m
-    assert kept["arcs"] == pytest.approx([run.errors.lateral[run.counted][kept["steady"]].mean()])
-
-
 def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_neither():
     wave = 0.002 * (-1.0) ** np.arange(100)
     steady = np.arange(100) >= 50
@@ -156,13 +134,6 @@ def verdicts(change=lambda case: {}):
 def only(**conditions):
     """Whether a case is the one that the conditions describe."""
     return lambda case: all(getattr(case, name) == value for name, value in conditions.items())
-
-
-def test_runs_well_inside_every_target_reach_all_of_them():
-    found = verdicts()
-    assert len(found) == 5 + 2 + 3 + 4
-    assert all(verdict.met for verdict in found.values())
-    assert all(set(verdict.reached) == {"SM", "SSM"} for verdict in found.values())
 
 
 PLAIN = {"scenario": "none", "sensors": "default"}
@@ -218,14 +189,6 @@ def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, pla
     assert "(no)" in sm
     assert "(no)" not in ssm
     assert cells[-1] == "no"
-
-
-def test_the_worst_arc_is_the_largest_mean_over_seeds_whatever_its_side():
-    case = CASES[0]
-    other = replace(case, trajectory="cane")
-    rows = [row(case, arcs=(0.001, -0.004)), row(case, arcs=(0.001, 0.002)), row(other, arcs=(0.0025,))]
-    assert worst_arc(frame(rows)) == pytest.approx(0.003)
-    assert math.isnan(worst_arc(frame([row(case, arcs=())])))
 
 
 @pytest.fixture(scope="module")
@@ -303,20 +266,6 @@ def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Pat
         "ablation.png",
         "error-sources.png",
     }
-
-
-def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
-    copy_report(TRACKING, report, tmp_path / "tracking")
-    results = made_up()
-    part = results[results["part"] == "bound"]
-    (tmp_path / "out").mkdir()
-    write_made_up(part, tmp_path / "out")
-    copy_report(TRACKING, tmp_path / "out", tmp_path / "tracking")
-    text = (tmp_path / "tracking" / "tracking.md").read_text()
-    assert set(sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
-    page = with_report(TRACKING, PAGE, text)
-    assert page.count("This part was not run.") == 2
-    assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
 
 
 @pytest.fixture(scope="module")
