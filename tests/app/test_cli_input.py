@@ -5,17 +5,28 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from commands import invoke
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.case import combinations
+from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
 from diffdrive_mpc.bench.runner import NotReproducibleError
+from diffdrive_mpc.bench.sweep import sweep_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.sim import Run, simulate
 from processes import run_command
 from studies.cli import app as studies_app
@@ -198,3 +209,85 @@ def test_the_console_command_runs_as_a_program() -> None:
     done = run_command("models", "show", "foo")
     assert done.returncode == 2
     assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)
+
+
+def test_a_grid_is_counted_before_it_is_listed() -> None:
+    """10^12 combinations of four settings, and of four dimensions."""
+    tracemalloc.start()
+    values = ",".join(map(str, range(1, 1001)))
+    with pytest.raises(ValueError, match="1,000,000,000,000 runs are asked for, at most 100,000"):
+        sweep_settings([f"weights.{name}={values}" for name in ("along", "across", "heading", "v")])
+    names = [str(i) for i in range(1000)]
+    with pytest.raises(ValueError, match="1,000,000,000,000 runs"):
+        combinations(model=names, trajectory=names, surface=names, seed=range(1000))
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+    assert len(combinations(seed=range(5), model=["a", "b"])) == 10
+
+
+def test_a_bench_counts_its_controllers_and_settings_too() -> None:
+    """Places alone would be few enough."""
+    asked = read_options({"seeds": "10000", "trajectories": "circle,s"}, settings=["weights.across=1,2,3,4,5,6"])
+    with pytest.raises(ValueError, match="480,000 runs"):
+        plan_cases(asked)
+
+
+def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:
+    """A mapping that allows any gap: 5,000,000,300 samples, 37 GiB for the first array."""
+    log, mapping = tmp_path / "years.csv", tmp_path / "any.yaml"
+    rows = [(0.02 * i, (-1) ** (i // 50) * 0.3) for i in range(300)]
+    rows += [(1e8 + t, v) for t, v in rows]
+    log.write_text("t,v,w,m\n" + "".join(f"{t:.2f},{v},{-v},{0.9 * v}\n" for t, v in rows), encoding="utf-8")
+    columns = "time: t, command: {v: v, omega: w}, encoders: {v: m, omega: w}"
+    mapping.write_text(f"gap: 1.0e+9\ncolumns: {{{columns}}}\n", encoding="utf-8")
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="more than 2,000,000 samples; give a shorter 'gap'"):
+        read_log(log, mapping)
+    assert tracemalloc.get_traced_memory()[1] < 100e6  # a block of text is 16 MB
+    tracemalloc.stop()
+    mapping.write_text(f"columns: {{{columns}}}\n", encoding="utf-8")
+    assert len(read_log(log, mapping).records) == 2
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
+def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise kind
+
+    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
+    result = invoke(app, "models", "show", "ssm", code=130)
+    assert result.stderr.strip() == "error: aborted"
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "bench", "--seeds", "20"]
+    words = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]
+    with subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        session = process.pid
+        while not list(tmp_path.rglob("*")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        time.sleep(2.0)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 143
+    assert said.strip() == "error: ended by SIGTERM"
+    assert not list(tmp_path.rglob("*"))
+    for _ in range(100):  # what was killed takes a moment; idle processes would stay for two minutes
+        if session not in sessions():
+            return
+        time.sleep(0.1)
+    raise AssertionError("processes are left")
+
+
+def sessions() -> list[int]:
+    """The session of each process."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            found.append(int(stat.read_text().rpartition(")")[2].split()[3]))
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+    return found

@@ -183,3 +183,28 @@ def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, m
         "report.md",
         "surface.yaml",
     ]
+
+
+DRAFT_COLUMNS = drive(seconds=8.0)
+
+
+def draft(*words):
+    return CliRunner().invoke(app, ["identify", "--draft-mapping", *(str(word) for word in words)])
+
+
+def test_a_draft_is_written_where_the_user_stands_and_is_never_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    log = write_csv(tmp_path / "log.csv", DRAFT_COLUMNS | {"gyro": -DRAFT_COLUMNS["gyro"]})
+    shown = draft("log.csv").stdout
+    written = tmp_path / "mapping.yaml"
+    assert written.read_text() in shown
+    assert "omega of the gyro runs against the command" in shown
+    assert shown.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
+    written.write_text("corrected by hand")
+    refused = draft("log.csv")
+    assert refused.exit_code == 2
+    assert "mapping.yaml: exists and is not replaced; move it away, or give --out" in refused.stderr
+    assert written.read_text() == "corrected by hand"
+    assert draft(log, "--out", "mine/map.yaml").exit_code == 0
+    assert (tmp_path / "mine/map.yaml").is_file()
+    assert "--draft-mapping: 2 logs; give one" in draft(log, log).stderr

@@ -1,13 +1,15 @@
 """`log replay` repeats every tick of a drive of `simulate` or of the node, and prints how the commands differ."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from two_processes import drive_over_dds
 from typer.testing import CliRunner
 
 from commands import invoke
-from diffdrive_mpc import load_config, load_trajectory
+from diffdrive_mpc import ConfigError, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.node_log import LoggedConfigs
 from diffdrive_mpc.app.replay.own_log import read_recording
@@ -175,3 +177,26 @@ def test_broken_log_is_read_or_refused_with_one_line(name, log):
 def test_bad_option_is_refused_with_one_line(words, expected, log):
     output = log_replay(log, *words, code=2)
     assert expected in output and "Traceback" not in output
+
+
+CASE = Case(trajectory="cane", sensors="slam", overrides=(("weights.across", 90.0),))
+
+
+@pytest.mark.parametrize("lock_step", [True, False])
+def test_mcap_bag_of_the_node_replays_to_the_last_bit(lock_step, tmp_path):
+    _, _, reference = build(CASE)
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        drive_over_dds(CASE, reference.duration, folder, lock_step=lock_step, timeout=120.0)
+        (bag,) = folder.glob("*.mcap")
+        # In real time the node may start late, or before the robot has discovered the topics that it records.
+        with suppress(ConfigError):
+            recording = read_recording(bag, LoggedConfigs(bag, tmp_path))
+            if not recording.notes and len(recording.ticks) > 300:
+                break
+    assert recording.config.weights.across == 90.0 and not recording.notes
+    assert len(recording.ticks) > 300
+    replayed = replay(recording, recording.config, recording.references, as_recorded=True)
+    assert np.array_equal(replayed.command, recording.command)
+    assert replayed.modes == tuple(tick.mode for tick in recording.ticks)
+    assert "commands are equal at every tick" in " ".join(invoke(app, "log", "replay", bag).stdout.split())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from opened_report import content_of
-from tune_parts import write_plan
 
 from commands import call
 from diffdrive_mpc import load_config
@@ -130,3 +131,24 @@ def test_better_needs_a_lower_error_and_no_more_failures(factor: float, failures
     outcome = TuningOutcome([], TunePoint(1, {"horizon": 20}, 0.0, 0), {"horizon": 30}, compared)
     assert outcome.sentence.startswith("better than" if is_better else "no better than")
     assert outcome.written == ({"horizon": 20} if is_better else {})
+
+
+SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
+PLAN = """
+description: short drives of a model
+points: 6
+parameters:
+  weights.across: {times: [0.2, 5.0]}
+  horizon: {low: 15, high: 40}                      # steps
+runs: {plant: "model:sm", trajectory: short.yaml}
+tuning_seeds: {first: 600, count: 1}
+report_seeds: {first: 700, count: 4}
+"""
+
+
+def write_plan(folder: Path, changes: Mapping[str, object] | None = None) -> Path:
+    """Write the plan with changed top-level values, and its path file next to it."""
+    (folder / "short.yaml").write_text(SHORT, encoding="utf-8")
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(PLAN) | dict(changes or {})), encoding="utf-8")
+    return path
