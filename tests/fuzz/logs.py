@@ -28,7 +28,7 @@ BASES = ("own.csv", "own.mcap", "mapped.csv", "bag.db3", "bag.mcap", "metadata.y
 class LogFuzzer:
     """CSV, drive logs and bags."""
 
-    name, longest, count = "logs", 20.0, 200
+    name, longest, count = "logs", 60.0, 200
 
     def draw(self, random: Random) -> Case:
         """A file, and what is changed in it."""
@@ -53,7 +53,7 @@ class LogFuzzer:
 class ReplayFuzzer:
     """The same files, as `log replay` reads them."""
 
-    name, longest, count = "replay", 30.0, 80
+    name, longest, count = "replay", 60.0, 80
 
     draw = LogFuzzer.draw
     simpler = LogFuzzer.simpler

@@ -40,7 +40,7 @@ _CASES_OF_A_PROCESS = 1000
 def environment() -> dict[str, str]:
     """Of a process that imports the fuzzers, and what they import of other tests."""
     tests = Path(__file__).parents[1]
-    paths = [str(tests), str(tests / "models"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(tests), str(tests / "models"), str(tests / "mpc"), os.environ.get("PYTHONPATH", "")]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 

@@ -134,7 +134,7 @@ class Attacker:
         self.account.told += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 2)]
 
     def end_activity(self) -> None:
-        """Note that no more commands are due."""
+        """Record that no more commands are due."""
         if self._active_since is not None:
             self.account.active.append((self._active_since, time.monotonic()))
             self._active_since = None
@@ -149,7 +149,7 @@ class Attacker:
         self.note_limits(self.limits)
 
     def note_limits(self, values: dict[str, float]) -> None:
-        """Note limits that hold from now on."""
+        """Record limits that hold from now on."""
         rates = [max(values[f"limits.{name}_slew"], values[f"expert.limits.{name}_braking"]) for name in ("v", "omega")]
         step = (values["sample_time"] * rates[0], values["sample_time"] * rates[1])
         self.account.allowed.append(Allowed(time.monotonic(), (values["limits.v"], values["limits.omega"]), step))
@@ -253,7 +253,7 @@ def _parameters(attacker: Attacker, random: Random) -> None:
 
 
 def _move(attacker: Attacker, random: Random) -> None:
-    """Carry, block or release the robot, or shift or stop its clock."""
+    """Move, block or release the robot, or shift or stop its clock."""
     attacker.base.pose = [value + random.choice((0.0, 0.05, 0.3, -0.4)) for value in attacker.base.pose]
     attacker.base.blocked = random.random() < 0.3
     attacker.base.clock_offset += random.choice((0.0, 0.0, 0.05, -1.0, 1.0, -30.0, 1000.0))
@@ -273,7 +273,7 @@ ACTIONS: dict[str, Callable[[Attacker, Random], object]] = {
 
 
 def _storm(attacker: Attacker, random: Random, actions: list[str]) -> None:
-    """Do many things in any order."""
+    """Perform many actions in any order."""
     for _ in range(random.choice((5, 10, 20))):
         actions.append(random.choice(("tamper", "tamper", "reference", *ACTIONS)))
         ACTIONS[actions[-1]](attacker, random)
@@ -281,7 +281,7 @@ def _storm(attacker: Attacker, random: Random, actions: list[str]) -> None:
 
 
 def _named_fault(attacker: Attacker, random: Random, actions: list[str]) -> None:
-    """Cause a fault in a drive; the command has to be zero within the stated time."""
+    """Start a fault in a drive; the command has to be zero within the stated time."""
     limits = attacker.limits
     braking = _TICKS + max(
         limits[f"limits.{name}"] / limits[f"expert.limits.{name}_braking"] for name in ("v", "omega")
@@ -383,7 +383,7 @@ class Attack:
 
 
 def main(seconds: float, seed: int, folder: Path | None, number: int | None) -> int:
-    """Attack for `seconds`, or run campaign `number` alone; return the number of findings."""
+    """Run campaigns for `seconds`, or campaign `number` alone; return the number of findings."""
     folder = folder or Path(tempfile.mkdtemp(prefix="fuzz-live-"))
     folder.mkdir(parents=True, exist_ok=True)
     attack = Attack(seed, folder, time.monotonic() + seconds)
