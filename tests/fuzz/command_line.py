@@ -1,4 +1,4 @@
-"""Words on the command line: whatever is typed ends in 0, or in one line and 1 or 2, never in a traceback."""
+"""Fuzzer of the command line: commands end with 0, or with one line and 1 or 2, never with a traceback."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ FILES = ("own.csv", "mapped.csv", "mapping.yaml", "own.mcap", "bag", "short.yaml
 
 
 class CommandLineFuzzer:
-    """Commands with options that are known, values that are not, and the other way round."""
+    """Known commands and options with odd values, and unknown options."""
 
     name, longest, count = "cli", 2 * _FOR, 100
 
     def draw(self, random: Random) -> Case:
-        """Words after the name of the program."""
+        """Draw the words after the name of the program."""
         path, options = random.choice(commands())
         words = list(path)
         for _ in range(random.choice((0, 1, 1, 2, 3))):
@@ -43,7 +43,7 @@ class CommandLineFuzzer:
         return {"words": [word.replace("\x00", "") for word in words], "long": _is_long(path)}
 
     def check(self, case: Case) -> None:
-        """Type it, in a folder of its own."""
+        """Invoke the command in a new folder."""
         from click.testing import CliRunner
 
         words = case["words"]
@@ -73,7 +73,7 @@ class CommandLineFuzzer:
                 raise FaultError(f"error line: cannot be shown: {lines[0][:300]!r}")
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Fewer words."""
+        """Yield commands of fewer words."""
         for words in shrink.fewer(case["words"]):
             if words:
                 yield {**case, "words": words}
@@ -94,21 +94,21 @@ def _command() -> Any:
 
 @cache
 def commands() -> list[tuple[tuple[str, ...], list[tuple[str, bool]]]]:
-    """Every command by its words, with its options and whether they take a value."""
-    found = []
+    """Return every command by its words, with its options and whether they take a value."""
+    listed = []
 
     def walk(command: Any, words: tuple[str, ...]) -> None:
         options = []
-        for one in command.params:
-            takes = not getattr(one, "is_flag", False)
-            options += [(name, takes) for name in (*one.opts, *one.secondary_opts) if name.startswith("-")]
+        for parameter in command.params:
+            takes = not getattr(parameter, "is_flag", False)
+            options += [(name, takes) for name in (*parameter.opts, *parameter.secondary_opts) if name.startswith("-")]
         for name, inner in getattr(command, "commands", {}).items():
             walk(inner, (*words, name))
         if words:
-            found.append((words, options))
+            listed.append((words, options))
 
     walk(_command(), ())
-    return found
+    return listed
 
 
 @cache

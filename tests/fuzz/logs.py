@@ -1,4 +1,4 @@
-"""Logs and recordings with bytes, cells, rows and messages changed: read, or refused in a line; the same for replay."""
+"""Fuzzers of logs and of their replay: changed bytes, cells, rows and messages are read or refused with one line."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class LogFuzzer:
     name, longest, count = "logs", 60.0, 200
 
     def draw(self, random: Random) -> Case:
-        """A file, and what is changed in it."""
+        """Draw a file and its changes."""
         edits = [mutation.draw_bytes_edit(random) for _ in range(random.choice((1, 1, 2, 5, 20)))]
         return {"base": random.choice(BASES), "edits": edits, "messages": draw_messages(random)}
 
     def check(self, case: Case) -> None:
-        """Read it."""
+        """Read the changed file."""
         with tempfile.TemporaryDirectory() as folder:
             path, mapping = changed_file(case, Path(folder))
             log = refused_or(lambda: read_log(path, mapping))
@@ -46,7 +46,7 @@ class LogFuzzer:
                         raise FaultError("log: a command of a record is not finite")
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Fewer changes."""
+        """Yield cases with fewer changes."""
         yield from fewer_changes(case)
 
 
@@ -59,7 +59,7 @@ class ReplayFuzzer:
     simpler = LogFuzzer.simpler
 
     def check(self, case: Case) -> None:
-        """Read it as ticks; replay it after a single change."""
+        """Read the ticks; replay them after a single change."""
         with tempfile.TemporaryDirectory() as folder:
             path, _ = changed_file(case, Path(folder))
             scratch = Path(folder, "scratch")
@@ -73,21 +73,21 @@ class ReplayFuzzer:
 
 
 def draw_messages(random: Random) -> list[list[object]]:
-    """Changes of single messages of a bag: which, as a share, and how its bytes change."""
+    """Draw changes of messages of a bag: place as a share, and change of the bytes."""
     if random.random() < 0.5:
         return []
     return [[random.random(), mutation.draw_bytes_edit(random)] for _ in range(random.choice((1, 3, 10)))]
 
 
 def fewer_changes(case: Case) -> Iterator[Case]:
-    """The same file with fewer changes."""
+    """Yield the same file with fewer changes."""
     for key in ("messages", "edits"):
         for fewer in shrink.fewer(case[key]):
             yield {**case, key: fewer}
 
 
 def changed_file(case: Case, folder: Path) -> tuple[Path, Path | None]:
-    """The log of a case in `folder`, and the mapping that it needs."""
+    """Write the log of a case to `folder`; return it and its mapping."""
     base, originals = case["base"], base_files()
     mapping = originals / "mapping.yaml" if base == "mapped.csv" else None
     if base in ("bag.db3", "metadata.yaml", "bag.mcap"):
@@ -105,7 +105,7 @@ def changed_file(case: Case, folder: Path) -> tuple[Path, Path | None]:
 
 
 def _change_rows(file: Path, changes: list[list[object]]) -> None:
-    """Messages in the database, bytes and stamps."""
+    """Change bytes and stamps of messages in the database."""
     with sqlite3.connect(file) as database:
         rows = database.execute("select id, timestamp, data from messages").fetchall()
         for share, edit in changes:
@@ -126,7 +126,7 @@ def _change_rows(file: Path, changes: list[list[object]]) -> None:
 
 @cache
 def base_files() -> Path:
-    """A folder with whole logs of all kinds, made once in each process."""
+    """Make a folder with logs of all kinds, once per process."""
     from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv
 
     folder = Path(tempfile.mkdtemp(prefix="fuzz-logs-"))

@@ -1,4 +1,4 @@
-"""Numbers and words that nobody expects."""
+"""Odd numbers and words."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WORDS = (
 
 
 def number(random: Random) -> float:
-    """An odd number."""
+    """Draw an odd number."""
     return random.choice(NUMBERS)
 
 

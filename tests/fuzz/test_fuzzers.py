@@ -52,8 +52,8 @@ def test_case_follows_from_seed_and_number_and_survives_json(name):
 
 @pytest.mark.parametrize("name", ["controller", "references", "yaml"])
 def test_quick_fuzzers_find_nothing(name, tmp_path):
-    found = runner.run(Order(name, seed=20, first=0, count=12, seconds=120.0), tmp_path)
-    assert (found.cases, found.lines) == (12, [])
+    result = runner.run(Order(name, seed=20, first=0, count=12, seconds=120.0), tmp_path)
+    assert (result.cases, result.lines) == (12, [])
 
 
 def test_steps_of_all_models_keep_the_promises_of_safety(tmp_path):
@@ -104,16 +104,16 @@ def gentle(monkeypatch):
 
 
 def test_finding_is_reduced_saved_and_reported_once_with_its_command(gentle, tmp_path):
-    found = lived(7, tmp_path)
-    assert len(found) == 1
-    assert 'make fuzz FUZZ="planted --seed 1 --only 4"' in found[0]
+    findings = lived(7, tmp_path)
+    assert len(findings) == 1
+    assert 'make fuzz FUZZ="planted --seed 1 --only 4"' in findings[0]
     assert {fuzzer: case for (fuzzer, _), case in saved_findings(tmp_path).items()} == {"planted": [7]}
 
 
 def test_hang_is_a_finding(gentle, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "_SMALLER_FOR", 0.0)
-    (found,) = lived(8, tmp_path)
-    assert "hangs: it takes longer than 0.2 s" in found
+    (finding,) = lived(8, tmp_path)
+    assert "hangs: it takes longer than 0.2 s" in finding
 
 
 def test_killed_process_is_a_finding_and_the_next_case_follows(tmp_path, monkeypatch):
@@ -145,11 +145,11 @@ def test_configurations_cover_the_schema_and_half_are_valid():
     from random import Random
 
     drawn = [configs.draw_overrides(Random(str(i))) for i in range(200)]
-    assert len({key for one in drawn for key in one}) > 100
+    assert len({key for values in drawn for key in values}) > 100
     good = 0
-    for one in drawn:
+    for values in drawn:
         try:
-            load_config("ssm", one)
+            load_config("ssm", values)
         except ConfigError:
             continue
         good += 1
@@ -177,8 +177,8 @@ def driven(*speeds, **more):
         (driven(0.0, 0.05), "slew"),
         (driven(0.5, 0.0), "slew"),
         (driven(0.5, 0.0, modes=[(0.02, "STOPPED: no tick for 3 s")]), ""),
-        (driven(0.5, 0.0, told=[0.0]), ""),
-        (driven(0.5, 0.1, told=[0.0]), "slew"),
+        (driven(0.5, 0.0, requested=[0.0]), ""),
+        (driven(0.5, 0.1, requested=[0.0]), "slew"),
         (driven(0.04, 0.0, zero=[(-1.0, 1.0, "lost")]), "zero"),
         (driven(0.0, 0.0, zero=[(-1.0, 1.0, "lost")]), ""),
         (driven(0.0, 0.0, active=[(0.0, 2.0)]), "gap"),
@@ -198,6 +198,6 @@ def driven(*speeds, **more):
     ],
 )
 def test_judge_finds_broken_promises_of_live_commands(account, word):
-    found = faults(account)
-    assert bool(found) == bool(word)
-    assert word in " ".join(found)
+    lines = faults(account)
+    assert bool(lines) == bool(word)
+    assert word in " ".join(lines)

@@ -1,4 +1,4 @@
-"""Files of every kind that the product reads, changed here and there: refused in a line, or used without harm."""
+"""Fuzzer of YAML files: changed files of every kind are refused with one line or used without a fault."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _SEEDS = {
 
 
 class YamlFuzzer:
-    """Shipped files, and files of the tests of those kinds that ship none."""
+    """Changed files of every kind that the root package reads."""
 
     name, longest, count = "yaml", 20.0, 500
 
     def draw(self, random: Random) -> Case:
-        """A file, and what is changed in it."""
+        """Draw a file and its changes."""
         kind = random.choice(sorted(DOORS))
         files = seeds(kind)
         edits = [mutation.draw_tree_edit(random) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
@@ -59,7 +59,7 @@ class YamlFuzzer:
         }
 
     def check(self, case: Case) -> None:
-        """Read it, and use what was read."""
+        """Read and use the changed file."""
         source = PACKAGE / case["file"]
         text = source.read_bytes()
         if case["edits"]:
@@ -72,7 +72,7 @@ class YamlFuzzer:
             refused_or(lambda: DOORS[case["kind"]](path))
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Fewer changes."""
+        """Yield cases with fewer changes."""
         for key in ("edits", "raw"):
             for fewer in shrink.fewer(case[key]):
                 yield {**case, key: fewer}
@@ -80,9 +80,9 @@ class YamlFuzzer:
 
 @cache
 def seeds(kind: str) -> list[str]:
-    """Files of a kind, as paths in the package."""
-    found = KINDS[kind].files if kind in KINDS else [PACKAGE / _SEEDS[kind]]
-    return [str(path.relative_to(PACKAGE)) for path in found if path.is_relative_to(PACKAGE)]
+    """Return the files of a kind as paths in the package."""
+    files = KINDS[kind].files if kind in KINDS else [PACKAGE / _SEEDS[kind]]
+    return [str(path.relative_to(PACKAGE)) for path in files if path.is_relative_to(PACKAGE)]
 
 
 def _controller(path: Path) -> None:

@@ -123,7 +123,7 @@ class Attacker:
     def trigger(self, name: str) -> bool:
         """Call `start`, `pause` or `reset`; return True if it is accepted."""
         if name != "pause":
-            self.account.told.append(time.monotonic())
+            self.account.requested.append(time.monotonic())
         return bool(self.call(Trigger, name).success)
 
     def transition(self, number: int) -> None:
@@ -131,7 +131,7 @@ class Attacker:
         self.end_activity()
         start = time.monotonic()
         self.call(ChangeState, "change_state", transition=Transition(id=number))
-        self.account.told += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 2)]
+        self.account.requested += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 2)]
 
     def end_activity(self) -> None:
         """Record that no more commands are due."""
@@ -318,7 +318,7 @@ def _terminate(attacker: Attacker, number: int) -> list[str]:
     attacker.end_activity()
     start = time.monotonic()
     code = attacker.process.end(number)
-    attacker.account.told += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 10)]
+    attacker.account.requested += [start + 0.1 * i for i in range(int(10 * (time.monotonic() - start)) + 10)]
     findings = attacker.judge()
     if (last := attacker.base.commands[-1]) and (last.v or last.omega):
         findings.append(f"signal {number}: the last command is {last}")
