@@ -59,27 +59,6 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
     assert np.isfinite(logs[0]["wheel_fl_rad_s"][5:]).all()
 
 
-@pytest.mark.long
-def test_scenarios_are_compared_and_replayed(tmp_path: Path) -> None:
-    arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario none,push"
-    invoke(app, "bench", "--out", tmp_path, *arguments.split())
-    report = json.loads((tmp_path / "bench.json").read_text())
-    plain, pushed = report["runs"]
-    assert report["meta"]["experiment"]["scenarios"] == ["none", "push"]
-    assert (plain["scenario"], pushed["scenario"]) == ("none", "push")
-    assert plain["recovery_time_s"] is None
-    assert plain["disturbance_s"] is None
-    assert 4.0 <= pushed["disturbance_s"][0] < pushed["disturbance_s"][1] <= 5.25
-    assert pushed["lateral_max_m"] > 0.05 > plain["lateral_max_m"]
-    assert 0.0 < pushed["recovery_time_s"] < 3.0
-    assert pushed["overshoot_m"] >= 0.0
-    assert pushed["command_energy_v"] > 0.0 < pushed["command_energy_omega"]
-    text = (tmp_path / "bench.md").read_text()
-    assert "## Scenarios" in text
-    assert "| none | SSM | - | - | - |" in text
-    assert "scenarios none, push, seeds 0" in text
-
-
 SUMMARY = (
     r"completed: (SSM|pursuit) along s on model:ssm, \d+\.\d s",
     r"errors: position RMSE [\d.]+ mm, max [\d.]+ mm; lateral RMSE [\d.]+ mm, max [\d.]+ mm",

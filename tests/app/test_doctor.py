@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -82,16 +81,3 @@ def test_ros_is_probed_in_another_process(distribution: str, code: int, words: s
     check = doctor._ros()
     assert (check.is_ok, check.is_required, words in check.line) == (code == 0, False, True)
     assert check.is_ok or "ImportError: no rclpy" in check.line
-
-
-@pytest.mark.parametrize(
-    ("governors", "is_ok"),
-    [(("performance", "performance"), True), (("performance", "powersave"), False), ((), True)],
-)
-def test_governor_other_than_performance_is_a_warning(governors: tuple[str, ...], is_ok: bool, tmp_path: Path) -> None:
-    for number, governor in enumerate(governors):
-        file = tmp_path / f"sys/devices/system/cpu/cpu{number}/cpufreq/scaling_governor"
-        file.parent.mkdir(parents=True)
-        file.write_text(f"{governor}\n", encoding="utf-8")
-    check = doctor._governor(tmp_path)
-    assert check.is_ok == is_ok and all(governor in check.finding for governor in governors)

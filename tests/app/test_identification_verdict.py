@@ -128,18 +128,6 @@ def test_an_unknown_delay_is_a_no(identification):
     assert trust.grade == "No" and "how late omega answers is not known" in trust.reasons[0]
 
 
-def test_the_answers_fit_ten_lines_of_eighty_columns(sound):
-    many = replace(sound, changed=("a reason that is rather long, as some of them are",) * 9)
-    for lines in (sound.lines(), many.lines()):
-        assert len(lines) <= 10 and max(map(len, lines)) <= 80
-        assert [line.split("?")[0] for line in lines if "?" in line[:13]] == [
-            "May I drive",
-            "How fast",
-            "How good",
-            "What next",
-        ]
-
-
 @pytest.mark.long
 @pytest.mark.real_logs
 def test_what_is_promised_of_the_husky_holds_in_variations_of_a_model_of_other_rows():

@@ -14,7 +14,6 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.identification.deliver.configuration import round_period
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
@@ -70,13 +69,6 @@ def test_a_controller_and_a_plant_of_other_sample_times_are_refused_with_both_va
     with pytest.raises(ValueError, match=r"sample_time is 0.05 s, .* 0.0202 s: .*make_plant\(..., sample_time=0.05\)"):
         simulate(controller, make_plant("model:sm"), circle)
     assert simulate(controller, make_plant("model:sm", sample_time=0.05), circle).metrics.position_rmse_m < 0.02
-
-
-@pytest.mark.parametrize(
-    ("measured", "written"), [(0.0500001, 0.05), (0.02019994, 0.0202), (1 / 30, 0.033333), (0.0166667, 0.016667)]
-)
-def test_the_sample_time_of_a_log_is_written_without_its_jitter(measured, written):
-    assert round_period(measured) == written
 
 
 OWN = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"

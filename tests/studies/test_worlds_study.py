@@ -6,21 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
-from studies.worlds.settings import cases, load_settings, stop_was_possible
+from studies.worlds.settings import cases, load_settings
 from studies.worlds.study import WorldsStudy
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.study import carry_out
-from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
+from diffdrive_mpc_extras.worlds.plug_in import split
 
 PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"
-
-
-def with_person(folder: Path, mover: str) -> Case:
-    path = folder / "person.yaml"
-    path.write_text(f"{PERSON}movers: [{mover}]\n", encoding="utf-8")
-    return Case(controller="pursuit", model="none", plant=f"world:{path}", sensors="perfect")
 
 
 def is_through(case: Case) -> bool:
@@ -49,18 +42,6 @@ def test_every_controller_gets_the_same_worlds() -> None:
     # Both kinds of worlds under each condition.
     places = {(split(one.plant)[2], one.surface, one.sensors, is_through(one)) for one in drawn}
     assert len(places) == 2 * len(settings.conditions)
-
-
-def test_a_stop_was_possible_for_whom_is_seen_early_and_not_for_whom_appears_at_the_bumper(tmp_path: Path) -> None:
-    """A blind controller drives into both; at 0.5 m/s, braking with 2 m/s^2, 40 ms of dead time and 90 ms of lag."""
-    early = with_person(tmp_path, "{x: 2.5, y: 0}")
-    run = run_case(early)
-    assert "mover 0" in run.ended and passage(run).contacts == 1
-    # The front is at the person's edge after (2.5 - 0.25 - 0.15) / 0.5 s and the run-up.
-    assert 4.2 < world_record(run).contacts[0].time < 4.7
-    assert stop_was_possible(early, run) is True
-    late = with_person(tmp_path, f"{{x: 2.5, y: 0, seen_from: {world_record(run).contacts[0].time - 0.35}}}")
-    assert stop_was_possible(late, run_case(late)) is False
 
 
 @pytest.mark.long
