@@ -13,8 +13,6 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc_extras.worlds.plug_in import split
 
-PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"
-
 
 def is_through(case: Case) -> bool:
     return split(case.plant)[1].endswith(":through")
