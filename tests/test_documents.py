@@ -158,7 +158,7 @@ def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
     """Every word of the line stands quoted in that file, but for the places of files."""
     words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
     named_there = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
-    test = (ROOT / "tests" / file).read_text(encoding="utf-8")
+    test = (ROOT / file).read_text(encoding="utf-8")
     assert all(word in test for word in named_there), named_there
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 

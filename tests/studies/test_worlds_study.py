@@ -5,26 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from studies.worlds.results import measured
-from studies.worlds.settings import cases, known_at, load_settings, stop_was_possible
+from studies.worlds.settings import cases, load_settings
 from studies.worlds.study import WorldsStudy
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.study import carry_out
-from diffdrive_mpc_extras.peers.seeing import SeenDistanceField
-from diffdrive_mpc_extras.worlds.plug_in import passage, split, world_record
-from diffdrive_mpc_extras.worlds.sight import Seen, SeenDisc, SeenGrid
-
-PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"
-
-
-def with_person(folder: Path, mover: str) -> Case:
-    path = folder / "person.yaml"
-    path.write_text(f"{PERSON}movers: [{mover}]\n", encoding="utf-8")
-    return Case(controller="pursuit", model="none", plant=f"world:{path}", sensors="perfect")
+from diffdrive_mpc_extras.worlds.plug_in import split
 
 
 def is_through(case: Case) -> bool:
@@ -53,51 +40,6 @@ def test_every_controller_gets_the_same_worlds() -> None:
     # Both kinds of worlds under each condition.
     places = {(split(one.plant)[2], one.surface, one.sensors, is_through(one)) for one in drawn}
     assert len(places) == 2 * len(settings.conditions)
-
-
-def test_a_stop_was_possible_for_whom_is_seen_early_and_not_for_whom_appears_at_the_bumper(tmp_path: Path) -> None:
-    """A blind controller drives into both; at 0.5 m/s, braking with 2 m/s^2, 40 ms of dead time and 90 ms of lag."""
-    early = with_person(tmp_path, "{x: 2.5, y: 0}")
-    run = run_case(early)
-    assert "mover 0" in run.ended and passage(run).contacts == 1
-    # The front is at the person's edge after (2.5 - 0.25 - 0.15) / 0.5 s and the run-up.
-    assert 4.2 < world_record(run).contacts[0].time < 4.7
-    assert stop_was_possible(early, run) is True
-    late = with_person(tmp_path, f"{{x: 2.5, y: 0, seen_from: {world_record(run).contacts[0].time - 0.35}}}")
-    assert stop_was_possible(late, run_case(late)) is False
-
-
-def test_a_person_is_known_with_the_second_look(tmp_path: Path) -> None:
-    case = with_person(tmp_path, "{x: 2.5, y: 0, seen_from: 1.05}")
-    run = run_case(case)
-    # Looks are at 1.1 and 1.2 s, and take 0.06 s; ticks are 0.0202 s apart.
-    assert known_at(world_record(run).world, run.time, run.true_pose)[0] == pytest.approx(1.26, abs=0.025)
-
-
-def test_the_clock_of_a_peer_waits_and_its_collision_stop_stops(tmp_path: Path) -> None:
-    path = tmp_path / "wall.yaml"
-    text = PERSON.replace("a person", "a wall") + "walls: [{start: [2, -1], end: [2, 1]}]\nreachable: false\n"
-    path.write_text(text, encoding="utf-8")
-    case = Case(controller="rpp+stop", model="none", plant=f"world:{path}")
-    run = run_case(case)
-    kept = measured(case, run)
-    assert not passage(run).arrived
-    assert (kept["collided"], kept["stood_still"]) == (False, True)
-    # It projects its command 1 s ahead: at 0.5 m/s it stops within half a metre, and the front is 0.15 m ahead.
-    assert 0.0 < passage(run).clearance_m < 0.55
-    assert "would touch" in str(kept["last_message"])
-
-
-def test_distances_from_what_was_seen() -> None:
-    cells = np.zeros((40, 40), dtype=np.int8)
-    cells[20, 30] = 100
-    disc = SeenDisc(-0.5, -0.5, 0.2)
-    field = SeenDistanceField(Seen(0.0, SeenGrid(cells, 0.05, (-1.0, -1.0, 0.0)), (), (disc,)), np.zeros(2))
-    x, y = np.array([0.525, 0.325, -0.5, -0.2, 3.0]), np.array([0.025, 0.025, -0.5, -0.5, 0.0])
-    found = field.at(x, y)
-    assert found[0] == 0.0 and found[2] <= 0.0 and found[4] > 5.0
-    assert found[1] == pytest.approx(0.175, abs=0.01)
-    assert found[3] == pytest.approx(0.1, abs=0.04)
 
 
 @pytest.mark.long

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from random import Random
 from typing import Any
 
+from fuzz_surroundings import draw_surroundings, make_surroundings
+
 from diffdrive_mpc import Controller
 from fuzz.configs import Overrides
 from fuzz.controller import EXTRAS, ControllerFuzzer, Life, one_line
-from fuzz.surroundings import draw_surroundings, make_surroundings
 
 FEATURES: tuple[Overrides, ...] = (
     {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"},

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc_extras.torque.torque_curves import TorqueCurves
 from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, Vehicle
+
+if TYPE_CHECKING:
+    from diffdrive_mpc_extras.torque.torque_curves import TorqueCurves
 
 
 class PredictedEnergy(NamedTuple):

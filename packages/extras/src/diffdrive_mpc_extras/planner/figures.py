@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,8 +14,10 @@ from matplotlib.patches import Polygon
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc_extras.planner.clearance import outline
-from diffdrive_mpc_extras.planner.study import PlanRequest, Plans
 from diffdrive_mpc_extras.worlds.drawing import draw_world
+
+if TYPE_CHECKING:
+    from diffdrive_mpc_extras.planner.study import PlanRequest, Plans
 
 _WIDEST = 50.0
 _OUTLINES = 12
