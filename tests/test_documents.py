@@ -28,7 +28,6 @@ CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 # What a line of .ci/run or .ci/long runs, with more beside it.
 PART_OF_CI = {
-    "python -m studies reproduce --out turns --only turning --quick": 'NAME=reproduce OPTIONS="--quick',
     "python -m studies speed --out out/speed --quick --peers ours,casadi/sqpmethod --horizons 10": (
         'NAME=speed OPTIONS="--quick --horizons 10"'
     ),

@@ -69,10 +69,7 @@ BENCH = ShownReport(
 TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), ())
 REPRODUCE = ShownReport(
     "reproduce",
-    (
-        *("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"),
-        *("turn-torques.png", "turn-power.png", "turn-learning.png", "turn-energy.png"),
-    ),
+    ("odometry.png", "orders.png", "virtual-track.png"),
     (),
     "reproduce.md",
 )

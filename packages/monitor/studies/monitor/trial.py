@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from studies.monitor.drawn import DrawnFault
 from studies.monitor.faults import AT_START, FAULTS, Fault
 from studies.monitor.watched import MonitoredController
 
@@ -18,7 +16,6 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.plants.names import DRAWN
-from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 from diffdrive_mpc_monitor.rules import Rules
 
 # Drives in which nothing is wrong: drawn from controllers, paths, floors, what happens there, and sensors.
@@ -192,114 +189,10 @@ def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
     return np.array(away)
 
 
-# Broken controllers that nobody chose: where they drive, and what becomes of them.
-
-
-LEFT, STOPPED_WITHIN, STOPPED_AFTER = 0.1, 0.3, 3.0
-"""Harm begins where the robot is further than `LEFT` from the stretch that its reference covers around now. It has to
-be stopped before it is further than `STOPPED_WITHIN` from its path [m], and `STOPPED_AFTER` after harm began [s]."""
+LEFT = 0.1
+"""Distance beyond which the robot has left the stretch that its reference covers around now [m]."""
 ON_TIME = 0.5
-"""That stretch begins and ends so long before and after now [s]."""
-_PATH, _BRAKES_WITHIN = (10.0, 1.0), 2.0
-"""Its path is what the reference covers from so long ago to so much later, and it stands so long after it was stopped
-[s]; what slides down a slope then is not looked at."""
-_SOUND_WITHIN = 0.07
-"""Without the fault the robot stays within this [m]; elsewhere harm would not be the fault's."""
-_PLACES_OF_DRAWN = (
-    *(("mujoco", floor, "default") for floor in ("default", "default", "carpet", "slippery")),
-    *(("mujoco", "default", sensors) for sensors in ("slam", "poses_5hz", "noise_2cm")),
-    *((f"mujoco:{build}", "default", "default") for build in ("heavy", "mass_behind", "dead_time_80", "slow_motors")),
-    *(("", "default", "default") for _ in range(4)),
-)
-"""Plant, floor and sensors; no plant: a drawn robot of the market."""
-_ROBOTS = 60
-
-
-@dataclass(frozen=True)
-class DrawnTrial:
-    """What came of one drive of a broken controller.
-
-    Attributes
-    ----------
-    kind
-        Its number.
-    case
-        What was driven.
-    rule, words
-        Of the verdict; empty without one.
-    left
-        From the fault until the robot left the stretch around its reference [s]; NaN if it did not.
-    stopped
-        From then until the monitor stopped it, or the controller itself stood and said so [s]; NaN if neither did.
-    farthest
-        From its path, of the true pose, until it was stopped and at rest [m].
-    """
-
-    kind: int
-    case: Case
-    rule: str
-    words: str
-    left: float
-    stopped: float
-    farthest: float
-
-    @property
-    def harmless(self) -> bool:
-        """Whether the robot never left."""
-        return math.isnan(self.left)
-
-    @property
-    def in_time(self) -> bool:
-        """Whether it was stopped in time, or was harmless."""
-        return self.harmless or (self.stopped <= STOPPED_AFTER and self.farthest <= STOPPED_WITHIN)
-
-
-def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
-    """A drive of a broken controller of a kind: place, path, controller, instant and the fault's numbers are drawn."""
-    draw = np.random.default_rng([1974, kind, seed])
-    case = _drawn_case(draw, seed)
-    while not _is_sound(case):
-        case = _drawn_case(draw, seed)
-    fault = DrawnFault(kind, seed, float(draw.uniform(_FIRST, _LAST)))
-    controller, plant, reference = build(case)
-    watched = MonitoredController(controller, rules, fault)
-    run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT)
-    verdict = watched.verdict
-    ends = verdict.at if verdict else math.inf
-    live = (run.time >= fault.begins) & ~np.array(watched.stood)
-    left = run.time[live & (distances(run, (ON_TIME, ON_TIME)) > LEFT) & (run.time <= ends)]
-    if len(left):
-        ends = min(ends, *run.time[~live & (run.time > left[0])], math.inf)
-    braking = (run.time >= fault.begins) & (run.time <= ends + _BRAKES_WITHIN)
-    return DrawnTrial(
-        kind=kind,
-        case=case,
-        rule=verdict.rule,
-        words=verdict.words,
-        left=float(left[0]) - fault.begins if len(left) else math.nan,
-        stopped=ends - float(left[0]) if len(left) and ends < math.inf else math.nan,
-        farthest=float(distances(run, _PATH)[braking].max(initial=0.0)),
-    )
-
-
-def _drawn_case(draw: np.random.Generator, seed: int) -> Case:
-    plant, surface, sensors = _PLACES_OF_DRAWN[int(draw.integers(len(_PLACES_OF_DRAWN)))]
-    controllers = ["mpc", "mpc", "pursuit+slip", *(["kanayama-plain"] if plant == "mujoco" else [])]
-    paths = [*BENCH_PATHS, *(FAULTY_PATHS if plant else ())]
-    controller, path, robot = (
-        str(draw.choice(controllers)),
-        str(draw.choice(paths)),
-        int(draw.choice(driving_seeds(_ROBOTS, spot_turns=True, tuning=True))),
-    )
-    model = Case().model if controller == "mpc" else NO_MODEL
-    case = Case(controller, model, path, surface=surface, sensors=sensors, seed=seed)
-    return replace(case, plant=plant or f"{DRAWN}:{robot}")
-
-
-@cache
-def _is_sound(case: Case) -> bool:
-    """Whether the robot stays near its reference where nothing is wrong."""
-    return _largest_distance(simulate(*build(case), extra_time=AFTER)) <= _SOUND_WITHIN
+"""Time by which this stretch begins before now and ends after now [s]."""
 
 
 def _largest_distance(run: Run) -> float:

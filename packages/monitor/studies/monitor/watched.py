@@ -51,9 +51,6 @@ class MonitoredController:
     def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
         self._inner, self._rules, self._fault = inner, rules, fault or Fault()
 
-    stood: list[bool]
-    """Of each tick, whether the controller sent nothing but zero and said that it stands."""
-
     @property
     def verdict(self) -> MonitorVerdict:
         """What stopped the robot, on the clock of the plant; nothing while all is well."""
@@ -69,7 +66,6 @@ class MonitoredController:
         self._tell_reference(t0, 0.0)
         self._summed, self._summed_at = reference.sample([0.0]).pose[0].tolist(), t0
         self._base, self._base_at = (0.0, 0.0), t0
-        self.stood: list[bool] = []
 
     def step(self, t: float, measurement: Measurement) -> WatchedStep:
         """Decide, judge, and pass on."""
@@ -84,7 +80,6 @@ class MonitoredController:
         planned = getattr(self._inner, "planned_delay", 0.0)
         if mode not in _STANDING and abs(planned - self._planned) >= _TOLD_AGAIN:
             self._tell_reference(t, planned)
-        self.stood.append(mode in _STANDING and not any(any(one[1:]) for one in sent))
         self._judge.says(now, drives=(fault.says(mode) if broken else mode) not in _STANDING)
         for one in sent:
             self._base, self._base_at = self._judge.command(now, one.stamp + _BEFORE, one.v, one.omega), t
