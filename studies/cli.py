@@ -16,7 +16,7 @@ import typer
 
 from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from studies.commands import studies
-from studies.commands.shipped_models import shipped_models_app
+from studies.commands.studies import shipped_models_app
 
 
 class Studies(OneLineErrors):

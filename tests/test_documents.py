@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from quick_settings import quick_settings
 from studies.cli import app as studies_app
-from studies.documents import twelve_drives
+from studies.documents import documents as twelve_drives
 from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]

@@ -16,8 +16,35 @@ from diffdrive_mpc.bench.grouped_tables import Cell, load_tables
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc.sim.run import Run
-from studies.robustness.market import MARKET
+from diffdrive_mpc_extras.campaign.campaign_file import Condition
+from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
+
+MARKET = "market"
+"""Name of the condition of drawn robots: one condition, another robot in each run."""
+
+
+def market_cases(
+    robots: int,
+    controller: str,
+    model: str,
+    trajectory: str,
+    spot_turns: bool,
+    *,
+    tuning: bool = False,
+    settings: Mapping[str, bool | int | float | str] | None = None,
+) -> list[Case]:
+    """Runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
+
+    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
+    `settings`, configuration values by dotted key.
+    """
+    return [
+        Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
+        for seed in driving_seeds(robots, spot_turns=spot_turns, tuning=tuning)
+    ]
+
 
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
 """Key of the rate of false alarms that the controller is configured for [1/h]."""

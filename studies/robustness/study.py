@@ -19,9 +19,8 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
-from diffdrive_mpc_extras.campaign.conditions import Condition
-from studies.robustness.market import MARKET, market_cases
-from studies.robustness.results import FALSE_ALARM_RATE, measured, study_tables
+from diffdrive_mpc_extras.campaign.campaign_file import Condition
+from studies.robustness.results import FALSE_ALARM_RATE, MARKET, market_cases, measured, study_tables
 
 OURS = "mpc"
 """The predictive controller, as `bench.case.Case` names it."""

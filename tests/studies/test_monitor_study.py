@@ -7,11 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from studies.monitor import watched
+from studies.monitor import trial
 from studies.monitor.faults import FAULTS, Fault, Sent
 from studies.monitor.study import MonitorStudyResult, complaint
-from studies.monitor.trial import HARM, faulty_trial, nominal_case, nominal_trial
-from studies.monitor.watched import MonitoredController
+from studies.monitor.trial import HARM, MonitoredController, faulty_trial, nominal_case, nominal_trial
 from typer.testing import CliRunner
 
 from diffdrive_mpc.mpc import Controller, Trajectory, load_config
@@ -144,7 +143,7 @@ WAITS = {
 def test_a_controller_that_waits_on_purpose_is_let_pass_where_it_says_so(name, told, monkeypatch):
     happens, settings, late = WAITS[name]
     if not told:
-        monkeypatch.setattr(watched, "_TOLD_AGAIN", math.inf)
+        monkeypatch.setattr(trial, "_TOLD_AGAIN", math.inf)
     reference = Trajectory.from_waypoints([[0, 0], [5, 0]], speed=0.4)
     controller = Waits(Controller(load_config("ssm", settings)), happens)
     watch = MonitoredController(controller, RULES)

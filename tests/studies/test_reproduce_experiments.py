@@ -26,7 +26,6 @@ from studies.reproduce.drive_models import (
     reversing_commands,
     velocity_errors,
 )
-from studies.reproduce.driven_track import DrivenTrack, drive_tests, driven_track_findings
 from studies.reproduce.drives import (
     RobotLogs,
     Spread,
@@ -38,7 +37,13 @@ from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compar
 from studies.reproduce.published import CostStudy, MbmSmStudy, SsmStudy, load_published, load_study
 from studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
 from studies.reproduce.study import ReproduceStudy
-from studies.reproduce.virtual_track import check_virtual_track, fit_line
+from studies.reproduce.virtual_track import (
+    DrivenTrack,
+    check_virtual_track,
+    drive_tests,
+    driven_track_findings,
+    fit_line,
+)
 
 DT = load_robot().sample_time
 twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.floats(-2.0, 2.0))

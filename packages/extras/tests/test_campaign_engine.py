@@ -31,7 +31,7 @@ from diffdrive_mpc_extras.campaign.engine import (
     failed,
 )
 from diffdrive_mpc_extras.campaign.identity import key_of
-from diffdrive_mpc_extras.campaign.parquet import read_table
+from diffdrive_mpc_extras.campaign.run import read_table
 
 SHORT = "name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 0.5}\n"
 FILE = """

@@ -5,7 +5,7 @@ import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_extras.terrain import Shear, Terrain, fit_shear, load_terrain, side_torques
-from diffdrive_mpc_extras.terrain.shear import floor_forces
+from diffdrive_mpc_extras.terrain.turning import floor_forces
 from diffdrive_mpc_extras.turn_costs import least_radius, load_vehicle
 
 BOT = load_vehicle("fsu_bot")

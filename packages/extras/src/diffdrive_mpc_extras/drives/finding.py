@@ -24,7 +24,7 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawS
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc_extras.drives.content import drive_content
+from diffdrive_mpc_extras.drives.content import drive_content, fit_settings
 from diffdrive_mpc_extras.drives.drive_model import (
     STATES,
     DriveModel,
@@ -35,7 +35,6 @@ from diffdrive_mpc_extras.drives.drive_model import (
     write_drive,
 )
 from diffdrive_mpc_extras.drives.fitting import DriveFit, channel_errors, fit_drive, numbers_at_bounds, parameter_names
-from diffdrive_mpc_extras.drives.settings import fit_settings
 
 # What a log tells of a drive model's numbers, and what it does not: that keeps its prior.
 

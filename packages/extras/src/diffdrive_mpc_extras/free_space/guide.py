@@ -8,16 +8,79 @@ and a way that differs from it costs, so the side on which a thing is passed doe
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
 from diffdrive_mpc_extras.free_space.config import FreeSpace
-from diffdrive_mpc_extras.free_space.half_space import load_free_space
-from diffdrive_mpc_extras.free_space.path_table import PathTable
-from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps
+from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps, load_free_space
+
+SPACING = 0.05
+"""Between two nodes [m]; wider for a reference of more than `MOST` nodes."""
+MOST = 100_000
+_MOST_SAMPLES = 100_000
+# Nodes nearer than this to a turn on the spot or a cusp are not moved aside [m].
+_STAYS = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class PathTable:
+    """The nodes of a path.
+
+    Attributes
+    ----------
+    spacing
+        Between two of them [m].
+    pose
+        (m, 3), theta unwrapped.
+    travel
+        (m,) 1 where it drives forwards, -1 backwards.
+    curvature
+        (m,) of the heading by distance [rad/m].
+    speed
+        (m,) of the reference [m/s].
+    fixed
+        (m,) whether a node must not be moved aside: the end, and where it turns on the spot or changes its direction.
+    """
+
+    spacing: float
+    pose: FloatArray
+    travel: FloatArray
+    curvature: FloatArray
+    speed: FloatArray
+    fixed: FloatArray
+
+    @classmethod
+    def of(cls, reference: Reference) -> PathTable:
+        """The table of a reference."""
+        times = np.linspace(0.0, reference.duration, min(int(reference.duration / 0.02) + 2, _MOST_SAMPLES))
+        sample = reference.sample(times)
+        arc, v, omega = sample.arc_length, sample.twist[:, 0], sample.twist[:, 1]
+        spacing = max(SPACING, float(arc[-1]) / MOST)
+        nodes = np.arange(int(arc[-1] / spacing) + 2) * spacing
+        pose = np.stack([np.interp(nodes, arc, column) for column in sample.pose.T], axis=1)
+        moves = np.abs(v) > STANDING
+        direction = np.where(v[moves] < 0.0, -1.0, 1.0) if moves.any() else np.ones(1)
+        moving_arc = arc[moves] if moves.any() else np.zeros(1)
+        travel = np.sign(np.interp(nodes, moving_arc, direction) + 1e-12)
+        curvature = np.interp(nodes, moving_arc, omega[moves] / np.abs(v[moves]) if moves.any() else np.zeros(1))
+        speed = np.interp(nodes, moving_arc, np.abs(v[moves]) if moves.any() else np.zeros(1))
+        turns = ~moves & (np.abs(omega) > TURNING)
+        cusps = np.flatnonzero(np.diff(direction) != 0.0)
+        stays = np.concatenate([arc[turns], moving_arc[cusps], arc[-1:]])
+        near = np.searchsorted(np.sort(stays), nodes)
+        stays = np.concatenate([[-np.inf], np.sort(stays), [np.inf]])
+        fixed = np.minimum(nodes - stays[near], stays[near + 1] - nodes) <= _STAYS
+        return cls(spacing, pose, travel, curvature, speed, fixed.astype(float))
+
+    def __len__(self) -> int:
+        """How many nodes there are."""
+        return len(self.pose)
+
 
 _STEP = 0.025  # between two offsets that are tried [m]: a doorway leaves some 4 cm
 _STRIDE = 2  # nodes from one station of the search to the next

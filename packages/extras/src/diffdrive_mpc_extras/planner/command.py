@@ -60,7 +60,7 @@ def plan(
     from diffdrive_mpc_extras.planner import OBJECTIVES, PlanError, load_plan_settings  # noqa: PLC0415
     from diffdrive_mpc_extras.planner.study import PlanRequest, PlanStudy  # noqa: PLC0415
     from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415
-    from diffdrive_mpc_extras.worlds.world_file import load_world  # noqa: PLC0415
+    from diffdrive_mpc_extras.worlds.world import load_world  # noqa: PLC0415
 
     objective = next((one for one in OBJECTIVES if one == minimise), None)
     if objective is None:

@@ -19,7 +19,6 @@ from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc_extras.energy.power_readings import READINGS
 
 
-
 class Diagnostic(StrictModel):
     """Diagnostic drive: turns held one after the other."""
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from diffdrive_mpc.models.lazy_names import on_first_use
 
 # A module of the same name stands beside this: looked up later, it would be found in place of the function.
-from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE, least_radius
+from diffdrive_mpc_extras.turn_costs.turn_costs import LIMIT_SHARE, least_radius
 
 if TYPE_CHECKING:
     from diffdrive_mpc_extras.turn_costs.slip import IdentifiedSlip, identify_slip, identify_slip_from_poses
