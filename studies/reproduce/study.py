@@ -16,7 +16,6 @@ from diffdrive_mpc.bench.table import Table
 from studies.reproduce import (
     cost,
     drive_models,
-    driven_track,
     mbm_and_sm,
     networks,
     state_space,
@@ -30,7 +29,7 @@ Result = (
     | networks.NetworkResult
     | networks.NetworkRows
     | drive_models.DriveModelsResult
-    | driven_track.DrivenTrack
+    | virtual_track.DrivenTrack
 )
 Task = Callable[[], Result]
 
@@ -62,7 +61,7 @@ class ReproduceResults:
     cost: Mapping[str, cost.Cost] | None = None
     virtual_track: virtual_track.VirtualTrackResult | None = None
     drive_models: tuple[drive_models.DriveModelsResult, ...] = ()
-    driven_track: tuple[driven_track.DrivenTrack, ...] = ()
+    driven_track: tuple[virtual_track.DrivenTrack, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
@@ -95,7 +94,9 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
                 for k in s.repetitions[: s.drive_models.repetitions]
             ]
         if "virtual_track" in only:
-            tasks += [partial(driven_track.drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces]
+            tasks += [
+                partial(virtual_track.drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces
+            ]
         return tasks + [partial(mbm_and_sm.compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
@@ -113,7 +114,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             lstm=tuple(result for result in done if isinstance(result, networks.NetworkResult)),
             rows=tuple(result for result in done if isinstance(result, networks.NetworkRows)),
             drive_models=tuple(driven),
-            driven_track=tuple(result for result in done if isinstance(result, driven_track.DrivenTrack)),
+            driven_track=tuple(result for result in done if isinstance(result, virtual_track.DrivenTrack)),
             cost=cost.measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=virtual_track.check_virtual_track(published.virtual_track, published.rules.certain)
             if tracked
@@ -166,7 +167,7 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
         (results.lstm, networks.beside_tables),
         (results.cost, lambda part, published: [cost.cost_table(part, published)]),
         (results.virtual_track, lambda part, _: [virtual_track.virtual_track_table(part)]),
-        (results.driven_track, driven_track.driven_track_tables),
+        (results.driven_track, virtual_track.driven_track_tables),
         (results.drive_models, drive_models.drive_model_tables),
     ]
     return [findings, *(table for part, tables in shown if part for table in tables(part, published))]
@@ -194,7 +195,7 @@ def find(results: ReproduceResults) -> list[PaperFinding]:
         (results.lstm or rows, lambda _, published: networks.network_findings(results.lstm, rows, published)),
         (results.cost, cost.cost_findings),
         (results.virtual_track, virtual_track.virtual_track_findings),
-        (results.driven_track, driven_track.driven_track_findings),
+        (results.driven_track, virtual_track.driven_track_findings),
         (results.drive_models, drive_models.drive_model_findings),
     ]
     return [finding for part, rules in decided if part for finding in rules(part, published)]

@@ -15,7 +15,9 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc_extras.free_space import MovingDisc, Surroundings
-from diffdrive_mpc_extras.planner import Objective, Plan, plan_each
+from diffdrive_mpc_extras.planner.inputs import Objective
+from diffdrive_mpc_extras.planner.planner import plan_each
+from diffdrive_mpc_extras.planner.result import Plan
 from diffdrive_mpc_extras.planner.settings import PlanSettings
 from diffdrive_mpc_extras.turn_costs import TurnCosts
 from diffdrive_mpc_extras.worlds.world import World

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -107,7 +106,6 @@ class TorqueCurves:
         left: ArrayLike,
         right: ArrayLike,
         sample_time: float,
-        on_sample: Callable[[int], None] | None = None,
         settled: ArrayLike | None = None,
     ) -> int:
         """Take in a drive in order of time, but for what follows a change of the command; returns how much was used.
@@ -120,8 +118,6 @@ class TorqueCurves:
             (n,) torques of the sides [N m] from this row to the next.
         sample_time
             Time between two rows [s].
-        on_sample
-            Called with the number of each row once it was taken in.
         settled
             (n,) of bool: the rows of steady turns; by default those in which the command has not changed for the
             settling time.
@@ -141,8 +137,6 @@ class TorqueCurves:
             outer, inner = torques[k] if v * omega < 0 else torques[k, ::-1]
             sign = math.copysign(1.0, v)
             self.learn(float(radii[k]), abs(v), sign * outer, sign * inner)
-            if on_sample is not None:
-                on_sample(k)
         return len(used)
 
     def outer(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
