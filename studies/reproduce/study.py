@@ -22,6 +22,7 @@ from studies.reproduce import (
     virtual_track,
 )
 from studies.reproduce.published import PARTS, PaperFinding, Published, ReproduceSettings, load_published
+from studies.reproduce.virtual_track import DrivenTrack
 
 Result = (
     state_space.SsmResult
@@ -61,7 +62,7 @@ class ReproduceResults:
     cost: Mapping[str, cost.Cost] | None = None
     virtual_track: virtual_track.VirtualTrackResult | None = None
     drive_models: tuple[drive_models.DriveModelsResult, ...] = ()
-    driven_track: tuple[virtual_track.DrivenTrack, ...] = ()
+    driven_track: tuple[DrivenTrack, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):

@@ -135,7 +135,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
 
     def report(self, results: DataFrame, seconds: float) -> Report:
         """Tables, and the figure where there are several controllers to compare."""
-        from studies.robustness.figures import draw_ratios  # noqa: PLC0415
+        from studies.robustness.results import draw_ratios  # noqa: PLC0415
 
         several = len(by(results, "driver")) > 1
         return Report(

@@ -31,9 +31,8 @@ from diffdrive_mpc.bench.runner import (
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
 from diffdrive_mpc.models.input_file import MEGABYTE
 from diffdrive_mpc.models.whole_file import reason, whole_file
-from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.definition import LIBRARIES, Definition, identify, key_of
 from diffdrive_mpc_extras.campaign.drive import Row, built, drive
-from diffdrive_mpc_extras.campaign.identity import LIBRARIES, identify, key_of
 
 
 def check_definitions(definitions: Sequence[Definition]) -> None:

@@ -16,7 +16,6 @@ from scipy.optimize import least_squares
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
-from diffdrive_mpc_extras.drives.content import ParameterRange, fit_settings
 from diffdrive_mpc_extras.drives.drive_model import (
     STEPS,
     Channel,
@@ -26,6 +25,7 @@ from diffdrive_mpc_extras.drives.drive_model import (
     settled_state,
     wheel_response,
 )
+from diffdrive_mpc_extras.drives.finding import ParameterRange, fit_settings
 
 _COARSE, _CLOSE = 1e-3, 1e-4
 """Relative change of cost or numbers at which a search ends: while dead times are compared, and at last."""

@@ -16,10 +16,9 @@ from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc_extras.free_space.bent_reference import BentReference
 from diffdrive_mpc_extras.free_space.config import free_space_of
 from diffdrive_mpc_extras.free_space.crossing import Crossing, crossing
-from diffdrive_mpc_extras.free_space.guide import Guide, PathTable
+from diffdrive_mpc_extras.free_space.guide import BentReference, Guide, PathTable
 from diffdrive_mpc_extras.free_space.pieces import (
     PARAMETERS,
     Known,
