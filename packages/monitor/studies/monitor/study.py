@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
@@ -12,13 +12,10 @@ from itertools import count
 from studies.monitor.faults import FAULTS, FaultBounds
 from studies.monitor.trial import (
     AFTER,
-    BENCH_PATHS,
     HARM,
     LEFT,
     MonitorTrial,
     faulty_trial,
-    market_case,
-    market_trial,
     nominal_case,
     nominal_trial,
 )
@@ -29,10 +26,7 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
-from diffdrive_mpc_extras.campaign.drivable_robots import RESERVED, can_drive
 from diffdrive_mpc_monitor.rules import Rules, load_rules
-from studies.robustness.study import turns_on_the_spot
 
 Task = partial[list[MonitorTrial]]
 FIRST_SEED = {True: (0, 0), False: (30_000, 40_000)}
@@ -77,15 +71,12 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
         Of nominal drives, at least [h].
     tuning
         Whether on the seeds that the rules were tuned on.
-    market
-        Whether nominal drives are of drawn robots of the market; else of the papers' robot.
     """
 
     name, title = "monitor", "What the monitor catches, and how soon"
 
-    def __init__(self, rules: str, seeds: int, hours: float, *, tuning: bool = False, market: bool = False) -> None:
+    def __init__(self, rules: str, seeds: int, hours: float, *, tuning: bool = False) -> None:
         self._rules, self._seeds, self._hours, self._first = rules, seeds, hours, FIRST_SEED[tuning]
-        self._tuning, self._market = tuning, market
 
     def plan(self) -> list[Task]:
         """Every drive, some to a task; raises ConfigError if there are no such rules."""
@@ -94,27 +85,18 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
         faulty = [partial(_each, partial(faulty_trial, name), seeds, rules) for name in FAULTS]
         nominal = self._nominal_seeds()
         chunks = (nominal[k : k + _TOGETHER] for k in range(0, len(nominal), _TOGETHER))
-        drive = market_trial if self._market else nominal_trial
-        return [*faulty, *(partial(_each, drive, chunk, rules) for chunk in chunks)]
+        return [*faulty, *(partial(_each, nominal_trial, chunk, rules) for chunk in chunks)]
 
     def _nominal_seeds(self) -> list[int]:
         """As many as it takes to drive for so long."""
         left = 3600.0 * self._hours
         nominal: list[int] = []
-        case_of = market_case if self._market else nominal_case
-        for seed in self._able_robots() if self._market else count(self._first[1]):
+        for seed in count(self._first[1]):
             if left <= 0.0:
                 return nominal
-            left -= load_reference(case_of(seed)).duration + AFTER
+            left -= load_reference(nominal_case(seed)).duration + AFTER
             nominal.append(seed)
         return nominal
-
-    def _able_robots(self) -> Iterator[int]:
-        """Seeds of robots that can drive their path; those for tuning are not those that results are reported on."""
-        spot_turns = {path: turns_on_the_spot(path) for path in BENCH_PATHS}
-        for seed in count(1 if self._tuning else self._first[1], RESERVED):
-            if can_drive(draw_robot(seed), spot_turns[market_case(seed).trajectory]):
-                yield seed
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> MonitorStudyResult:
         """Drive them all."""

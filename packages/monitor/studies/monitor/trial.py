@@ -15,7 +15,6 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules
 
@@ -137,8 +136,6 @@ THROWN_OFF = frozenset({"push", "start_offset"})
 """Here only the MPC drives: a plain law that is thrown off a fast path is half a metre away before it is back, which is
 no sound drive (two alarms in 276 drives from seed 10000 on were of these, and right)."""
 PATHS = ("circle", "square", "s", "cane", "figure8", "fast_circle", "slalom", "reverse_slalom", "k_turn", "spiral")
-BENCH_PATHS = ("circle", "square", "s", "cane")
-"""Those that robots of the market are drawn for."""
 SPLINES = 40
 """Beside these, so many random paths."""
 _FLOORS = ("default", "default", "carpet", "deep_carpet", "grippy", "slippery")
@@ -232,18 +229,6 @@ class MonitorTrial:
 def nominal_trial(seed: int, rules: Rules) -> MonitorTrial:
     """A drive in which nothing is wrong."""
     return _drive(nominal_case(seed), "", 0.0, rules)
-
-
-def market_case(seed: int) -> Case:
-    """A drive of a drawn robot of the market: the same robot is not drawn twice, path and model are drawn with it."""
-    draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1973,)))
-    path, model = (names[int(draw.integers(len(names)))] for names in (BENCH_PATHS, [m for _, m in PREDICTIVE]))
-    return Case(model=model, trajectory=path, plant=f"{DRAWN}:{seed}", seed=seed)
-
-
-def market_trial(seed: int, rules: Rules) -> MonitorTrial:
-    """A drive of a drawn robot in which nothing is wrong but the robot."""
-    return _drive(market_case(seed), "", 0.0, rules)
 
 
 def faulty_trial(fault: str, seed: int, rules: Rules) -> MonitorTrial:
