@@ -17,8 +17,8 @@ from commands import call
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc_extras.campaign import drive as drive_module
 from diffdrive_mpc_extras.campaign import definition
+from diffdrive_mpc_extras.campaign import drive as drive_module
 from diffdrive_mpc_extras.campaign.definition import Definition, key_of
 from diffdrive_mpc_extras.campaign.drive import built, drive, drive_whole
 from diffdrive_mpc_extras.campaign.engine import (

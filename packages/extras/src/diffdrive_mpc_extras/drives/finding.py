@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 from scipy.optimize import least_squares
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.fit.predictor import Finder
@@ -25,7 +23,7 @@ from diffdrive_mpc.models.output_error.doubts import badly_known
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
-from diffdrive_mpc.models.robot import Positive, load_robot
+from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc_extras.drives.drive_model import (
@@ -39,35 +37,14 @@ from diffdrive_mpc_extras.drives.drive_model import (
     drive_of,
     write_drive,
 )
-from diffdrive_mpc_extras.drives.fitting import DriveFit, channel_errors, fit_drive, numbers_at_bounds, parameter_names
-
-
-class ParameterRange(StrictModel):
-    """Where a number is looked for."""
-
-    low: float
-    high: float
-    size: Positive = Field(description="a usual change of it")
-
-
-class FitSettings(StrictModel):
-    """The search."""
-
-    most_dead_time: Positive = Field(description="[s]")
-    most_steps: Annotated[int, Field(ge=1)] = Field(description="of one least-squares search [-]")
-    still: tuple[Positive, Positive] = Field(description="speed below which a robot stands [m/s], [rad/s]")
-    actuator_lag: Positive = Field(description="of the physical model, not searched [s]")
-    friction: Positive = Field(description="viscous, of the physical model, not searched [N m s/rad]")
-    bounds: dict[str, ParameterRange]
-    starts: tuple[dict[str, float], ...]
-    priors: dict[str, float] = Field(description="of numbers that a log need not tell")
-    min_gain: Positive = Field(description="rise of the error power that a prior has to cost, or it is kept [-]")
-
-
-@cache
-def fit_settings() -> FitSettings:
-    """Read the file; raises ConfigError on a mistake in it."""
-    return load_checked(FitSettings, Path(__file__).with_name("settings.yaml"))
+from diffdrive_mpc_extras.drives.fitting import (
+    DriveFit,
+    channel_errors,
+    fit_drive,
+    fit_settings,
+    numbers_at_bounds,
+    parameter_names,
+)
 
 
 def drive_content(

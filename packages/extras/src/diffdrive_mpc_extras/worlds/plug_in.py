@@ -8,13 +8,17 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim import Plant, Run, make_plant
+from diffdrive_mpc.sim.plants.make import plant_body
 from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plug_ins import PlantKind, RunColumns
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
 from diffdrive_mpc_extras.worlds.passage import Passage, passage_of
 from diffdrive_mpc_extras.worlds.scene import WorldScene
+from diffdrive_mpc_extras.worlds.settings import world_settings
 from diffdrive_mpc_extras.worlds.world import load_world
 from diffdrive_mpc_extras.worlds.world_plant import WorldPlant, WorldRecord
 
@@ -23,10 +27,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.robot import Robot
-from diffdrive_mpc.sim.plants.make import plant_body
-from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
-from diffdrive_mpc_extras.worlds.settings import world_settings
 
 
 def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
