@@ -69,7 +69,7 @@ def load_free_space() -> tuple[Any, Any]:
     NotCompiledError
         If there is no C compiler.
     """
-    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/half_space.py")
+    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/pieces.py")
     folder = Path(__file__).parent
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.[ch]"))}
     texts |= {f"{generated.stem}.c": generated.source, f"{generated.stem}.h": generated.header}
