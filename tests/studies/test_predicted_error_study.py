@@ -8,8 +8,7 @@ from studies.predicted_error.drives import DrivenPath, drive, keep, load_study, 
 from studies.predicted_error.study import PredictedErrorStudy
 
 from diffdrive_mpc.models.checked_yaml import check
-from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
-from diffdrive_mpc_extras.predicted_error.features import FEATURES
+from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, ErrorCalibration, load_calibration
 
 TRUE = {"floor": 0.002, "turning": 0.01, "yaw_acceleration": 0.05}
 """Coefficients of made-up drives; an error is their sum times the drive's own factor and noise."""

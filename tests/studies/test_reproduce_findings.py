@@ -3,184 +3,28 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from bench_parts import META
+from reproduce_parts import (
+    cost,
+    lstm,
+    made_up,
+    mbm_sm,
+    network_rows,
+    report_of,
+    ssm,
+    write_made_up,
+)
 
 from commands import invoke
 from diffdrive_mpc.bench.report_folder import CONTENTS
-from diffdrive_mpc.bench.study import Report, write_report
 from studies.cli import app
-from studies.reproduce import networks
-from studies.reproduce.cost import Cost
-from studies.reproduce.drives import PathError, Spread
-from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
-from studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
-from studies.reproduce.published import load_published, load_study
-from studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter
-from studies.reproduce.state_space import (
-    IDENTIFIED,
-    PRINTED,
-    FreeDrive,
-    OrderResult,
-    SsmResult,
-    VelocityFit,
-)
-from studies.reproduce.study import ReproduceResults, ReproduceStudy, find
-from studies.reproduce.turn_learning import EnergyRun, LearnedTurns
-from studies.reproduce.turning import LAW, SteadyTurns, TurningResult
-from studies.reproduce.virtual_track import check_virtual_track
-
-NAMES = ("circle", "square", "s", "cane")
-
-
-def pose_error(size: float) -> PathError:
-    return PathError(Spread.of([0.5 * size, size]), Spread.of([0.5 * size, size]))
-
-
-def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: float = 0.3, **changes) -> MbmSmResult:
-    """Errors grow from the last trajectory to the first, as in the paper."""
-    sizes = {MBM: mbm, MBM_TRACKS: tracks, SM: sm}
-    path = np.column_stack([np.linspace(0.0, 1.0, 5)] * 3)
-    values = {
-        "motor_fit": dict.fromkeys(DATA, (95.0, 94.0, 93.0, 92.0)),
-        "sm_fit": dict.fromkeys(DATA, (97.0, 88.0)),
-        "errors": {
-            model: {name: pose_error(size / (k + 1)) for k, name in enumerate(NAMES)} for model, size in sizes.items()
-        },
-        "paths": {name: dict.fromkeys(("driven", *COMPARED), path) for name in NAMES},
-        "parameters": {"MBM": {"dead_time": 0.05}},
-        "warnings": {"MBM": ("doubt",)},
-    }
-    return MbmSmResult(repetition, **{**values, **changes})
-
-
-def ssm(repetition: int = 1, *, omega: tuple[float, ...] = (0.0, 90.0, 90.1, 90.4, 80.0), chosen: int = 2) -> SsmResult:
-    """Test FIT of omega by order; v is the same for all orders."""
-    orders = tuple(
-        OrderResult(
-            order,
-            train=VelocityFit((98.0, fit), (0.01, 0.05)),
-            test=VelocityFit((97.0, fit), (0.01, 0.05)),
-            bic=float(order),
-            warnings=(),
-        )
-        for order, fit in enumerate(omega, start=1)
-    )
-    drives = (FreeDrive(VelocityFit((95.0, 92.0), (0.01, 0.05)), pose_error(0.5)),) * 2
-    return SsmResult(repetition, orders, chosen, "the lowest", *[{IDENTIFIED: drives, PRINTED: drives}] * 2)
-
-
-def lstm(repetition: int = 1, *, ssm: float = 95.0, lstm: float = 93.0) -> NetworkResult:
-    """FIT by model; errors of odometry grow where FIT falls."""
-    drives = {
-        name: (FreeDrive(VelocityFit((fit, fit - 2.0), (0.01, 0.05)), pose_error(0.1 * (100.0 - fit))),)
-        for name, fit in ((networks.SSM, ssm), (networks.LSTM, lstm), (networks.LONGER, lstm))
-    }
-    return NetworkResult(repetition, drives)
-
-
-def network_rows(best: int = 2) -> NetworkRows:
-    """All of P1's Table 2."""
-    fits = {row: 95.0 if row == best else 94.0 for row in load_published().networks}
-    return NetworkRows(
-        tuple(
-            NetworkRow(row, 5018, 400, VelocityFit((fit, fit), (0.01, 0.05)), VelocityFit((fit, fit), (0.01, 0.05)))
-            for row, fit in fits.items()
-        )
-    )
-
-
-def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Cost]:
-    times = {"mbm": (8, mbm), "sm": (4, sm), "ssm": (2, one)}
-    return {
-        name: Cost(order, (500 * time, 1e-5), (time, 1e-7), (0.01 * order, 0.0))
-        for name, (order, time) in times.items()
-    }
-
-
-def scatter(floor: str = "p4_grass", drifts: float = 1.0, *, modest: float = 1.0, nominal: float = 10.0) -> SlipScatter:
-    """Errors of one millimetre, foreseen `modest` times as large; without slip `nominal` times as large."""
-    random = np.random.default_rng(0)
-    errors = 1e-3 * random.normal(size=(400, 3))
-    foreseen = Foresight(errors, np.tile(1e-6 * modest**2 * np.eye(3), (400, 1, 1)))
-    straight = np.column_stack([np.linspace(0.0, 1.0, 5)] * 2)
-    return SlipScatter(
-        floor,
-        drifts,
-        nominal=Foresight(nominal * errors, foreseen.covariances),
-        learned=foreseen,
-        scaled=foreseen.scaled(np.full(3, 1 / modest)),
-        by_slip=np.full(3, 1e-4),
-        coefficients=np.full(9, 0.01),
-        deviations=np.full(9, 0.001),
-        truth=np.full(9, 0.01) if floor.startswith("p4_") else None,
-        paths=dict.fromkeys((TRUE, NOMINAL, LEARNED), straight),
-    )
-
-
-RADII = np.array([0.2, 1.0, 10.0, 40.0, 1000.0])
-
-
-def steady(source: str = LAW, speed: float = 0.2, *, grown: float = 1.0, bent: float = 1.0) -> SteadyTurns:
-    """The inner side drives beyond 20 m times `bent`; torques of the outer one are `grown` times as large."""
-    sharp = np.log(20.0 * bent / RADII) / np.log(1000.0)
-    torque = np.stack([grown * (1.0 + sharp), -sharp], axis=-1)
-    return SteadyTurns(source, speed, RADII, torque, torque * speed)
-
-
-def turning(**changes) -> TurningResult:
-    law, driven = (tuple(steady(source, v) for v in (0.2, 0.4, 0.6)) for source in (LAW, "slippery"))
-    return TurningResult(**{"law": law, "driven": driven, "inner_forward_from": 0.245, **changes})
-
-
-def learned_turns(
-    floor: str = "grippy", *, missed: float = -0.1, learned: float = 2.0, own: float = 2.0
-) -> LearnedTurns:
-    """Vinyl misses a third of the energy of each drive; raw torques are at the limit from 1.8 m on."""
-    times = np.linspace(0.0, 10.0, 20)
-    runs = tuple(EnergyRun(k, times, 10 * times, 10 * (1 - missed) * times, 6.7 * times) for k in (1, 2))
-    torque = np.stack([4.0 - np.log(RADII) / 2, np.log(RADII) / 2 - 3.0], axis=-1)
-    raw = np.column_stack(
-        [
-            RADII,
-            torque[:, :1] - 0.2,
-            torque[:, :1],
-            torque[:, :1] + 0.2,
-            torque[:, 1:] - 0.2,
-            torque[:, 1:],
-            torque[:, 1:] + 0.2,
-        ]
-    )
-    return LearnedTurns(
-        floor, 4.6, raw, RADII, torque, 0.3 * torque, (0.03, 0.04), own, 1.8, learned, 0.0, runs, 6e-5, (0.3, 0.5)
-    )
-
-
-def made_up(repetitions: int = 2) -> ReproduceResults:
-    return ReproduceResults(
-        mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
-        ssm=tuple(ssm(k) for k in range(1, repetitions + 1)),
-        lstm=tuple(lstm(k) for k in range(1, repetitions + 1)),
-        rows=(network_rows(),),
-        cost=cost(),
-        virtual_track=check_virtual_track(load_published().virtual_track, certain=2.0),
-        slip_scatter=(scatter(), scatter("mujoco default"), scatter(drifts=0.001), scatter("mujoco default", 0.001)),
-        turning=turning(),
-        learned_turns=(learned_turns("default"), learned_turns("grippy")),
-    )
-
-
-def report_of(results: ReproduceResults) -> Report:
-    return ReproduceStudy(load_study(quick=True)).report(results, 1.0)
-
-
-def write_made_up(results: ReproduceResults, folder: Path) -> None:
-    report = report_of(results)
-    write_report(ReproduceStudy(load_study(quick=True)), report, META | report.meta, folder)
+from studies.documents.documents import REPRODUCE, sections
+from studies.reproduce.study import find
+from studies.reproduce.virtual_track import VirtualTrackResult, fit_line
 
 
 def verdicts(results):
@@ -210,6 +54,31 @@ def test_who_beats_whom_is_counted_by_repetition():
         assert verdict(replace(results, mbm_sm=pair), "MBM predicts the heading") == expected
 
 
+def test_one_trajectory_lost_is_enough_to_lose():
+    good = mbm_sm(1, mbm=0.1, sm=0.3)
+    errors = {model: dict(rows) for model, rows in good.errors.items()}
+    errors["MBM"]["s"], errors["SM"]["s"] = errors["SM"]["s"], errors["MBM"]["s"]
+    results = replace(made_up(), mbm_sm=(replace(good, errors=errors),))
+    assert verdict(results, "MBM predicts the position") == "no"
+    (finding,) = [one for one in find(results) if one.claim.startswith("MBM predicts the position")]
+    assert finding.plant.startswith("3 of 4;")
+
+
+def test_means_and_the_difference_are_those_of_the_tables():
+    (finding,) = [one for one in find(made_up()) if one.claim.startswith("MBM predicts the position")]
+    assert "0.309 against 0.413 m (-25 %)" in finding.published
+    assert "(-67 %)" in finding.plant
+
+
+def test_the_circle_has_to_be_worst_for_both():
+    one = mbm_sm(1)
+    errors = {model: dict(rows) for model, rows in one.errors.items()}
+    errors["SM"]["circle"], errors["SM"]["cane"] = errors["SM"]["cane"], errors["SM"]["circle"]
+    results = replace(made_up(), mbm_sm=(replace(one, errors=errors),))
+    assert verdict(results, "the circle") == "no"
+    assert "MBM: circle, SM: cane" in {finding.plant for finding in find(results)}
+
+
 @pytest.mark.parametrize(
     ("omega", "words", "expected"),
     [
@@ -226,25 +95,60 @@ def test_orders_are_judged_by_their_test_fit(omega, words, expected):
     assert verdict(replace(made_up(), ssm=(ssm(1, omega=omega),)), words) == expected
 
 
+def test_orders_that_were_not_run_are_not_judged():
+    claims = verdicts(replace(made_up(), ssm=(ssm(1, omega=(0.0, 90.0)),)))
+    assert not [claim for claim in claims if "order 4" in claim or "order 5" in claim]
+    assert verdict(replace(made_up(), ssm=(ssm(1, chosen=3),)), "is the choice") == "no"
+
+
+def test_cost_is_judged_by_means():
+    assert verdict(replace(made_up(), cost=cost(mbm=3e-6, sm=3e-6)), "a step of SM takes") == "no"
+    assert verdict(replace(made_up(), cost=cost(mbm=3e-6, sm=3e-6)), "a whole simulation of SM") == "no"
+    assert verdict(replace(made_up(), cost=cost(sm=3e-6, one=1e-6)), "a step of SSM") == "no"
+
+
+def test_tests_on_the_printed_line_would_hold():
+    results = made_up()
+    found = results.virtual_track
+    assert isinstance(found, VirtualTrackResult)
+    mended = replace(found, fitted=fit_line(found.exchanged))
+    assert verdict(replace(results, virtual_track=mended), "the printed tests") == "yes"
+
+
 @pytest.mark.parametrize(
-    ("law", "words", "expected"),
+    ("changes", "expected"),
     [
-        ((steady(), steady(speed=0.6, bent=2.0)), "inner side drives beyond the printed radius", "1 of 2"),
-        ((steady(), steady(speed=0.6, grown=1.3)), "torques do not depend on the speed", "no"),
-        ((steady(), steady(speed=0.6, bent=0.005)), "inner side gives back power", "1 of 2"),
-        ((steady(), steady(speed=0.6, grown=-1.0)), "torques grow as turns get sharper", "1 of 2"),
+        ({"by_radius_exchanged": 0.9}, "inconclusive"),
+        ({"fitting": 1}, "inconclusive"),
+        ({"fitting": 1, "by_radius_exchanged": 0.9}, "yes"),
     ],
 )
-def test_turns_are_judged_by_speed(law, words, expected):
-    found = turning(law=law)
-    assert verdict(replace(made_up(), turning=found), words, "shear law") == expected
-    assert verdict(replace(made_up(), turning=found), words, "slippery") == "yes"
+def test_an_exchange_explains_what_few_others_do_and_what_the_radii_side_with(changes, expected):
+    results = made_up()
+    track = replace(results.virtual_track, **changes)
+    assert verdict(replace(results, virtual_track=track), "exchanged by mistake") == expected
+    not_given = replace(track, fitted_exchanged=track.fitted)
+    assert verdict(replace(results, virtual_track=not_given), "exchanged by mistake") == "no"
 
 
-FIGURES = (
-    *("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"),
-    *("turn-torques.png", "turn-power.png", "turn-learning.png", "turn-energy.png"),
-)
+def test_lstm_and_ssm_are_compared_by_repetition():
+    results = made_up()
+    better, worse = lstm(1, ssm=95.0, lstm=93.0), lstm(2, ssm=93.0, lstm=95.0)
+    for pair, expected in (((better, better), "yes"), ((better, worse), "1 of 2"), ((worse, worse), "no")):
+        found = replace(results, lstm=pair)
+        assert verdict(found, "SSM explains v and omega better than LSTM") == expected
+        assert verdict(found, "odometry of SSM has the smaller errors") == expected
+
+
+def test_the_best_of_the_nine_is_only_named_where_all_were_trained():
+    results = made_up()
+    assert verdict(results, "row 2 has the best test FIT") == "yes"
+    assert verdict(replace(results, rows=(network_rows(best=7),)), "row 2 has the best test FIT") == "no"
+    some = replace(network_rows(), rows=network_rows().rows[:3])
+    assert not any("best test FIT of the nine" in claim for claim in verdicts(replace(results, rows=(some,))))
+
+
+FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
 
 
 @pytest.fixture(scope="module")
@@ -271,20 +175,10 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
         "SSM and LSTM odometry",
         "Cost of a simulation",
         "Virtual track",
-        "Scatter of foreseen poses",
-        "Learned terms",
-        "Steady turns",
-        "Least radius learned",
-        "Energy foreseen",
-        "Cost of learning",
     ]
     for table in tables.values():
         assert table.rows
         assert all(cell for cells in table.rows for cell in cells)
-    assert ("P4, concrete, mean", "-", "-", "-16.8", "42.2") in tables["Energy foreseen"].rows
-    assert ("grippy, mean", "-", "-", "-10.0", "33.0") in tables["Energy foreseen"].rows
-    assert ("a plan on 10 m by 10 m (SBMPO)", "240", "400") in tables["Cost of learning"].rows
-    assert ("P4, grass", "1.11", "-", "1.2", "8.1", "-") in tables["Least radius learned"].rows
     assert ("RMSE", "circle", "0.848", "1.057", "0.079", "0.158", "0.237") in tables[
         "Position errors of open-loop odometry"
     ].rows
@@ -293,17 +187,49 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
     assert order_5[5:7] == ("97.00", "80.00")
 
 
+def test_averages_of_the_free_drives_are_the_paper_s():
+    tables = {table.title: table for table in report_of(made_up()).tables}
+    averages = [cells for cells in tables["SSM odometry on free drives"].rows if cells[1] == "average"]
+    assert averages[0][2:6] == ("0.85", "0.67", "0.53", "1.65")
+    averages = [cells for cells in tables["SSM velocity on free drives"].rows if cells[1] == "average"]
+    assert averages[0][2:4] == ("94.70", "91.71")
+    for title, paper in (("SSM and LSTM velocity", ("93.10", "90.95")), ("SSM and LSTM odometry", ("1.09", "0.80"))):
+        (average,) = [cells for cells in tables[title].rows if cells[:2] == ("published LSTM", "average")]
+        assert average[2:4] == paper
+
+
 def test_the_report_has_every_figure_and_the_verdicts(report: Path):
     data = json.loads((report / "reproduce.json").read_text())
     verdicts = {finding["claim"]: finding["verdict"] for finding in data["findings"]}
     assert verdicts["the printed tests give the printed p1 within 2 standard deviations"] == "no"
     assert len(data["mbm_sm"]) == len(data["ssm"]) == 2
     assert "paths" not in data["mbm_sm"][0]
-    assert data["learned_turns"][0]["runs"][0] == {"seed": 1, "measured": 100.0, "learned": 110.0, "prior": 67.0}
     text = (report / "reproduce.md").read_text()
     for name in FIGURES:
         assert (report / "figures" / name).stat().st_size > 20_000
         assert f"](figures/{name})" in text
+
+
+@pytest.mark.long
+def test_the_same_results_give_the_same_files(report: Path, tmp_path: Path):
+    write_made_up(made_up(), tmp_path)
+    for name in ("reproduce.json", "reproduce.md", *(f"figures/{name}" for name in FIGURES)):
+        assert (tmp_path / name).read_bytes() == (report / name).read_bytes()
+
+
+def test_what_the_page_shows_is_in_the_report(report: Path):
+    parts = sections(REPRODUCE, (report / "reproduce.md").read_text())
+    page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
+    shown = re.findall(r"<!-- (reproduce-[a-z-]+):begin -->", page)
+    assert {"reproduce-runs", "reproduce-findings"} <= set(shown) <= set(parts)
+
+
+def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
+    only = replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None)
+    write_made_up(only, tmp_path)
+    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
+    text = (tmp_path / "reproduce.md").read_text()
+    assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]
 
 
 def test_the_command_writes_its_report(tmp_path: Path):

@@ -16,11 +16,10 @@ from diffdrive_mpc.bench.controllers import case_config, controller_config, run_
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
-from diffdrive_mpc_extras.campaign.conditions import load_conditions
+from diffdrive_mpc_extras.campaign.campaign_file import load_conditions
 from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
 from studies.cli import app
-from studies.robustness.market import market_cases
-from studies.robustness.results import measured, study_tables
+from studies.robustness.results import market_cases, measured, study_tables
 from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()
