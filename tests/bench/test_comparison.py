@@ -158,30 +158,10 @@ def test_peers_alone_refuse_what_they_would_ignore(given: dict[str, Any]) -> Non
         asked(controllers="kanayama", **given)
 
 
-def test_peers_alone_sweep_no_horizon() -> None:
-    assert asked(controllers="kanayama", sweeps=True).horizons == ()
-    assert asked(controllers="mpc,kanayama", models="ssm", sweeps=True).horizons
 
 
-def test_options_change_the_experiment() -> None:
-    chosen = asked(models="ssm", seeds="3,4", surfaces="default,slippery", horizons="5,10")
-    assert chosen.models == ("ssm",)
-    assert chosen.seeds == (3, 4)
-    assert chosen.surfaces == ("default", "slippery")
-    assert chosen.horizons == (5, 10)
 
 
-def test_scenarios_are_a_dimension_of_the_comparison_and_sweep_no_horizon_unless_asked() -> None:
-    chosen = asked(scenarios="none,start_offset", models="ssm", trajectories="s", seeds="2")
-    assert chosen.horizons == ()
-    plan = plan_cases(experiment(scenarios=chosen.scenarios, trajectories=("s",), seeds=(0, 1), horizons=()))
-    assert [(case.scenario, case.seed) for case in plan.all] == [
-        ("none", 0),
-        ("none", 1),
-        ("start_offset", 0),
-        ("start_offset", 1),
-    ]
-    assert asked(scenarios="push", horizons="5").horizons == (5,)
 
 
 def test_quick_is_one_seed_without_horizons() -> None:
@@ -219,18 +199,6 @@ def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> N
     assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
 
 
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("ssm", "ssm"),
-        ("folder/mine.yaml", "mine"),
-        ("model:folder/mine.yaml+0.04", "model:mine+0.04"),
-        ("model:sm+0.08", "model:sm+0.08"),
-        ("drive.v2.csv", "drive.v2"),
-    ],
-)
-def test_labels_tell_names_apart_without_folders(name: str, shown: str) -> None:
-    assert label(name) == shown
 
 
 def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:

@@ -20,7 +20,6 @@ from diffdrive_mpc.bench.run_row import driver_names
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "seed"]
-PLACES = [one for one in DIMENSIONS if one.place]
 
 
 def test_the_dimensions_are_the_fields_of_a_case() -> None:
@@ -48,11 +47,6 @@ def test_an_option_chooses_its_values(of: Dimension) -> None:
     assert [str(value) for value in chosen] == text.split(",")
 
 
-@pytest.mark.parametrize("of", PLACES, ids=lambda of: of.name)
-def test_a_place_is_part_of_the_name_where_it_varies(of: Dimension) -> None:
-    outcome = quick_outcome(trajectory="cane", controller="kanayama", model="none")
-    other = replace(outcome.case, **{of.name: "elsewhere"})
-    assert driver_names([outcome.case, other]) == [f"kanayama, {outcome.case.labels[of.name]}", "kanayama, elsewhere"]
 
 
 def test_combinations_vary_the_last_field_fastest() -> None:

@@ -57,13 +57,6 @@ def test_a_replay_measures_every_whole_step_itself() -> None:
     assert np.isnan(times[:, 1]).all()
 
 
-def test_the_step_times_of_the_recording_are_replaced() -> None:
-    outcome = quick_outcome(controller="kanayama", model="none")
-    recorded = outcome.run.with_step_time(np.full(len(outcome.run.time), 9.0))
-    (timed,), _ = time_outcomes([replace(outcome, run=recorded)], lambda: None)
-    assert timed.case == outcome.case
-    assert not (timed.run.step_time == 9.0).any()
-    assert np.array_equal(timed.run.true_pose, outcome.run.true_pose)
 
 
 def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,13 +129,3 @@ def test_the_quiet_core_is_given_back() -> None:
         assert os.sched_getaffinity(0) == cores
 
 
-@pytest.mark.long
-def test_runs_do_not_depend_on_the_number_of_processes() -> None:
-    cases = [quick_outcome(controller="kanayama", model="none", trajectory=name).case for name in ("circle", "s")]
-    done: list[int] = []
-    tasks = [partial(run_case, case) for case in cases]
-    alone, together = (run_tasks(tasks, jobs, lambda: done.append(1)) for jobs in (1, 2))
-    assert len(done) == 4
-    for one, other in zip(alone, together, strict=True):
-        assert np.array_equal(one.true_pose, other.true_pose)
-        assert np.array_equal(one.command, other.command)

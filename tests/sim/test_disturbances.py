@@ -251,14 +251,6 @@ def test_a_payload_adds_its_weight_where_it_lies() -> None:
     assert left == pytest.approx(half + mass * G * y / ROBOT.track, rel=0.02)
 
 
-@pytest.mark.parametrize("downhill", [np.pi / 2, -np.pi / 2])
-def test_on_a_steep_slippery_slope_the_robot_slides_as_coulomb_says(downhill: float) -> None:
-    angle, friction = 0.3, 0.1
-    plant = _plant(friction, slope={"angle": angle, "downhill": downhill})
-    _drive(plant, 0.0, 0.0, 1.0)
-    seconds = plant.time
-    expected = G * (np.sin(angle) - friction * np.cos(angle)) * seconds
-    assert plant.true_twist[1] == pytest.approx(np.sign(downhill) * expected, rel=0.03)
 
 
 def test_on_a_gentle_slope_the_robot_stands_across_and_creeps_along_no_faster_than_its_brakes_allow() -> None:
@@ -316,13 +308,6 @@ def test_a_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
     assert plant.chassis.wheel_speeds.min() * ROBOT.wheel_radius > 0.7
 
 
-def test_sag_lowers_the_top_speed_in_proportion() -> None:
-    for after in (0.3, 0.5):
-        plant = _plant(battery={"start": 0.0, "duration": 0.1, "after": after})
-        _drive(plant, 1.5, 0.0, 3.0)
-        no_load = TWIN.motor.no_load_speed
-        # Without rolling resistance the no-load speed is the asymptote.
-        np.testing.assert_allclose(plant.chassis.wheel_speeds, after * no_load, rtol=1e-3)
 
 
 def test_sag_lowers_the_stall_torque_in_proportion_and_load_lowers_the_voltage() -> None:

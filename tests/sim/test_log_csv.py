@@ -72,9 +72,6 @@ def test_a_log_of_our_controller_holds_what_it_believed_and_how_it_solved(tmp_pa
     assert log["message"] == list(run.messages)
 
 
-def test_no_partial_file_stays_behind(run: Run, tmp_path: Path) -> None:
-    write_log(run, tmp_path / "run.csv")
-    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
 
 
 def test_a_log_replaces_a_file_and_keeps_its_permissions(run: Run, tmp_path: Path) -> None:

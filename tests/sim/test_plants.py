@@ -146,10 +146,6 @@ def test_a_dead_time_beyond_any_robots_is_refused() -> None:
         make_plant("model:sm+1e9")
 
 
-def test_dead_times_of_name_and_argument_add_up() -> None:
-    commands = random_commands(8, duration=3.0)
-    both = _named(f"model:sm+{DT}", commands, extra_dead_time=DT)
-    np.testing.assert_allclose(both.output, _named(f"model:sm+{2 * DT}", commands).output, atol=1e-12)
 
 
 def test_a_model_file_may_have_a_plus_in_its_path(tmp_path: Path) -> None:

@@ -57,14 +57,6 @@ def test_each_arc_has_its_own_bias_and_what_happens_before_it_settles_does_not_c
     assert steady_arc_lateral(run) == pytest.approx([-0.010, 0.006], abs=1e-5)
 
 
-def test_noise_about_the_bias_averages_out_exactly():
-    reference = ConstantTwist(0.5, 0.5, 6.0)
-    run = beside(reference, 0.01)
-    (ticks,) = steady_arcs(run)
-    wave = np.zeros(len(run.time))
-    wave[ticks] = 0.004 * (-1.0) ** np.arange(len(ticks))
-    expected = 0.01 + wave[ticks].mean()
-    assert steady_arc_lateral(beside(reference, 0.01 + wave)) == pytest.approx([expected], abs=1e-5)
 
 
 @pytest.mark.parametrize("twist", [(0.5, 0.0), (0.0, 1.0)])
