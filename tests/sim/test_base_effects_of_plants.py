@@ -126,10 +126,6 @@ def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for
     np.testing.assert_array_equal(runs[0][1], runs[1][1])
 
 
-
-
-
-
 def test_a_network_is_a_plant_that_obeys_it_sample_by_sample():
     model, random = load_model("lstm"), np.random.default_rng(0)
     motion, commands = BaseMotion(model, BaseEffects(), model.dt), random.uniform(-1, 1, (50, 2))

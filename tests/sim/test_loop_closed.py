@@ -55,8 +55,6 @@ def test_rows_hold_the_state_before_the_command_of_the_tick_acts() -> None:
     assert np.isnan(run.wheel_speeds).all()
 
 
-
-
 @pytest.mark.parametrize("command", [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0]])
 def test_a_command_that_is_not_two_finite_numbers_ends_the_run(command: list[float]) -> None:
     class Faulty(FeedForward):
@@ -170,8 +168,6 @@ def test_a_robot_that_never_leaves_the_band_recovers_at_once_and_overshoots_noth
     wobble = 0.99 * BAND * np.sin(20 * TIME)
     figures = _recovery(wobble, (2.0, 3.0))
     assert (figures.recovery_time_s, figures.overshoot_m) == (0.0, 0.0)
-
-
 
 
 def test_the_side_of_the_excursion_is_not_that_of_the_wobble_at_its_begin() -> None:

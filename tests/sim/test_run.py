@@ -168,8 +168,6 @@ def test_a_run_prints_as_a_table() -> None:
     assert repr(run) == "Run along 'line': 4 ticks of 1 s"
 
 
-
-
 def test_former_names_of_the_solver_s_method_warn() -> None:
     report = SolverReport(SolverStatus.SOLVED, "unlimited")
     with pytest.warns(DeprecationWarning, match=r"SolverReport\.path is SolverReport\.method now"):

@@ -69,10 +69,6 @@ def test_first_measurement_is_complete_and_its_pose_not_from_the_future(name: st
     assert first.yaw_rate.time == first.wheel_twist.time == 0.0
 
 
-
-
-
-
 def test_noise_has_the_stated_covariance() -> None:
     parameters = SensorSet(
         pose=PoseSensor(period=None, latency=0.0, position_sd=0.01, heading_sd=0.02),
@@ -165,8 +161,6 @@ def _file(folder: Path, period: str, latency: str) -> Path:
 def test_a_pose_sensor_that_would_never_end_is_refused(period: str, latency: str, key: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"mine\.yaml: {key}: [^\n]*\(found [^\n]*\)$"):
         load_sensor_set(_file(tmp_path, period, latency))
-
-
 
 
 TICK = load_robot().sample_time
@@ -305,8 +299,6 @@ def test_a_dead_encoder_spoils_the_twist_of_its_side() -> None:
         assert _value(faulty.wheel_speeds) == speeds.tolist()
         left, right = robot.wheel_radius * speeds.reshape(2, 2).mean(axis=0)
         np.testing.assert_allclose(_value(faulty.wheel_twist), [(left + right) / 2, (right - left) / robot.track])
-
-
 
 
 def test_a_biased_gyro_is_off_by_a_constant() -> None:
