@@ -13,6 +13,7 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_lab.build import has_compiler, page_text
 from studies.site.formulas import with_mathml
+from studies.site.notebooks import with_notebooks
 from studies.site.reference import reference_pages
 from studies.site.repository_links import pages_outside, with_site_links
 
@@ -35,6 +36,7 @@ def stage(root: Path, out: Path) -> None:
     }
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(root / "docs", out, ignore=shutil.ignore_patterns("*.md"))
+    documents = with_notebooks(documents, out)
     ours = {name.removeprefix("docs/"): with_site_links(text, name) for name, text in documents.items()}
     for place, text in {**ours, **pages_outside(root, documents), **reference_pages(documents)}.items():
         page = out / place

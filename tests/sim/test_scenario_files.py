@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.disturbances.disturbance_types import Patch
 from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
 
-SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
+SHIPPED = SCENARIOS.names
 PUSH = "pushes: [{force: 10.0, height: 0.09, start: 1.0, duration: 0.5}]"
 
 
