@@ -17,6 +17,7 @@ from latex2mathml.converter import convert
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_lab.build import has_compiler, page_text
+from studies.site.notebooks import with_notebooks
 from studies.site.reference import reference_pages
 
 MOVED = {
@@ -121,6 +122,7 @@ def stage(root: Path, out: Path) -> None:
     documents = {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in sorted(pages)}
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(root / "docs", out, ignore=shutil.ignore_patterns("*.md"))
+    documents = with_notebooks(documents, out)
     ours = {place_on_site(name): with_site_links(text, name) for name, text in documents.items()}
     for place, text in {**ours, **pages_outside(root, documents), **reference_pages(documents)}.items():
         page = out / place

@@ -15,6 +15,7 @@ from bench_parts import rows as rows_of
 from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config, make_plant
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.case import COMPARED, DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
 from diffdrive_mpc.bench.comparison.plan import (
@@ -120,13 +121,19 @@ def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, ob
 
 
 SHIPPED = {
-    "models": "models/parameters/ssm.yaml",
-    "trajectories": "mpc/trajectories/built_in/s.yaml",
-    "surfaces": "sim/plants/surfaces/ideal.yaml",
-    "sensors": "sim/sensing/sensor_sets/perfect.yaml",
-    "plants": "models/parameters/ssm.yaml",
-    "scenarios": "sim/disturbances/scenarios/start_offset.yaml",
+    "models": ("model", "ssm"),
+    "trajectories": ("trajectory", "s"),
+    "surfaces": ("surface", "ideal"),
+    "sensors": ("sensors", "perfect"),
+    "plants": ("model", "ssm"),
+    "scenarios": ("scenario", "start_offset"),
 }
+
+
+def _text(dimension: str) -> str:
+    """Return the text of a shipped file or entry of a dimension."""
+    kind, name = SHIPPED[dimension]
+    return KINDS[kind].texts[name]
 
 
 @pytest.mark.parametrize("dimension", SHIPPED)
@@ -134,7 +141,7 @@ def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) ->
     paths = [tmp_path / "a" / "mine.yaml", tmp_path / "b" / "Mine.yaml", tmp_path / "b" / "other.yaml"]
     for path in paths:
         path.parent.mkdir(exist_ok=True)
-        path.write_text((Path(__file__).parents[2] / SHIPPED[dimension]).read_text())
+        path.write_text(_text(dimension))
     first, second, other = (f"model:{path}" if dimension == "plants" else str(path) for path in paths)
     changes = {"horizons": (), "seeds": (0,), "trajectories": ("s",)}
     with pytest.raises(ConfigError, match="rename one file") as refused:
@@ -146,7 +153,7 @@ def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) ->
 def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
     for name in ("SSM", "kanayama"):
         path = tmp_path / f"{name}.yaml"
-        path.write_text((Path(__file__).parents[2] / SHIPPED["models"]).read_text())
+        path.write_text(_text("models"))
         changes = {"models": ("ssm", str(path)), "controllers": ("mpc", "kanayama")}
         with pytest.raises(ConfigError, match=f"and '{path}' would both be '{name}'"):
             plan_cases(experiment(horizons=(), seeds=(0,), **changes))

@@ -44,7 +44,7 @@ class YamlFuzzer:
     def draw(self, random: Random) -> Case:
         """Draw a file and its changes."""
         kind = random.choice(sorted(DOORS))
-        files = seeds(kind)
+        files = sorted(seeds(kind))
         edits = [mutation.draw_tree_edit(random) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
         raw = (
             [mutation.draw_bytes_edit(random) for _ in range(random.choice((1, 2, 5)))]
@@ -60,14 +60,13 @@ class YamlFuzzer:
 
     def check(self, case: Case) -> None:
         """Read and use the changed file."""
-        source = PACKAGE / case["file"]
-        text = source.read_bytes()
+        text = seeds(case["kind"])[case["file"]].encode()
         if case["edits"]:
             tree = mutation.edited_tree(yaml.safe_load(text), case["edits"])
             text = yaml.safe_dump(tree, allow_unicode=True, sort_keys=False).encode("utf-8", "surrogatepass")
         text = mutation.edited_bytes(text, case["raw"])
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, source.name)
+            path = Path(folder, f"{case['file']}.yaml")
             path.write_bytes(text)
             refused_or(lambda: DOORS[case["kind"]](path))
 
@@ -79,10 +78,11 @@ class YamlFuzzer:
 
 
 @cache
-def seeds(kind: str) -> list[str]:
-    """Return the files of a kind as paths in the package."""
-    files = KINDS[kind].files if kind in KINDS else [PACKAGE / _SEEDS[kind]]
-    return [str(path.relative_to(PACKAGE)) for path in files if path.is_relative_to(PACKAGE)]
+def seeds(kind: str) -> dict[str, str]:
+    """Return the texts of a kind by name."""
+    if kind in KINDS:
+        return KINDS[kind].texts
+    return {path.stem: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.glob(_SEEDS[kind]))}
 
 
 def _controller(path: Path) -> None:

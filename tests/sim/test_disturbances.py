@@ -30,7 +30,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 PLANTS = ["mujoco", "model:ssm"]
 DT = load_robot().sample_time
-DISTURBANCES = sorted({path.stem for path in SCENARIOS.glob("*.yaml")} - {"none"})
+DISTURBANCES = sorted({*SCENARIOS.names} - {"none"})
 
 
 def _scenario(**parts: Any) -> Scenario:

@@ -21,7 +21,6 @@ from diffdrive_mpc import (
     make_plant,
 )
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.named_file import shipped_names
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import simulate
@@ -34,7 +33,7 @@ from diffdrive_mpc.sim.ros.pace import SteppedClock
 from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox, load_base_settings
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
-SHIPPED = shipped_names(ROBOTS)
+SHIPPED = ROBOTS.names
 GRAVITY = 9.81
 
 
