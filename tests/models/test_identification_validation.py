@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, single, system, two_channels
-from studies.shipped_models.tracks import identify_track, side_difference
+from studies.shipped_models.model_fitting import identify_track, side_difference
 
 from diffdrive_mpc import ConfigError, integrate_pose, load_model
 from diffdrive_mpc.models.identification.fit.poses import pose_drift

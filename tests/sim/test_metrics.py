@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, Slow, run_along
 from numpy.typing import ArrayLike
-from studies.tracking.steady_arcs import steady_arc_lateral, steady_arcs
+from studies.tracking.measured import steady_arc_lateral, steady_arcs
 
 from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
