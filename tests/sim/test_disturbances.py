@@ -404,7 +404,7 @@ def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -
     np.testing.assert_array_equal(*drives)
 
 
-SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
+SHIPPED = SCENARIOS.names
 PUSH = "pushes: [{force: 10.0, height: 0.09, start: 1.0, duration: 0.5}]"
 
 
