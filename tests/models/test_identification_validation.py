@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, single, system, two_channels
-from studies.shipped_models.model_fitting import identify_track, side_difference
 
 from diffdrive_mpc import ConfigError, integrate_pose, load_model
 from diffdrive_mpc.models.identification.fit.poses import pose_drift
@@ -29,6 +28,7 @@ from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.structures.ssm import identify_ssm
 from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.wheels import WheelKinematics
+from studies.shipped_models.model_fitting import identify_track, side_difference
 
 MODEL = published_ssm()
 

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, ElbowReference, FeedForward, KinematicPlant, Slow, run_along
 from numpy.typing import ArrayLike
-from studies.tracking.measured import steady_arc_lateral, steady_arcs
 
 from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
@@ -19,6 +18,7 @@ from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES, GIVEN_UP_MODES
 from diffdrive_mpc.sim.metrics.path_projection import Polyline
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from studies.tracking.measured import steady_arc_lateral, steady_arcs
 
 TIMES = np.arange(0.0, 10.0 + 1e-9, 0.02)
 COARSE = TIMES[::10]
