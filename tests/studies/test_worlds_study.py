@@ -52,4 +52,3 @@ def test_the_study_writes_what_it_drove(tmp_path: Path) -> None:
     assert [one["world"] for one in found["runs"]] == ["crossing", "doorway"]
     text = (tmp_path / "out" / "worlds.md").read_text(encoding="utf-8")
     assert "A person crosses" in text and "Named worlds" in text
-    assert (tmp_path / "out" / "figures" / "named.png").stat().st_size > 5000

@@ -30,6 +30,7 @@ def measured(case: Case, run: Run) -> dict[str, object]:
     steps = run.step_time[np.isfinite(run.step_time)]
     return {
         "driver": case.controller if case.controller in PEERS else f"mpc, {case.model}",
+        "world": name,
         "planned_way": "posts on it" if name.endswith(":through") else "free",
         "collided": passed.contacts > 0,
         "stood_still": not passed.arrived and not passed.contacts,
