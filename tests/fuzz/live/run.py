@@ -353,7 +353,7 @@ class Attack:
             attacker.close()
 
     def _campaign(self, attacker: Attacker, number: int, *, is_first: bool) -> None:
-        """Attack a driving node; afterwards it has to drive again, which starts the next campaign."""
+        """Run a campaign on a driving node; afterwards it has to drive again, which starts the next campaign."""
         random, actions = Random(f"live/{self.seed}/{number}"), list[str]()
         findings: list[str] = []
         try:
