@@ -138,7 +138,7 @@ def test_ci_runs_what_the_documents_leave_to_it():
 
 def test_files_of_tests_that_documents_and_ci_name_are_there():
     texts = [page.read_text(encoding="utf-8") for page in LINKING] + [CI_SCRIPT]
-    named_files = {name for text in texts for name in re.findall(r"tests/[a-z_0-9/]+\.py", text)}
+    named_files = {name for text in texts for name in re.findall(r"(?:packages/\w+/)?tests/[a-z_0-9/]+\.py", text)}
     on_the_robot = re.search(r'robot="(.*)"', CI_SCRIPT)[1].split()
     named_files |= {f"tests/mpc/test_{name}.py" for name in on_the_robot}
     assert len(named_files) > 10

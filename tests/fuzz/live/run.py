@@ -341,7 +341,7 @@ class Attack:
             for number in numbers:
                 if self.findings or time.monotonic() > self.end:
                     return
-                self._campaign(attacker, number)
+                self._campaign(attacker, number, is_first=number == numbers.start)
                 used.append(attacker.process.used())
             if not self.findings and len(numbers) == _CAMPAIGNS:
                 self.findings += self._growth(used[2:])
@@ -352,12 +352,14 @@ class Attack:
         finally:
             attacker.close()
 
-    def _campaign(self, attacker: Attacker, number: int) -> None:
+    def _campaign(self, attacker: Attacker, number: int, *, is_first: bool) -> None:
+        """Run a campaign on a driving node; afterwards it has to drive again, which starts the next campaign."""
         random, actions = Random(f"live/{self.seed}/{number}"), list[str]()
         findings: list[str] = []
         try:
-            attacker.recover()
-            attacker.drive()
+            if is_first:
+                attacker.recover()
+                attacker.drive()
             (_storm if number % 2 else _named_fault)(attacker, random, actions)
             attacker.recover()
             attacker.drive()
