@@ -83,8 +83,15 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
     listed = list(zip(names, panes, strict=True))
     axes = {f"yaxis{name[1:]}": _axis(pane.y) | {"nticks": 5} for name, pane in listed}
     single = len(views.runs) == 1
+    drawn = [(name, series) for name, pane in listed for series in pane.series]
+    first = {series.name: index for index, (_, series) in reversed([*enumerate(drawn)])}
+    traces = [
+        # One entry of the legend for a name in several panes.
+        _trace(series) | {"yaxis": name, "legendgroup": escape(series.name), "showlegend": first[series.name] == index}
+        for index, (name, series) in enumerate(drawn)
+    ]
     return {
-        "data": [_trace(series) | {"yaxis": name} for name, pane in listed for series in pane.series],
+        "data": traces,
         "layout": _LAYOUT
         | axes
         | {
