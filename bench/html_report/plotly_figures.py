@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,11 @@ _PANE_HEIGHT = 150
 _DENSE = 100
 """Number of points from which markers are small."""
 _MODES = {"points": "markers", "both": "lines+markers"}
+
+
+def escape(text: str) -> str:
+    """Return text as Plotly shows it: tags do nothing. Quotes stay, because Plotly shows their entities as they are."""
+    return html.escape(text, quote=False)
 
 
 def chart_figure(chart: Chart) -> dict[str, Any]:
