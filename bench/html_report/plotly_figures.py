@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,11 @@ _PANE_HEIGHT = 150
 _DENSE = 100
 """Number of points from which markers are small."""
 _MODES = {"points": "markers", "both": "lines+markers"}
+
+
+def escape(text: str) -> str:
+    """Return text as Plotly shows it: tags do nothing. Quotes stay, because Plotly shows their entities as they are."""
+    return html.escape(text, quote=False)
 
 
 def chart_figure(chart: Chart) -> dict[str, Any]:
@@ -83,8 +88,15 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
     listed = list(zip(names, panes, strict=True))
     axes = {f"yaxis{name[1:]}": _axis(pane.y) | {"nticks": 5} for name, pane in listed}
     single = len(views.runs) == 1
+    drawn = [(name, series) for name, pane in listed for series in pane.series]
+    first = {series.name: index for index, (_, series) in reversed([*enumerate(drawn)])}
+    traces = [
+        # One entry of the legend for a name in several panes.
+        _trace(series) | {"yaxis": name, "legendgroup": escape(series.name), "showlegend": first[series.name] == index}
+        for index, (name, series) in enumerate(drawn)
+    ]
     return {
-        "data": [_trace(series) | {"yaxis": name} for name, pane in listed for series in pane.series],
+        "data": traces,
         "layout": _LAYOUT
         | axes
         | {

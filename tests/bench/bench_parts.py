@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +12,8 @@ from pandas import DataFrame
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.experiment import frame
-from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.run_row import RunOutcome
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, Stamped
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 
 META: dict[str, object] = {
     "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
@@ -55,18 +53,6 @@ class DisplacedUnicycle(KinematicPlant):
     def measure(self) -> Measurement:
         self._past.append(Stamped(self.true_pose, self.time))
         return Measurement(pose=self._past[-1 - self._late])
-
-
-class FeedForward:
-    """A controller that commands the twist of the reference."""
-
-    def start(self, reference: Reference, t0: float) -> None:
-        self._reference, self._t0 = reference, t0
-
-    def step(self, t: float, measurement: Measurement) -> PeerStep:
-        began = time.perf_counter()
-        command = self._reference.sample([t - self._t0]).twist[0]
-        return PeerStep(command, "TRACKING", "", time.perf_counter() - began)
 
 
 def quick_case(**changes: object) -> Case:

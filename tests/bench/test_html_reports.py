@@ -12,7 +12,6 @@ from bench_parts import quick_outcome
 from opened_report import check_page, check_report, content_of, opened
 from plotly.graph_objects import Figure
 
-from browser import opened_browser, screenshot
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
@@ -37,7 +36,6 @@ from diffdrive_mpc.bench.html_report.run_series import ERROR, METHOD, kept_ticks
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.checked_yaml import ConfigError
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")
 HOSTILE = '<script>document.title = "taken"</script><b>&amp;'
@@ -248,18 +246,3 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
     assert "A backend had to solve 100 %" in told
     assert "“why”" in told
     assert all(one.what.startswith("SSM: ") and one.remedy for one in found)
-
-
-@pytest.mark.system("browser")
-def test_a_screenshot_is_small(single: Path, tmp_path: Path) -> None:
-    picture = tmp_path / "a.png"
-    screenshot(single, picture)
-    assert 10_000 < picture.stat().st_size < 300_000
-
-
-def test_a_missing_browser_and_a_missing_report_are_named(tmp_path: Path) -> None:
-    missing = pytest.raises(ConfigError, match="no browser: no-such-browser was not found; install chromium")
-    with missing, opened_browser("no-such-browser"):
-        pass
-    with pytest.raises(ConfigError, match="no such report"):
-        screenshot(tmp_path / "none.html", tmp_path / "a.png")

@@ -275,13 +275,6 @@ def test_leaning_into_the_curve_makes_up_for_side_slip() -> None:
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_a_law_is_timed_apart_from_estimate_and_prediction() -> None:
-    peer = make_peer("lqr")
-    peer.start(Arc(), 0.0)
-    step = peer.step(0.0, DisplacedUnicycle().measure())
-    assert 0.0 < step.solve_time < step.step_time
-
-
 def test_a_step_before_the_start_is_a_fault() -> None:
     law = PursuitLaw(PURSUIT, ROBOT)
     with pytest.raises(RuntimeError, match="start"):

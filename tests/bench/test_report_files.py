@@ -46,53 +46,28 @@ from diffdrive_mpc.models.whole_file import scratch_folder
 from processes import is_running
 
 FIELDS = {
-    "controller": str,
-    "model": str,
-    "trajectory": str,
-    "plant": str,
-    "surface": str,
-    "sensors": str,
-    "seed": int,
-    "horizon": int,
-    "steps": int,
-    "completed": bool,
-    "position_rmse_m": float,
-    "position_mean_m": float,
-    "position_std_m": float,
-    "position_max_m": float,
-    "heading_rmse_rad": float,
-    "heading_mean_rad": float,
-    "heading_std_rad": float,
-    "heading_max_rad": float,
-    "course_rmse_rad": float,
-    "lateral_rmse_m": float,
-    "lateral_mae_m": float,
-    "lateral_p95_m": float,
-    "lateral_max_m": float,
-    "in_band_percent": float,
-    "step_time_p50_s": float,
-    "step_time_p95_s": float,
-    "step_time_p99_s": float,
-    "step_time_max_s": float,
-    "solve_time_p50_s": float,
-    "solve_time_p95_s": float,
-    "solve_time_p99_s": float,
-    "solve_time_max_s": float,
-    "iterations_mean": float,
-    "iterations_max": float,
-    "deadline_misses": int,
-    "fallbacks": int,
-    "stopped": bool,
-    "behind_max_s": float,
-    "method_unlimited_percent": float,
-    "method_active_set_percent": float,
-    "method_backend_percent": float,
-    "not_solved": int,
-    "path_unlimited_percent": float,  # as it was called before
-    "path_active_set_percent": float,
-    "path_backend_percent": float,
-    "timed_clean_percent": float,
+    name: kind
+    for kind, names in (
+        (str, "controller model trajectory plant surface sensors"),
+        (int, "seed horizon steps"),
+        (bool, "completed"),
+        (
+            float,
+            "position_rmse_m position_mean_m position_std_m position_max_m heading_rmse_rad heading_mean_rad "
+            "heading_std_rad heading_max_rad course_rmse_rad lateral_rmse_m lateral_mae_m lateral_p95_m "
+            "lateral_max_m in_band_percent step_time_p50_s step_time_p95_s step_time_p99_s step_time_max_s "
+            "solve_time_p50_s solve_time_p95_s solve_time_p99_s solve_time_max_s iterations_mean "
+            "iterations_max",
+        ),
+        (int, "deadline_misses fallbacks"),
+        (bool, "stopped"),
+        (float, "behind_max_s method_unlimited_percent method_active_set_percent method_backend_percent"),
+        (int, "not_solved"),
+        (float, "path_unlimited_percent path_active_set_percent path_backend_percent timed_clean_percent"),
+    )
+    for name in names.split()
 }
+"""Kind of each published field in order; the names `path_..._percent` are deprecated."""
 
 SILENT = ("scenario", "timing")
 """Dimensions that nobody asked for."""

@@ -296,8 +296,8 @@ def one_wheel(side, factor):
 
 def from_the_middle(stream, factor):
     def change(columns, base):
-        later = np.arange(len(columns["x"])) >= len(columns["x"]) // 2
-        return columns | {name: np.where(later, factor, 1.0) * columns[name] for name in base.stream(stream)}
+        names = (stream,) if stream in columns else base.stream(stream)
+        return columns | {name: np.where(later(columns), factor, 1.0) * columns[name] for name in names}
 
     return change
 
@@ -352,9 +352,55 @@ def in_bursts(columns, size=10):
     )
 
 
-def running_counts(name):
-    """Running ticks of a wheel speed [rad/s], 4096 a turn."""
-    return lambda columns: np.floor(np.cumsum(columns[name] * 0.02) * 4096 / (2 * np.pi))
+TICKS = 4096 / (2 * np.pi)
+"""Ticks of an encoder per radian."""
+
+
+def ticks(columns, base):
+    """Return the columns with running ticks instead of the wheel speeds."""
+    return columns | {name: np.floor(np.cumsum(columns[name] * base.dt) * TICKS) for name in base.wheels}
+
+
+def dead_twist(columns, base):
+    """Return the columns with v and omega of encoders of which the left one is dead."""
+    return twist_columns(columns | {"left": 0.0 * columns["left"]}, base)
+
+
+def with_log(second):
+    """Return a change that adds a log: columns, or a change of the first log."""
+    return lambda columns, base: [columns, second(columns, base) if callable(second) else second]
+
+
+def whole_seconds(columns):
+    return np.floor(columns["t"])
+
+
+def two_clocks(columns):
+    return columns["t"] + np.where(later(columns), 1.7e9, 0.0)
+
+
+def noise(columns):
+    return np.random.default_rng(4).normal(0, 0.3, len(columns["t"]))
+
+
+def first_step(columns):
+    return columns["calib_step"] == 0
+
+
+def held_encoders(period, quantum=0.0):
+    """Return a change that repeats each reading of the encoders, rounded to multiples of `quantum`."""
+
+    def change(columns, base):
+        readings = {name: held(name, period)(columns) for name in base.wheels}
+        return columns | (
+            {name: np.round(x / quantum) * quantum for name, x in readings.items()} if quantum else readings
+        )
+
+    return change
+
+
+def frozen_pose(share):
+    return replaced(**{name: frozen(name, share) for name in ("x", "y", "theta")})
 
 
 def held(name, period):
@@ -586,24 +632,8 @@ SCALES = (
     Case("husky", "milliseconds", scaled(t=1000.0), UNIT, "time; unit: ms", True),
     Case("husky", "positions in mm", scaled(x=1000.0, y=1000.0), UNIT, "pose; unit: mm", True),
     Case("simulated", "positions in cm", scaled(x=100.0, y=100.0), UNIT, "pose; unit: cm", True),
-    Case(
-        "simulated",
-        "running ticks as m/s",
-        replaced(left=running_counts("left"), right=running_counts("right")),
-        "running counts",
-        "encoders; unit: ticks",
-        True,
-        put(SIDES, RIMS),
-    ),
-    Case(
-        "simulated",
-        "ticks/s as m/s",
-        scaled(encoders=4096 / (2 * np.pi)),
-        UNIT,
-        "encoders; ticks",
-        True,
-        put(SIDES, RIMS),
-    ),
+    Case("simulated", "running ticks", ticks, "running counts", "encoders; unit: ticks", True, put(SIDES, RIMS)),
+    Case("simulated", "ticks/s as m/s", scaled(encoders=TICKS), UNIT, "encoders; ticks", True, put(SIDES, RIMS)),
     Case("simulated", "commands in mm/s", scaled(v_ref=1000.0), UNIT, "command; unit: mm/s", True),
     Case("simulated", "commanded deg/s", scaled(omega_ref=DEGREES), UNIT, "command; unit: deg/s", True),
     Case("husky", "left wheel dead", one_wheel(0, 0.0), "dead wheel", "left", True),
@@ -615,15 +645,7 @@ SCALES = (
     Case("simulated", "sides swapped", swapped("left", "right"), "swapped sides", "encoders", True),
     Case("gravel", "sides swapped", swapped("left", "right"), "swapped sides", "encoders", True),
     Case("simulated", "one wheel of four dead", four_wheels("rl"), "dead wheel", "rear_left", True, put(SIDES, FOUR)),
-    Case(
-        "simulated",
-        "left wheel dead, v and omega logged",
-        lambda columns, base: twist_columns(columns | {"left": 0.0 * columns["left"]}, base),
-        "dead wheel",
-        "left",
-        True,
-        lambda _: SIDES_ONLY,
-    ),
+    Case("simulated", "twist of a dead wheel", dead_twist, "dead wheel", "left", True, lambda _: SIDES_ONLY),
     Case("husky", "y mirrored", scaled(y=-1.0), "mirrored pose", "y; sign: -1", True),
     Case("husky", "yaw clockwise", scaled(yaw=-1.0), SIGN, "pose; sign: -1", True),
     Case("simulated", "x and y swapped", swapped("x", "y"), "mirrored pose", "x; y", True),
@@ -651,139 +673,38 @@ TIMES = (
     *all_shifts("simulated"),
     *[case for case in all_shifts("husky") if case.name not in ("husky: gyro +0.3 s", "husky: command +0.3 s")],
     *all_shifts("asphalt", ("command", "gyro")),
-    Case(
-        "simulated",
-        "two robots",
-        lambda columns, base: [columns, robot(seed=21, gain=(0.6, 1.3), lag=0.3)],
-        "different logs",
-        "v",
-        None,
-    ),
-    Case(
-        "husky",
-        "two robots",
-        lambda columns, base: [columns, scaled(encoders=0.6)(columns, base)],
-        "different logs",
-        "v",
-        None,
-    ),
-    Case(
-        "simulated",
-        "encoders half from the middle on",
-        from_the_middle("encoders", 0.5),
-        "scale change",
-        "encoders",
-        True,
-    ),
+    Case("simulated", "two robots", with_log(robot(seed=21, gain=(0.6, 1.3), lag=0.3)), "different logs", "v", None),
+    Case("husky", "two robots", with_log(scaled(encoders=0.6)), "different logs", "v", None),
+    Case("simulated", "encoders halve", from_the_middle("encoders", 0.5), "scale change", "encoders", True),
     Case("husky", "gyro twice from the middle on", from_the_middle("gyro", 2.0), "scale change", "gyro", True),
-    Case(
-        "husky",
-        "encoders 1.6 times from the middle on",
-        from_the_middle("encoders", 1.6),
-        "scale change",
-        "encoders",
-        True,
-    ),
+    Case("husky", "encoders grow", from_the_middle("encoders", 1.6), "scale change", "encoders", True),
     Case("husky", "stamps shuffled", replaced(t=shuffled_stamps), "shuffled stamps", "sample_time", True),
     Case("simulated", "stamps in bursts", replaced(t=in_bursts), "bursty stamps", "sample_time: 0.02", None),
-    Case(
-        "husky",
-        "whole seconds as stamps",
-        replaced(t=lambda c: np.floor(c["t"])),
-        "bursty stamps",
-        "sample_time: 0.05",
-        None,
-    ),
-    Case(
-        "simulated",
-        "another clock from the middle on",
-        replaced(t=lambda c: c["t"] + np.where(np.arange(len(c["t"])) < 3000, 0.0, 1700000000.0)),
-        "two clocks",
-        "clock",
-    ),
+    Case("husky", "whole seconds", replaced(t=whole_seconds), "bursty stamps", "sample_time: 0.05", None),
+    Case("simulated", "another clock from the middle on", replaced(t=two_clocks), "two clocks", "clock"),
     Case("simulated", "gaps", rows(without_some_seconds), "gap", "no data"),
 )
 
 READINGS = (
-    Case(
-        "simulated",
-        "pose frozen",
-        replaced(**{name: frozen(name, 1.0) for name in ("x", "y", "theta")}),
-        "no response",
-        "pose",
-        True,
-        also="stuck sensor",
-    ),
-    Case(
-        "simulated",
-        "pose freezes",
-        replaced(**{name: frozen(name, 0.4) for name in ("x", "y", "theta")}),
-        "stuck sensor",
-        "pose",
-    ),
-    Case(
-        "simulated",
-        "gyro constant",
-        replaced(gyro=lambda c: np.full(len(c["t"]), 0.02)),
-        "no response",
-        "gyro",
-        True,
-        also="stuck sensor",
-    ),
-    Case(
-        "simulated",
-        "gyro noise alone",
-        replaced(gyro=lambda c: np.random.default_rng(4).normal(0, 0.3, len(c["t"]))),
-        "weak response; no response",
-        "gyro",
-        True,
-    ),
+    Case("simulated", "pose frozen", frozen_pose(1.0), "no response", "pose", True, also="stuck sensor"),
+    Case("simulated", "pose freezes", frozen_pose(0.4), "stuck sensor", "pose"),
+    Case("simulated", "gyro constant", constant("gyro", value=0.02), "no response", "gyro", True, also="stuck sensor"),
+    Case("simulated", "gyro noise alone", replaced(gyro=noise), "weak response; no response", "gyro", True),
     Case("husky", "gyro freezes", replaced(gyro_z=frozen("gyro_z", 0.4)), "stuck sensor", "gyro"),
-    Case(
-        "asphalt",
-        "one step of 6 s",
-        rows(lambda c: c["calib_step"] == 0),
-        "little excitation; constant input",
-        "command",
-        True,
-    ),
+    Case("asphalt", "one step", rows(first_step), "little excitation; constant input", "command", True),
     Case("simulated", "omega never driven", simulated(drive=(1, 0)), "constant input", "omega", True),
     Case("simulated", "v never driven", simulated(drive=(0, 1)), "constant input", "v was", True),
     Case("simulated", "v and omega in step", lambda columns, base: in_step(), "little excitation", "in step", None),
     Case("simulated", "gyro held", replaced(gyro=held("gyro", 4)), "held readings", "gyro; held: true"),
-    Case(
-        "simulated",
-        "encoders held",
-        replaced(left=held("left", 3), right=held("right", 3)),
-        "held readings",
-        "encoders; held: true",
-    ),
-    Case(
-        "simulated",
-        "encoders coarse and held",
-        replaced(
-            left=lambda c: np.round(held("left", 4)(c) / 0.4) * 0.4,
-            right=lambda c: np.round(held("right", 4)(c) / 0.4) * 0.4,
-        ),
-        "held readings",
-        "encoders; held: true",
-    ),
+    Case("simulated", "encoders held", held_encoders(3), "held readings", "encoders; held: true"),
+    Case("simulated", "encoders coarse and held", held_encoders(4, 0.4), "held readings", "encoders; held: true"),
     Case("simulated", "NaN rows", replaced(left=some_nan("left")), "NaN rows", "left"),
     Case("husky", "1 % spikes of a wheel", spikes(("wheel_left",), 60.0), "spikes", "encoders"),
     Case("simulated", "1 % spikes of the gyro", spikes(("gyro",), 30.0), "spikes", "gyro"),
     Case("simulated", "1 % spikes of the encoders", spikes(("left", "right"), 40.0), "spikes", "encoders"),
     Case("simulated", "poses jump", spikes(("x",), 15.0), "spikes", "pose"),
-    Case(
-        "simulated", "gyro empty", replaced(gyro=lambda c: np.full(len(c["t"]), np.nan)), "empty column", "gyro", True
-    ),
-    Case(
-        "husky",
-        "encoders empty",
-        replaced(wheel_left=lambda c: np.full(len(c["t"]), np.nan)),
-        "empty column",
-        "wheel_left",
-        True,
-    ),
+    Case("simulated", "gyro empty", constant("gyro", value=np.nan), "empty column", "gyro", True),
+    Case("husky", "encoders empty", constant("wheel_left", value=np.nan), "empty column", "wheel_left", True),
     Case("simulated", "robot clips omega", simulated(clip=0.9, seed=23), "clipped response", "omega"),
     Case("simulated", "commands rest at a limit", lambda columns, base: smooth_and_clipped(), "saturation", "limit"),
 )
@@ -811,14 +732,7 @@ CAUSES = (
     Case("small", "all sides swapped", both_swapped, "swapped sides; wrong sign", "encoders; command", True),
     Case("simulated", "battery sags", simulated(sag=0.25, seed=43), "gain drift", "command", None),
     Case("heavy", "battery sags", simulated(**HEAVY, sag=0.25), "gain drift", "command", None),
-    Case(
-        "simulated",
-        "command unit changes",
-        lambda columns, base: columns | {"v_ref": columns["v_ref"] * np.where(later(columns), 100.0, 1.0)},
-        "scale change",
-        "command",
-        True,
-    ),
+    Case("simulated", "command unit changes", from_the_middle("v_ref", 100.0), "scale change", "command", True),
     Case("husky", "command unit changes", from_the_middle("command", RPM), "scale change", "command", True),
     Case("simulated", "joint order changes", order_changes, "order change", "encoders", True),
     Case("husky", "joint order changes", order_changes, "order change", "encoders", True),

@@ -351,7 +351,7 @@ FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_
     ids=["clips, gyro", "clips, track", "top speed, track"],
 )
 def test_with_effects_no_row_held_out_is_predicted_worse(effects, clip, gyro, track):
-    """The same on logs of real robots, in all combinations: test_base_effects_real.py."""
+    """The same on logs of real robots, in all combinations: test_logs_real.py."""
     record = record_of(effects, 9, 120.0, clip=clip)
     record = record if gyro else without_gyro(record)
     record = record if track else bare(record)

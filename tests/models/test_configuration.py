@@ -110,6 +110,16 @@ def test_a_limit_that_is_seldom_reached_is_found(seed):
     assert found and close and not false
 
 
+@pytest.mark.long
+def test_most_limits_of_drawn_robots_are_identified():
+    cases = [drawn_case(seed) for seed in range(11_000, 11_060)]
+    verdicts = [judged(case, identify_sm(case.records).limits) for case in cases]
+    limited = sum(case.channel is not None for case in cases)
+    assert limited > 20
+    assert sum(close for _, close, _ in verdicts) >= 0.8 * limited
+    assert sum(false for _, _, false in verdicts) <= 0.05 * len(cases)
+
+
 @pytest.mark.parametrize(
     ("seed", "odd"), [(2017, "compressed gain"), (2013, "gain of the other channel"), (2040, "slew")]
 )

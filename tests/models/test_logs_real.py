@@ -171,7 +171,7 @@ def test_effects_halve_the_error_power_of_omega_on_rows_held_out(husky):
     assert (power[1][1:] < 0.5 * power[0][1:]).all(), power
 
 
-# Twenty minutes: DIFFDRIVE_MPC_ALL=1 pytest tests/models/test_base_effects_real.py
+# Twenty minutes: DIFFDRIVE_MPC_ALL=1 pytest tests/models/test_logs_real.py
 if "DIFFDRIVE_MPC_ALL" in os.environ:
 
     @pytest.mark.real_logs

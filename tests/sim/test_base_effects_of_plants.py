@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc import ConfigError, ModelError, load_model, make_plant
+from diffdrive_mpc import ConfigError, load_model, make_plant
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, respond
 from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.plants.base_motion import BaseCommands, BaseMotion, CommandShaping
+from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -124,12 +124,3 @@ def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for
     ]
     np.testing.assert_array_equal(runs[0][0], runs[1][0])
     np.testing.assert_array_equal(runs[0][1], runs[1][1])
-
-
-def test_a_network_is_a_plant_that_obeys_it_sample_by_sample():
-    model, random = load_model("lstm"), np.random.default_rng(0)
-    motion, commands = BaseMotion(model, BaseEffects(), model.dt), random.uniform(-1, 1, (50, 2))
-    before = np.vstack([np.zeros(2), *(motion.advance(command).wheels for command in commands)])
-    assert before[:-1] == pytest.approx(model.simulate(commands), abs=1e-12)
-    with pytest.raises(ModelError, match="as a plant of 0.04 s"):
-        BaseMotion(model, BaseEffects(), 0.04)

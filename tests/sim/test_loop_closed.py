@@ -108,13 +108,6 @@ def test_every_tick_is_announced() -> None:
     assert seen == [(k + 1, 151) for k in range(151)]
 
 
-def test_sim_has_no_other_names() -> None:
-    from diffdrive_mpc import sim
-
-    with pytest.raises(AttributeError, match="no attribute 'robot'"):
-        sim.robot  # noqa: B018
-
-
 DT, BAND = 0.01, 0.05
 TIME = np.arange(0.0, 10.0 + 1e-9, DT)
 REST = np.zeros((len(TIME), 2))

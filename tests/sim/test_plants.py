@@ -303,11 +303,6 @@ def test_smoothing_is_the_mean_of_the_past_window_from_rest(seed: int) -> None:
         np.testing.assert_allclose(smooth[k], padded[k : k + window].mean(axis=0), atol=1e-12)
 
 
-def test_seeds_fix_random_drives() -> None:
-    np.testing.assert_array_equal(random_commands(1), random_commands(1))
-    assert not np.array_equal(random_commands(1), random_commands(2))
-
-
 def test_wheel_steps_turn_the_wheels_at_the_papers_pulse_rates() -> None:
     robot = load_robot()
     kinematics = WheelKinematics(robot.wheel_radius, robot.track)

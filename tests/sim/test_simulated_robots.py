@@ -87,20 +87,6 @@ def test_nothing_moves_before_the_dead_time(name: str) -> None:
     assert moving[log.time > dead_time + load_robot().sample_time].all()
 
 
-def test_wheels_that_are_too_slow_stay_below_the_speed_of_the_shipped_paths() -> None:
-    reachable = load_simulated_robot("short_of_speed").twin.motor.no_load_speed * load_robot().wheel_radius
-    v = _hold("short_of_speed", 0.5, 0.0).wheel_twist[:, 0]
-    assert v.max() <= reachable * (1 + 1e-3) < 0.5
-    assert v[-1] == pytest.approx(reachable, rel=0.02)
-
-
-def test_a_weak_side_falls_behind_while_the_motors_give_all_they_have() -> None:
-    """At full duty the strong side pulls ahead: the twin, whose motors differ by 3 % at most, turns much less."""
-    turned = [abs(_hold(name, 1.5, 0.0, 12).true_pose[-1, 2]) for name in ("weak_side_20", "heavy")]
-    assert _hold("weak_side_20", 1.5, 0.0, 12).true_pose[-1, 2] > 0
-    assert turned[0] > 3 * turned[1]
-
-
 @pytest.mark.parametrize(("name", "quicker"), [("slow_motors", False), ("quick_motors", True)])
 def test_motors_answer_slower_or_faster_than_the_twin(name: str, quicker: bool) -> None:
     """Time until 63 % of a step of v, and of omega."""

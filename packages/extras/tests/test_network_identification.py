@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc import ConfigError, Controller, MissingPackageError, identify, load_config, load_model
+from diffdrive_mpc import ConfigError, Controller, MissingPackageError, ModelError, identify, load_config, load_model
+from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.sim.plants.base_motion import BaseMotion
 from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
 
@@ -102,3 +104,12 @@ def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingPackageError) as refused:
         identify(tmp_path / "never read.csv", None, "lstm")
     assert str(refused.value) == "training a network needs JAX and Optax: pip install 'diffdrive-mpc[learn]'"
+
+
+def test_motion_of_a_network_plant_equals_its_simulation():
+    model, random = load_model("lstm"), np.random.default_rng(0)
+    motion, commands = BaseMotion(model, BaseEffects(), model.dt), random.uniform(-1, 1, (50, 2))
+    before = np.vstack([np.zeros(2), *(motion.advance(command).wheels for command in commands)])
+    assert before[:-1] == pytest.approx(model.simulate(commands), abs=1e-12)
+    with pytest.raises(ModelError, match=r"as a plant of 0\.04 s"):
+        BaseMotion(model, BaseEffects(), 0.04)
