@@ -24,6 +24,8 @@ FUZZ ?= short
 GOALS ?=
 # Which mutants are tried: make mutants MUTANTS="--seed 7 --count 40 --only mpc/core/*.c"
 MUTANTS ?=
+# Packages that are tested: make test-packages PACKAGE=monitor
+PACKAGE ?= $(notdir $(patsubst %/,%,$(dir $(wildcard packages/*/pyproject.toml))))
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 MARKED ?= not system and not long
@@ -48,7 +50,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel test test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel test test-packages test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -124,11 +126,14 @@ wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/:
 test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tests`
 	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
+test-packages: $(READY) ## tests of the packages, each on built wheels in an environment of its own; PACKAGE=monitor for one
+	VENV=$(VENV) .ci/test_package $(PACKAGE) -- -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
+
 test-system: $(LAB_READY) ## tests that need Debian packages: a browser, cross compilers, an emulator, an X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
-	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
+	PYTHONPATH=tests:tests/models:tests/mpc $(BIN)/python -m fuzz $(FUZZ)
 
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)

@@ -17,6 +17,7 @@ import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names

@@ -31,3 +31,7 @@ class DaskBackend(DaskDistributedBackend):  # type: ignore[misc]
         if isinstance(out, BaseException):
             raise out
         return super().retrieve_result_callback(out)
+
+    def effective_n_jobs(self, n_jobs: int) -> int:
+        """Return the number of threads of all workers, at least 2: joblib runs the tasks of one in this process."""
+        return max(2, int(super().effective_n_jobs(n_jobs)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from functools import partial
 from typing import Any
 
@@ -125,9 +125,17 @@ def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:
     kept = [name for name in rows if name not in ("case", "run", PROCESSOR) and not str(name).startswith(CLOCK)]
     return [
         plain(
-            {name: row[name] for name in kept if not isinstance(row[name], (np.ndarray, dict))}
+            {
+                name: row[name]
+                for name in kept
+                if not (isinstance(row[name], (np.ndarray, dict)) or is_dataclass(row[name]))
+            }
             | {"set": dict(row["case"].overrides)},
             digits,
         )
         for row in rows.to_dict("records")
     ]
+
+
+def _is_compound(value: object) -> bool:
+    return isinstance(value, (np.ndarray, dict)) or is_dataclass(value)

@@ -20,6 +20,7 @@ from diffdrive_mpc.bench.experiment import by, grouped, total, values
 from diffdrive_mpc.bench.experiment_file import TableFile
 from diffdrive_mpc.bench.table import Table, duration, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.interface import FloatArray
 
 Cell = Callable[[DataFrame], str]
 """Function from the rows of a group to a cell."""
@@ -30,7 +31,7 @@ UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)
 """Factor from the unit of the column, and the usual decimal places."""
 KNOWN = "_known"
 """Ending of a statistic that leaves out runs whose value could not be computed; else the statistic is NaN."""
-STATISTICS: dict[str, Callable[..., Any]] = {
+STATISTICS: dict[str, Callable[[FloatArray], Any]] = {
     "mean": np.mean,
     "max": np.max,
     "min": np.min,

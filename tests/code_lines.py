@@ -107,10 +107,10 @@ def files_on_disk(root: Path, ignored: list[str]) -> list[Path]:
 
 
 def area_of(name: str) -> str:
-    """Return the area of a path: a room, `packages/NAME`, `packages/NAME/tests`, `studies`, `tests` or `rest`."""
+    """Return the area of a path: a room, a package or its tests or studies, `studies`, `tests` or `rest`."""
     first, *inner = name.split("/")
     if first == "packages" and len(inner) > 1:
-        return "/".join([first, inner[0], *(["tests"] if inner[1] == "tests" else [])])
+        return "/".join([first, inner[0], *{"tests", "studies"}.intersection(inner[1:2])])
     return first if inner and first in {*ROOMS, "studies", "tests"} else "rest"
 
 
@@ -127,7 +127,8 @@ def sizes(root: Path = ROOT) -> dict[str, Size]:
     of_areas = {name: total(parts) for name, parts in sorted(areas.items())}
     members = {
         "root wheel": [name for name in of_areas if name in ROOMS],
-        "all packages": [name for name in of_areas if name.startswith("packages/") and not name.endswith("/tests")],
+        "all packages": [name for name in of_areas if name.startswith("packages/") and name.count("/") == 1],
+        "all studies": [name for name in of_areas if name.endswith("studies")],
         "all tests": [name for name in of_areas if name.endswith("tests")],
         "all files": [*of_areas],
     }

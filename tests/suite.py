@@ -37,7 +37,7 @@ LONG_TESTS = {
     "test_network_identification.py",
     "test_over_dds.py",
     "test_real_time_iterations.py",
-    "test_replay_bags.py",
+    "test_replay.py",
     "test_reproduce_experiments.py",
     "test_tutorials.py",
 }

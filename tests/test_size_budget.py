@@ -135,6 +135,7 @@ def write_tree(root):
         "packages/lab/pyproject.toml": "",
         "packages/lab/src/lab/x.py": "a = 1\n",
         "packages/lab/tests/test_x.py": "a = 1\nb = 1\nc = 1\n",
+        "packages/lab/studies/x.py": "a = 1\n",
         "tests/test_a.py": "a = 1\n",
     }
     ignored = {"models/__pycache__/x.py": "a = 1\n", "out/x.py": "a = 1\n"}
@@ -152,14 +153,16 @@ def test_areas_and_sums_of_a_small_tree(tmp_path):
     assert {name: (size.lines, size.files) for name, size in code_lines.sizes(tmp_path).items()} == {
         "models": (3, 3),
         "packages/lab": (1, 2),
+        "packages/lab/studies": (1, 1),
         "packages/lab/tests": (3, 1),
         "rest": (1, 2),
         "src": (0, 1),
         "tests": (1, 1),
         "root wheel": (3, 4),
         "all packages": (1, 2),
+        "all studies": (1, 1),
         "all tests": (4, 2),
-        "all files": (9, 10),
+        "all files": (10, 11),
     }
 
 

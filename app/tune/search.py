@@ -75,9 +75,8 @@ class ConfigurationSearch:
     def drive(self, values: Mapping[str, Any], seeds: Iterable[int], jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every combination of the plan and the seeds with `values`; return the table of `sweep`."""
         changed = {key: value for key, value in values.items() if value != self.start[key]}
-        values_of_runs: dict[str, Any] = dict(self._named)
-        values_of_runs.update(self._plan.runs)
-        values_of_runs.update(changed)
+        named = [*self._named.items(), *self._plan.runs.items(), *changed.items()]
+        values_of_runs: dict[str, Any] = {str(name): value for name, value in named}
         return sweep(seeds=seeds, jobs=jobs, on_done=bar.advance, **values_of_runs)
 
     def run(self, jobs: int, bar: ProgressBar) -> list[TunePoint]:

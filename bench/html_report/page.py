@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -174,6 +174,15 @@ class RunSeries:
     plane: Sequence[Series]
     panes: Mapping[str, Sequence[Series]]
     marks: Mapping[str, Sequence[Mark]] = field(default_factory=dict)
+
+    def in_style(self, style: int) -> RunSeries:
+        """Return the run with another number of colour and line."""
+        plane = _styled(self.plane, style)
+        return replace(self, plane=plane, panes={title: _styled(pane, style) for title, pane in self.panes.items()})
+
+
+def _styled(series: Sequence[Series], style: int) -> list[Series]:
+    return [entry if entry.kind == "reference" else replace(entry, style=style) for entry in series]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,16 +88,6 @@ def run_series(
             panes[title] += [line("true", time, run.true_twist[kept, (0, 2)[channel]], 3)]
         marks = {} if config is None else _limits(run, config)
     return RunSeries(name, plane, panes, marks)
-
-
-def restyled(series: RunSeries, style: int) -> RunSeries:
-    """Return the series of a compared run with another number of colour and line; the reference keeps its look."""
-
-    def with_style(entries: Sequence[Series]) -> list[Series]:
-        return [entry if entry.kind == "reference" else replace(entry, style=style) for entry in entries]
-
-    panes = {title: with_style(entries) for title, entries in series.panes.items()}
-    return replace(series, plane=with_style(series.plane), panes=panes)
 
 
 def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:

@@ -27,7 +27,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Warned,
     rounded,
 )
-from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, restyled
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import Report
 from diffdrive_mpc.bench.table import Table, millis, number
@@ -166,9 +166,7 @@ def shown(rows: DataFrame) -> Shown:
     kept = every[every["series"].notna()]
     driven = kept[kept["seed"] == kept["seed"].min()]
     models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
-    series = [
-        restyled(series, models.index(name)) for name, series in zip(driven["driver"], driven["series"], strict=True)
-    ]
+    series = [run.in_style(models.index(name)) for name, run in zip(driven["driver"], driven["series"], strict=True)]
     runs = [RunViews(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)

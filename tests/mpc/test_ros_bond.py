@@ -196,7 +196,7 @@ def test_without_a_period_there_is_no_bond(ros_types):
 
 
 def test_where_bond_is_not_installed_it_says_so_once(monkeypatch, capfd):
-    monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.message_type", lambda *_: None)
+    monkeypatch.setattr("diffdrive_mpc.mpc.ros.bond.message_type", lambda *_: None)
     with stack(autostart=False) as s:
         s.node.get_logger().set_level(20)
         s.node.trigger_configure()

@@ -26,12 +26,9 @@ ALLOWED: dict[str, set[str]] = {
     "disturbances": set(),
     "metrics": set(),
     "core": set(),
-    "worlds": {"disturbances"},
-    "plants": {"core", "sensing", "disturbances", "worlds"},
-    "ros": {"sensing", "plants", "worlds"},
-    "twin": {"sensing", "plants"},
-    "view": {"sensing", "disturbances", "plants"},
-    "": {"sensing", "disturbances", "plants", "metrics", "worlds"},
+    "plants": {"core", "sensing", "disturbances"},
+    "ros": {"sensing", "plants"},
+    "": {"sensing", "disturbances", "plants", "metrics"},
 }
 """By room, the others that it may build on; "" stands for the files beside the rooms."""
 

@@ -9,11 +9,10 @@ from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
-from diffdrive_mpc_extras.rehearsal.lap_parts import lap_parts
-from diffdrive_mpc_extras.rehearsal.laps import drive_laps
+from diffdrive_mpc_extras.rehearsal.laps import drive_laps, lap_parts
 
 PLAIN = Case(plant="model:sm", trajectory="cane")
-LEARNING = PLAIN.with_override("rehearsal.enabled", value=True)
+LEARNING = PLAIN.with_override("expert.rehearsal.enabled", value=True)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +67,6 @@ def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
 
 def test_correction_learned_from_slip_is_drawn(tmp_path):
     words = ["rehearse", "--plant", "model:ssm", "--surface", "p4_concrete", "--trajectory", "square", "--laps", "2"]
-    result = invoke(app, *words, "--set", "rehearsal.by=floor", "--out", tmp_path / "out")
+    result = invoke(app, *words, "--set", "expert.rehearsal.by=floor", "--out", tmp_path / "out")
     assert "slip learned from 1 laps" in " ".join(result.output.split())
     assert (tmp_path / "out" / "figures" / "laps.png").exists()

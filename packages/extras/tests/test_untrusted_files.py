@@ -70,9 +70,9 @@ FACTORS = {
     "surface": {"surface": "@/short.yaml"},
     "sensors": {"sensors": "@/short.yaml"},
     "scenario": {"scenario": "@/short.yaml"},
-    "world": {"world": "@/short.yaml", "plant": "mujoco"},
+    "world": {"plant": "world:@/short.yaml"},
     "value of the configuration": {"config.model": "@/model.yaml"},
-    "turn costs": {"config.energy.turn_costs": "@/costs.yaml", "config.energy.weight": 0.1},
+    "turn costs": {"config.expert.energy.turn_costs": "@/costs.yaml", "config.expert.energy.weight": 0.1},
 }
 
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, FixedStep
+from typer.testing import CliRunner
 
 from diffdrive_mpc import ConfigError, RobotLostError
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import load_reference
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.worlds.drawn_world import drawing, drawn_world
@@ -18,8 +23,7 @@ from diffdrive_mpc_extras.worlds.passage import outline_points
 from diffdrive_mpc_extras.worlds.plug_in import passage
 from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Polygon, Shapes, Wall, distance_to_polygon
 from diffdrive_mpc_extras.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
-from diffdrive_mpc_extras.worlds.world import World
-from diffdrive_mpc_extras.worlds.world_file import SHIPPED, load_world
+from diffdrive_mpc_extras.worlds.world import SHIPPED, World, load_world
 from diffdrive_mpc_extras.worlds.world_plant import TouchedError, WorldPlant
 
 WIDTH, LENGTH = 0.38, 0.30
@@ -338,3 +342,25 @@ def test_a_robot_that_stands_for_good_ends_the_run_where_nothing_changes(tmp_pat
     assert [round(run.time[-1]) for run in runs] == [10, 20]  # give_up, and the time limit of the file
     for run in runs:
         assert not passage(run).arrived and passage(run).contacts == 0
+
+
+def test_controller_without_observations_drives_blind() -> None:
+    plant = make_plant("world:slalom", seed=3)
+    assert isinstance(plant, WorldPlant)
+    run = simulate(FeedForward(), plant, load_reference(Case(plant="world:slalom")))
+    assert "post 0" in run.ended
+
+
+def test_world_brings_its_path() -> None:
+    assert Case(plant="world:doorway").trajectory == "world:doorway"
+    assert load_reference(Case(plant="world:doorway")).sample([0.0]).pose[0].tolist() == [0.0, 0.0, 0.0]
+    with pytest.raises(ConfigError, match="has its own path"):
+        load_reference(Case(plant="world:doorway", trajectory="s"))
+
+
+def test_simulate_prints_the_passage_and_its_table() -> None:
+    arguments = ["simulate", "--plant", "world:slalom", "--controller", "rpp+stop"]
+    line = r"^world: (not )?arrived, \d+ contacts, least clearance \d\.\d+ m$"
+    assert re.search(line, CliRunner().invoke(app, arguments).stdout, re.MULTILINE)
+    detailed = CliRunner().invoke(app, [*arguments, "--details"]).stdout
+    assert "world:slalom" in detailed and "walked" in detailed

@@ -9,11 +9,11 @@ from pydantic import Field, field_validator, model_validator
 
 from diffdrive_mpc.mpc.config.group import FeatureGroup, NotNegative, Positive
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc_extras.free_space.footprint import Footprint
+from diffdrive_mpc_extras.free_space.polygons import Footprint
 
 
 class FreeSpace(FeatureGroup):
-    """Obstacles and corridors that the feature's `set_obstacles` takes; see docs/worlds.md."""
+    """Obstacles and corridors that the feature's `set_obstacles` takes; see packages/extras/docs/worlds.md."""
 
     enabled: bool = Field(False, description="keep clear of what the controller sees; false: it sees nothing [-]")
     footprint: str = Field(

@@ -1,0 +1,311 @@
+"""The commands of the studies that compare controllers, robots and paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_option
+from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.bench.study import Study
+
+
+Results = TypeVar("Results")
+
+EXAMPLES = {
+    "tracking": "Example: python -m studies tracking --out results --quick --only cross,bound",
+    "reproduce": "Example: python -m studies reproduce --out results --only virtual_track",
+    "peers": "Example: python -m studies peers --out results --peers pursuit,lqr+slip",
+    "robustness": "Example: python -m studies robustness --out results --only mass_left,frozen_pose --models sm,ssm",
+    "speed": "Example: python -m studies speed --out results --quick --peers ours,acados",
+}
+
+
+def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that chooses some parts of a study."""
+    return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
+
+
+def _names(what: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that takes names, with commas between."""
+    return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{what}.", show_default=default)
+
+
+def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
+    """As `bench.study.carry_out`, which is imported when a study runs: --help does without it."""
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    return carry_out(study, out, jobs)
+
+
+def tracking(
+    *,
+    out: Annotated[Path, out_option("report.html, tracking.json, tracking.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    only: Annotated[str | None, _parts_option("targets, ablation, cross, surfaces, scenarios, bound")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
+    from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does without it
+
+    if quick and study is not None:
+        raise ValueError(f"--study {study}: --quick has a study of its own; give one of them")
+    parts = () if only is None else split_names(only, "--only")
+    _carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
+
+
+def reproduce(
+    *,
+    out: Annotated[Path, out_option("report.html, reproduce.json, reproduce.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
+    only: Annotated[str | None, _parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the real logs.", show_default="without them"),
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
+    from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
+    from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
+
+    parts = PARTS if only is None else split_names(only, "--only")
+    _carry_out(ReproduceStudy(load_study(quick=quick), parts, data), out, jobs)
+
+
+def peers(
+    *,
+    out: Annotated[Path, out_option("report.html, peers.json, peers.md and gains.yaml")],
+    quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, to see that it works.")] = False,
+    only: Annotated[str | None, _names("Peers to tune", "all of them", "--peers")] = None,
+    settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Tune the peers, each by the same search with the same budget on the same runs: about 20 minutes on two cores."""
+    from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
+    from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
+
+    loaded = load_settings(settings, quick=quick)
+    results = _carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
+    with whole_file(out / GAINS_FILE) as draft:
+        draft.write_text(gains_text(results, loaded), encoding="utf-8")
+
+
+def _rates(text: str) -> list[float]:
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+
+    try:
+        return [float(name) for name in split_names(text, "--rates")]
+    except ValueError:
+        raise ConfigError(f"--rates {text}: expected numbers above 0, such as 1,10,100") from None
+
+
+def robustness(
+    *,
+    out: Annotated[Path, out_option("report.html, robustness.json, robustness.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="A few conditions on one path.")] = False,
+    only: Annotated[str | None, _names("Conditions", "all of them")] = None,
+    conditions: Annotated[Path | None, file_option("Conditions", "--conditions")] = None,
+    controllers: Annotated[str, _names("mpc, or peers")] = "mpc,kanayama",
+    models: Annotated[str, _names("Models of mpc")] = "ssm",
+    trajectories: Annotated[str | None, _names("Paths", "circle,s; circle with --quick")] = None,
+    seeds: Annotated[str, typer.Option(metavar="LIST", help="How many seeds, or a list of them.")] = "1",
+    robots: Annotated[
+        int | None,
+        typer.Option(min=1, help="Drive so many drawn robots, as wide as the market, and no condition."),
+    ] = None,
+    tuning_robots: Annotated[
+        bool,
+        typer.Option("--tuning-robots", help="Drawn robots to tune on in place of the reserved ones."),
+    ] = False,
+    rates: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST", help="Rates of false alarms [1/h] to drive these robots at, too.", show_default="none"
+        ),
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Drive every controller on robots, floors and sensors that it was not tuned to: some minutes on two cores."""
+    from diffdrive_mpc_extras.campaign.campaign_file import load_conditions  # noqa: PLC0415 - --help does without it
+    from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
+
+    loaded = load_conditions(conditions)
+    names = split_names(only, "--only") if only is not None else loaded.quick if quick else None
+    study = RobustnessStudy(
+        loaded.chosen(names) if names is not None or robots is None else {},
+        loaded.settled,
+        controllers=split_names(controllers, "--controllers"),
+        models=split_names(models, "--models"),
+        trajectories=split_names(trajectories or ("circle" if quick else "circle,s"), "--trajectories"),
+        seeds=parse_seeds(seeds),
+        robots=robots or 0,
+        tuning=tuning_robots,
+        rates=[] if rates is None else _rates(rates),
+    )
+    _carry_out(study, out, jobs)
+
+
+def speed(
+    *,
+    out: Annotated[Path, out_option("report.html, speed.json, speed.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One model, two horizons, a short drive.")] = False,
+    peers: Annotated[str | None, _names("Subjects; `ours` and `casadi` are groups", "all of them")] = None,
+    models: Annotated[str | None, _names("Models", "mbm,sm,ssm")] = None,
+    horizons: Annotated[
+        str | None, typer.Option(metavar="NUMBERS", help="Horizons.", show_default="10,20,30,50,100")
+    ] = None,
+    settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
+    environment: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the peers' own environment; made there if it is not.",
+            show_default="in the user's cache folder",
+        ),
+    ] = None,
+) -> None:
+    """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
+    from studies.speed.settings import MOST_STEPS, chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
+    from studies.speed.study import SpeedStudy  # noqa: PLC0415
+
+    loaded = load_speed_settings(settings, quick=quick)
+    changes: dict[str, object] = {}
+    if models is not None:
+        changes["models"] = split_names(models, "--models")
+    if horizons is not None:
+        changes["horizons"] = split_numbers(horizons, "--horizons", least=1, most=MOST_STEPS)
+    names = None if peers is None else split_names(peers, "--peers")
+    _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
+
+
+STUDIES: dict[str, Callable[..., None]] = {
+    "tracking": tracking,
+    "robustness": robustness,
+    "peers": peers,
+    "reproduce": reproduce,
+    "speed": speed,
+}
+"""The studies by the names of their commands, `python -m studies NAME`."""
+
+
+shipped_models_app = typer.Typer(
+    no_args_is_help=True, help="Find the shipped models and the simulated robot's firmware again."
+)
+
+
+@shipped_models_app.command(epilog="Example: python -m studies models fit --out my_models")
+def fit(
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for mbm.yaml and sm.yaml; by default the shipped ones.", show_default=False),
+    ] = None,
+) -> None:
+    """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
+    from studies.shipped_models.model_fitting import fit_models  # noqa: PLC0415
+
+    with ProgressBar("experiments and identification (about a minute)") as bar:
+        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.at)
+    output_console().print(table.rich())
+    for warning in warnings:
+        typer.echo(f"warning: {warning}", err=True)
+
+
+@shipped_models_app.command(epilog="Example: python -m studies models drives --out my_models")
+def drives(
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for p2_experimental.yaml and p2_physical.yaml; by default the shipped ones.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Fit the drive models again, on drives of the simulated robot with changes of direction."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
+    from studies.shipped_models.model_fitting import fit_drives  # noqa: PLC0415
+
+    folder = out or PARAMETERS
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProgressBar("drives and fits (about a minute)"):
+        table = fit_drives(folder)
+    output_console().print(table.rich())
+
+
+@shipped_models_app.command(epilog="Example: python -m studies models train --out my_models")
+def train(
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for lstm.yaml and lstm.npz; by default the shipped ones.", show_default=False),
+    ] = None,
+) -> None:
+    """Train the network again, on a five-minute drive of the simulated robot; needs the extra `learn`."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
+    from studies.shipped_models.model_fitting import fit_network  # noqa: PLC0415
+
+    folder = out or PARAMETERS
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProgressBar("drives and training (about a minute)") as bar:
+        table = fit_network(folder, on_progress=bar.at)
+    output_console().print(table.rich())
+
+
+@shipped_models_app.command(epilog="Example: python -m studies models calibrate --out my_firmware.yaml")
+def calibrate(
+    out: Annotated[
+        Path | None, typer.Option(help="Parameter file to write; by default the shipped one.", show_default=False)
+    ] = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check",
+            help="Only report how well the shipped calibration predicts drives held out from it, and prove that no "
+            "neighbour of its values fits better.",
+        ),
+    ] = False,
+) -> None:
+    """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
+    from studies.shipped_models.calibration import calibrate as fit_firmware  # noqa: PLC0415
+    from studies.shipped_models.calibration import (  # noqa: PLC0415
+        calibration_table,
+        neighbour_errors,
+        neighbours_table,
+    )
+
+    if check and out is not None:
+        raise ValueError(f"--out {out}: --check writes nothing; give one of them")
+    around: dict[str, tuple[float, ...]] = {}
+    if check:
+        firmware, around = load_firmware(), neighbour_errors()
+        output_console().print(neighbours_table(around).rich())
+    else:
+        with ProgressBar("calibration (a few minutes), parameters tried:") as bar:
+            firmware = fit_firmware(out or FIRMWARE_FILE, on_evaluation=bar.advance)
+    output_console().print(calibration_table(firmware).rich())
+    better = [name for name, errors in around.items() if min(errors) <= 1.0]
+    if better:
+        raise ValueError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
+
+
+@shipped_models_app.command(epilog="Example: python -m studies models truths --quick")
+def truths(
+    quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,
+) -> None:
+    """Identify random models whose truth is known, and count how often it lies in the stated intervals."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
+
+    with ProgressBar("known truths (a few seconds each)") as bar:
+        recoveries = recover_all(5 if quick else None, on_progress=bar.at)
+    output_console().print(coverage_table(recoveries).rich())
