@@ -249,11 +249,11 @@ def test_violated_limit_is_detected_at_every_step():
 # Solves that are stopped.
 
 # A robot that can by no means follow: its wheels are too slow, and its corridor is narrow.
-HARD = {"horizon": 40, "limits.wheel_speed": 0.1, "limits.corridor": 0.01}
+DEMANDING = {"horizon": 40, "limits.wheel_speed": 0.1, "limits.corridor": 0.01}
 
 
 def controller(**overrides):
-    return Controller(load_config("ssm", HARD | overrides))
+    return Controller(load_config("ssm", DEMANDING | overrides))
 
 
 def plant():

@@ -10,6 +10,7 @@ from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.step_result import Mode
@@ -121,13 +122,13 @@ def test_used_dead_time_is_never_negative():
 
 
 def test_dead_time_changes_in_steps_without_jumps_of_the_command():
-    by = controller(step=0.015, pause=0.5)
+    by, constants = controller(), fixed_values()
     results, _ = driven(by, (0.06, 0.06))
     used = np.array([result.dead_time.used for result in results])
     changed = np.flatnonzero(np.diff(used, axis=0).any(axis=1))
     assert len(changed) >= 3
-    assert np.abs(np.diff(used, axis=0)).max() <= 0.015 + 1e-12
-    assert np.diff(changed).min() * DT >= 0.5 - DT
+    assert np.abs(np.diff(used, axis=0)).max() <= constants["online_dead_time.step"] + 1e-12
+    assert np.diff(changed).min() * DT >= constants["online_dead_time.pause"] - DT
     limits = by.config.limits
     moves = np.abs(np.diff(commands(results), axis=0))
     assert np.all(moves <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-9)
