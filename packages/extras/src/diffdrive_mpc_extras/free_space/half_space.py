@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,14 @@ from typing import Any
 import casadi as ca
 
 from diffdrive_mpc import core_sources
+from diffdrive_mpc.models.compiled.packaged import Packaged
 
 core_sources.require(1)
 
 PARAMETERS = 5
 """Number of stage parameters: a (2), point d (2) of the robot in its own frame [m], b [m]."""
 
-_HEADER = "free_space.h"
+_FOLDER = Path(__file__).parent
 
 
 def half_space(pose: ca.SX, parameters: ca.SX) -> ca.SX:
@@ -45,16 +47,48 @@ def half_space_function() -> ca.Function:
 
 @cache
 def load_free_space() -> tuple[Any, Any]:
-    """Return cffi's declarations and the library of free space, compiled together with the core at first use.
+    """Return cffi's declarations and the library of free space: of the wheel, else compiled with the core at first use.
 
     Raises
     ------
     NotCompiledError
-        If there is no C compiler.
+        If the wheel holds no library, and there is no C compiler.
     """
-    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/half_space.py")
-    folder = Path(__file__).parent
-    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.[ch]"))}
-    texts |= {f"{generated.stem}.c": generated.source, f"{generated.stem}.h": generated.header}
     ffi, _ = core_sources.load_core()
-    return ffi, core_sources.load_with_core("ddmpc_free_space", texts, _HEADER)
+    header = (_FOLDER / "free_space.h").read_text(encoding="utf-8")
+    return ffi, core_sources.load_with_core(_packaged(), _texts, header)
+
+
+def packaged_libraries() -> Iterator[Path]:
+    """Yield the libraries of the wheel that this processor can run, best first."""
+    return _packaged().libraries()
+
+
+def write_packaged(folder: Path) -> list[Path]:
+    """Compile free space for the wheel in `folder`: libraries and manifest.
+
+    Raises
+    ------
+    NotCompiledError
+        If it cannot be compiled.
+    """
+    return _packaged().write(_texts(), folder)
+
+
+def _packaged() -> Packaged:
+    sources = [path.read_text(encoding="utf-8") for path in [*sorted(_FOLDER.glob("*.[ch]")), Path(__file__)]]
+    return core_sources.packaged_with_core("ddmpc_free_space", _FOLDER, sources)
+
+
+def _texts() -> dict[str, str]:
+    """Return all C files and headers by name, those of the core and the generated ones included."""
+    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/half_space.py")
+    written = {path.name: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob("*.[ch]"))}
+    return (
+        core_sources.core_texts()
+        | written
+        | {
+            f"{generated.stem}.c": generated.source,
+            f"{generated.stem}.h": generated.header,
+        }
+    )
