@@ -15,8 +15,8 @@ from types import ModuleType
 import typer
 
 from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
-from studies.commands import studies
-from studies.commands.shipped_models import shipped_models_app
+from studies import commands
+from studies.commands import shipped_models_app
 
 
 class Studies(OneLineErrors):
@@ -32,8 +32,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Repeat a study: the evidence for this project's own claims.",
 )
-for _name, _study in studies.STUDIES.items():
-    app.command(_name, epilog=studies.EXAMPLES[_name])(_study)
+for _name, _study in commands.STUDIES.items():
+    app.command(_name, epilog=commands.EXAMPLES[_name])(_study)
 
 
 def _package_studies() -> Iterator[tuple[str, ModuleType]]:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from quick_settings import quick_settings
 from studies.cli import app as studies_app
-from studies.documents import twelve_drives
+from studies.documents import documents as twelve_drives
 from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
@@ -28,7 +28,6 @@ CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 # What a line of .ci/run or .ci/long runs, with more beside it.
 PART_OF_CI = {
-    "python -m studies reproduce --out turns --only turning --quick": 'NAME=reproduce OPTIONS="--quick',
     "python -m studies speed --out out/speed --quick --peers ours,casadi/sqpmethod --horizons 10": (
         'NAME=speed OPTIONS="--quick --horizons 10"'
     ),

@@ -17,7 +17,7 @@ class BuildWithFreeSpace(build_py):
         """Build the package."""
         super().run()
         if not self.editable_mode:
-            from diffdrive_mpc_extras.free_space.half_space import write_packaged  # noqa: PLC0415 - needs diffdrive-mpc
+            from diffdrive_mpc_extras.free_space.pieces import write_packaged  # noqa: PLC0415 - needs diffdrive-mpc
 
             write_packaged(Path(self.build_lib, "diffdrive_mpc_extras", "free_space"))
 

@@ -1,4 +1,4 @@
-"""The figures of `reproduce`: odometry of MBM and SM, FIT of SSM by order, the virtual track, the scatter of P4."""
+"""The figures of `reproduce`: odometry of MBM and SM, FIT of SSM by order, the virtual track."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from studies.reproduce.drives import QUANTITIES
 from studies.reproduce.mbm_and_sm import COMPARED, SM, MbmSmResult
 from studies.reproduce.published import load_published
-from studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter, pooled
 from studies.reproduce.state_space import PAPERS_ORDER, SsmResult
 from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
 
@@ -121,43 +120,3 @@ def _draw(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) 
     axes.set_xlabel("yaw rate [rad/s]")
     axes.legend(loc="lower center")
     axes.margins(y=0.15)
-
-
-def draw_slip_scatter(results: Sequence[SlipScatter], path: Path) -> None:
-    """Draw paths by commands alone, and errors of poses with their ellipses; for the first setting of the drifts."""
-    shown = [result for result in results if result.drifts == results[0].drifts]
-    floors = list(dict.fromkeys(one.floor for one in shown))
-    with new_figure(path, 2.0 * len(floors) + 0.6, 6.6) as figure:
-        rows = figure.subplots(3, len(floors), squeeze=False)
-        for column, floor in enumerate(floors):
-            group = [one for one in shown if one.floor == floor]
-            driven, without, learned = rows[:, column]
-            for k, name in enumerate((TRUE, NOMINAL, LEARNED)):
-                shade = REFERENCE_COLOUR if name == TRUE else colour(k)
-                width = 3.0 if name == TRUE else 1.2
-                driven.plot(*group[0].paths[name].T, color=shade, linestyle=line_style(k), linewidth=width, label=name)
-            driven.set(title=floor, xlabel="x [m]", aspect="equal", adjustable="datalim")
-            _scatter(without, pooled(group, "nominal"), {})
-            ellipses = {"foreseen": pooled(group, "learned"), "foreseen, scaled": pooled(group, "scaled")}
-            _scatter(learned, pooled(group, "learned"), ellipses)
-            learned.set_xlabel("along [mm]")
-        for axes, label in zip(rows[:, 0], ("y [m]", "no slip: left [mm]", "learned: left [mm]"), strict=True):
-            axes.set_ylabel(label)
-        figure.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-        figure.legend(*rows[2, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-
-
-def _scatter(axes: Axes, errors: Foresight, foreseen: Mapping[str, Foresight]) -> None:
-    """Errors along and to the left, with ellipses of three deviations: of the errors, and as they were foreseen."""
-    places = 1e3 * errors.errors[:, :2]
-    axes.plot(*places.T, ".", color="black", markersize=3.0, label="errors of poses")
-    _ellipse(axes, places.mean(axis=0), np.cov(places.T), 1, "errors, three deviations")
-    for k, (name, one) in enumerate(foreseen.items(), start=2):
-        _ellipse(axes, np.zeros(2), 1e6 * one.covariances[:, :2, :2].mean(axis=0), k, name)
-    axes.set(aspect="equal", adjustable="datalim")
-
-
-def _ellipse(axes: Axes, centre: FloatArray, covariance: FloatArray, k: int, label: str) -> None:
-    angles = np.linspace(0.0, 2 * np.pi, 100)
-    line = centre[:, None] + 3.0 * np.linalg.cholesky(covariance) @ np.stack([np.cos(angles), np.sin(angles)])
-    axes.plot(*line, color=colour(k), linestyle=line_style(k - 1), linewidth=1.3, label=label)

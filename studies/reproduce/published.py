@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.robot import NotNegative, Positive
+from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.model_file import ChannelFit
 
 Four = tuple[float, float, float, float]
@@ -83,38 +83,6 @@ class PublishedDriveErrors(StrictModel):
     omega: tuple[float, float]
 
 
-class PublishedLeastRadius(StrictModel):
-    """By the raw torques, and of the network [m]."""
-
-    raw: float
-    network: float
-
-
-class PublishedEnergyMissed(StrictModel):
-    """Measured less foreseen energy [%], with learning and by the prior."""
-
-    learned: float
-    prior: float
-
-
-class PublishedLearningCost(StrictModel):
-    """Time of one iteration, or of a plan [s]."""
-
-    mran: float
-    ipem: float
-    sbmpo: float
-
-
-class PublishedTurning(StrictModel):
-    """P4's turns: regimes of the inner side [m], least radii, energies and times."""
-
-    inner_forward_from: float
-    inner_drives_beyond: float
-    least_radius: dict[str, PublishedLeastRadius]
-    energy_missed: dict[str, PublishedEnergyMissed]
-    cost: PublishedLearningCost
-
-
 class FindingThresholds(StrictModel):
     """Thresholds that decide findings."""
 
@@ -125,15 +93,6 @@ class FindingThresholds(StrictModel):
     certain: float
     told_apart_fit_percent: float
     chance: float
-    corresponds: float
-    inside: tuple[float, float]
-    turn_radius_off: float
-    turn_rise: float
-    turn_crossing: float
-    turn_alike: float
-    turn_alike_from: float
-    turn_torque_off: float
-    turn_least_radius_off: float
 
 
 class Published(StrictModel):
@@ -151,7 +110,6 @@ class Published(StrictModel):
     cost: dict[str, PublishedCost]
     virtual_track: PublishedTrack
     drive_models: dict[str, dict[str, PublishedDriveErrors]]
-    turning: PublishedTurning
     rules: FindingThresholds
 
 
@@ -201,7 +159,7 @@ def each(flags: ArrayLike) -> tuple[bool, ...]:
 # What `reproduce` runs, read from `study.yaml` or, for a quick one, from `quick.yaml`.
 
 
-PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models", "slip_scatter", "turning")
+PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models")
 """Names of the parts, in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
@@ -287,50 +245,6 @@ class TrackStudy(StrictModel):
     speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[m/s]")
 
 
-class ScatterFloor(StrictModel):
-    """A plant and what it drives on."""
-
-    plant: str = Field(description="as `make_plant` takes it")
-    surface: str
-
-    @property
-    def name(self) -> str:
-        """In tables."""
-        return self.surface if self.plant.startswith("model:") else f"{self.plant} {self.surface}"
-
-
-class ScatterStudy(StrictModel):
-    """P4's scatter of poses that are predicted over some time with the slip that was learned."""
-
-    floors: Annotated[tuple[ScatterFloor, ...], Field(min_length=1)]
-    drifts: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(
-        description="by what the configuration's drifts of slip are multiplied"
-    )
-    settling: NotNegative = Field(description="of the drive, before errors scale what is foreseen [s]")
-    learning: Positive = Field(description="of the drive, before errors count [s]")
-    duration: Positive = Field(description="of the drive [s]")
-    horizon: Positive = Field(description="how far ahead [s]")
-    path: Positive = Field(description="how long a path by commands alone is drawn [s]")
-    side: Positive = Field(description="of the square that is driven in [m]")
-    v: Positive = Field(description="largest speed [m/s]")
-    yaw_rate: Positive = Field(description="largest yaw rate [rad/s]")
-    estimator: dict[str, float] = Field(description="keys of `estimator` in the configuration")
-
-
-class TurningStudy(StrictModel):
-    """P4's steady turns, its learned torque curves and the energy that they foresee; the rest as in `torque`."""
-
-    radii: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="of steady turns, ascending [m]")
-    speeds: Annotated[tuple[Positive, ...], Field(min_length=2)] = Field(description="of steady turns, ascending [m/s]")
-    smooth_floor: str = Field(description="that stands in for the laboratory's vinyl")
-    settling: NotNegative = Field(description="of a steady turn, that is not measured [s]")
-    hold: Positive = Field(description="of it that is [s]")
-    floors: Annotated[tuple[str, ...], Field(min_length=1)] = Field(description="on which torques are learned")
-    seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="of drives whose energy is foreseen")
-    turns: Count = Field(description="of such a drive")
-    plans: Count = Field(description="that are timed on each floor")
-
-
 class ReproduceSettings(StrictModel):
     """All parts; a repetition has drives and noise of its own."""
 
@@ -341,8 +255,6 @@ class ReproduceSettings(StrictModel):
     cost: CostStudy
     drive_models: DriveStudy
     driven_track: TrackStudy
-    slip_scatter: ScatterStudy
-    turning: TurningStudy
 
 
 def load_study(*, quick: bool = False) -> ReproduceSettings:

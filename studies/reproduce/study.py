@@ -16,16 +16,13 @@ from diffdrive_mpc.bench.table import Table
 from studies.reproduce import (
     cost,
     drive_models,
-    driven_track,
     mbm_and_sm,
     networks,
-    slip_scatter,
     state_space,
-    turn_learning,
-    turning,
     virtual_track,
 )
 from studies.reproduce.published import PARTS, PaperFinding, Published, ReproduceSettings, load_published
+from studies.reproduce.virtual_track import DrivenTrack
 
 Result = (
     state_space.SsmResult
@@ -33,10 +30,7 @@ Result = (
     | networks.NetworkResult
     | networks.NetworkRows
     | drive_models.DriveModelsResult
-    | driven_track.DrivenTrack
-    | slip_scatter.SlipScatter
-    | turning.TurningResult
-    | turn_learning.LearnedTurns
+    | virtual_track.DrivenTrack
 )
 Task = Callable[[], Result]
 
@@ -59,12 +53,6 @@ class ReproduceResults:
         One for each repetition and each log.
     driven_track
         One for each floor.
-    slip_scatter
-        One for each floor, for each setting of the drifts, for each repetition.
-    turning
-        Steady turns, by law and driven.
-    learned_turns
-        One for each floor.
     """
 
     mbm_sm: tuple[mbm_and_sm.MbmSmResult, ...] = ()
@@ -74,10 +62,7 @@ class ReproduceResults:
     cost: Mapping[str, cost.Cost] | None = None
     virtual_track: virtual_track.VirtualTrackResult | None = None
     drive_models: tuple[drive_models.DriveModelsResult, ...] = ()
-    driven_track: tuple[driven_track.DrivenTrack, ...] = ()
-    slip_scatter: tuple[slip_scatter.SlipScatter, ...] = ()
-    turning: turning.TurningResult | None = None
-    learned_turns: tuple[turn_learning.LearnedTurns, ...] = ()
+    driven_track: tuple[DrivenTrack, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
@@ -109,19 +94,10 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
                 partial(drive_models.compare_on_twin, s.drive_models, k)
                 for k in s.repetitions[: s.drive_models.repetitions]
             ]
-        if "slip_scatter" in only:
-            own = s.slip_scatter
-            tasks += [
-                partial(slip_scatter.scatter_of, own, f, d, k)
-                for f in own.floors
-                for d in own.drifts
-                for k in s.repetitions
-            ]
-        if "turning" in only:
-            tasks += [partial(turn_learning.learn_turns, s.turning, floor) for floor in s.turning.floors]
-            tasks.append(partial(turning.turn_steadily, s.turning))
         if "virtual_track" in only:
-            tasks += [partial(driven_track.drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces]
+            tasks += [
+                partial(virtual_track.drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces
+            ]
         return tasks + [partial(mbm_and_sm.compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
@@ -139,10 +115,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             lstm=tuple(result for result in done if isinstance(result, networks.NetworkResult)),
             rows=tuple(result for result in done if isinstance(result, networks.NetworkRows)),
             drive_models=tuple(driven),
-            driven_track=tuple(result for result in done if isinstance(result, driven_track.DrivenTrack)),
-            slip_scatter=tuple(result for result in done if isinstance(result, slip_scatter.SlipScatter)),
-            turning=next((result for result in done if isinstance(result, turning.TurningResult)), None),
-            learned_turns=tuple(result for result in done if isinstance(result, turn_learning.LearnedTurns)),
+            driven_track=tuple(result for result in done if isinstance(result, virtual_track.DrivenTrack)),
             cost=cost.measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=virtual_track.check_virtual_track(published.virtual_track, published.rules.certain)
             if tracked
@@ -153,13 +126,8 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         """Findings with their verdicts first; every result is written but paths, which would fill the file."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
-        for result in (*written["mbm_sm"], *written["slip_scatter"]):
+        for result in written["mbm_sm"]:
             del result["paths"]
-        for floor in written["learned_turns"]:
-            floor["runs"] = [
-                {"seed": run["seed"], **{name: run[name][-1] for name in ("measured", "learned", "prior")}}
-                for run in floor["runs"]
-            ]
         findings = find(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
@@ -172,16 +140,15 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
                 **written,
             },
             facts=[f"Parts {', '.join(parts)} in {seconds} s; {where}."],
-            tables=report_tables(results, findings_table(findings, len(self.settings.repetitions)), self.settings),
+            tables=report_tables(results, findings_table(findings, len(self.settings.repetitions))),
             figures=_drawings(results),
         )
 
 
-def report_tables(results: ReproduceResults, findings: Table, settings: ReproduceSettings) -> list[Table]:
+def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
     """Those of the parts that were run, the findings first."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
-    horizon = settings.slip_scatter.horizon
     shown: list[tuple[Any, Callable[[Any, Published], list[Table]]]] = [
         (
             results.mbm_sm,
@@ -201,28 +168,20 @@ def report_tables(results: ReproduceResults, findings: Table, settings: Reproduc
         (results.lstm, networks.beside_tables),
         (results.cost, lambda part, published: [cost.cost_table(part, published)]),
         (results.virtual_track, lambda part, _: [virtual_track.virtual_track_table(part)]),
-        (results.driven_track, driven_track.driven_track_tables),
+        (results.driven_track, virtual_track.driven_track_tables),
         (results.drive_models, drive_models.drive_model_tables),
-        (results.slip_scatter, lambda part, _: slip_scatter.slip_scatter_tables(part, horizon)),
-        (results.turning, lambda part, _: [turning.turning_table(part)]),
-        (results.learned_turns, turn_learning.turn_learning_tables),
     ]
     return [findings, *(table for part, tables in shown if part for table in tables(part, published))]
 
 
 def _drawings(results: ReproduceResults) -> dict[str, Draw]:
     """Figures of the parts that were run."""
-    from studies.reproduce import figures, turn_figures  # noqa: PLC0415 - matplotlib loads slowly
+    from studies.reproduce import figures  # noqa: PLC0415 - matplotlib loads slowly
 
     shown: dict[str, tuple[Any, Callable[[Any, Path], None]]] = {
         "odometry.png": (results.mbm_sm, figures.draw_odometry),
         "orders.png": (results.ssm, figures.draw_orders),
         "virtual-track.png": (results.virtual_track, figures.draw_virtual_track),
-        "slip-scatter.png": (results.slip_scatter, figures.draw_slip_scatter),
-        "turn-torques.png": (results.turning, turn_figures.draw_turn_torques),
-        "turn-power.png": (results.turning, turn_figures.draw_turn_power),
-        "turn-learning.png": (results.learned_turns, turn_figures.draw_turn_learning),
-        "turn-energy.png": (results.learned_turns, turn_figures.draw_turn_energy),
     }
     return {name: partial(draw, part) for name, (part, draw) in shown.items() if part}
 
@@ -237,11 +196,8 @@ def find(results: ReproduceResults) -> list[PaperFinding]:
         (results.lstm or rows, lambda _, published: networks.network_findings(results.lstm, rows, published)),
         (results.cost, cost.cost_findings),
         (results.virtual_track, virtual_track.virtual_track_findings),
-        (results.driven_track, driven_track.driven_track_findings),
+        (results.driven_track, virtual_track.driven_track_findings),
         (results.drive_models, drive_models.drive_model_findings),
-        (results.slip_scatter, slip_scatter.slip_scatter_findings),
-        (results.turning, turning.turning_findings),
-        (results.learned_turns, turn_learning.turn_learning_findings),
     ]
     return [finding for part, rules in decided if part for finding in rules(part, published)]
 

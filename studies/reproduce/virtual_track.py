@@ -1,10 +1,16 @@
-"""The printed tests of a virtual track against the printed line (Botta et al., Appl. Sci. 2021, 11(4), 1594)."""
+"""The printed tests of a virtual track against the printed line (Botta et al., Appl. Sci. 2021, 11(4), 1594).
+
+P3's eight tests driven on the simulated robot: its virtual track, and on what it depends.
+
+P3: Botta et al., Appl. Sci. 2021, 11(4), 1594. The virtual track is the difference of the wheels'
+speeds over the true yaw rate, in the steady part of a drive.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +18,10 @@ from scipy import stats
 
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
-from studies.reproduce.published import PaperFinding, Published, PublishedTrack
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+from studies.reproduce.published import PaperFinding, Published, PublishedTrack, TrackStudy
 
 
 @dataclass(frozen=True)
@@ -173,3 +182,171 @@ def _cells(line: TrackLine, result: VirtualTrackResult) -> tuple[str, ...]:
 
 def _with_deviation(value: float, deviation: float) -> str:
     return f"{value:.3f}" + (f" ± {deviation:.3f}" if math.isfinite(deviation) else "")
+
+
+_SEED = 400
+_ALONE = ("turning on the spot, over yaw rate", "at constant v, over yaw rate", "at constant yaw rate, over v")
+
+
+@dataclass(frozen=True)
+class DrivenTrack:
+    """What one floor showed.
+
+    Attributes
+    ----------
+    surface
+        The floor.
+    tests, alone
+        (n, 4) v [m/s], yaw rate [rad/s], virtual track [m] and wheel speed over true speed [-] of the paper's tests,
+        and of drives in which one of the first two stays.
+    line
+        Through the tests.
+    """
+
+    surface: str
+    tests: FloatArray
+    alone: dict[str, FloatArray]
+    line: TrackLine
+
+    @property
+    def slopes(self) -> dict[str, TrackLine]:
+        """Lines through the drives in which one thing stays, over what changes."""
+        return {name: fit_line(rows[:, [0 if name == _ALONE[2] else 1, 2]]) for name, rows in self.alone.items()}
+
+    @property
+    def by_acceleration(self) -> TrackLine:
+        """Virtual track over (v times yaw rate)^2 [m^2/s^4], all drives."""
+        rows = np.vstack([self.tests, *self.alone.values()])
+        return fit_line(np.column_stack([(rows[:, 0] * rows[:, 1]) ** 2, rows[:, 2]]))
+
+
+def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
+    """The paper's tests, and drives in which one thing stays, on one floor."""
+    v, yaw = study.v, study.yaw_rate
+    alone = dict(
+        zip(
+            _ALONE,
+            (
+                [(0.0, yaw_rate) for yaw_rate in study.yaw_rates],
+                [(v, yaw_rate) for yaw_rate in study.yaw_rates],
+                [(speed, yaw) for speed in study.speeds],
+            ),
+            strict=True,
+        )
+    )
+    tests = _driven(study, surface, study.tests)
+    return DrivenTrack(
+        surface,
+        tests,
+        {name: _driven(study, surface, twists) for name, twists in alone.items()},
+        fit_line(tests[:, 1:3]),
+    )
+
+
+def _driven(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float]]) -> FloatArray:
+    """(n, 4) what `DrivenTrack` says, for commands v [m/s], omega [rad/s]."""
+    robot, rows = load_robot(), []
+    steps, settled = (round(time / robot.sample_time) for time in (study.duration, study.settling))
+    ramp = np.minimum(1.0, np.arange(steps) / (0.25 * settled))[:, None]
+    for index, twist in enumerate(twists):
+        drive = drive_open_loop(make_plant("mujoco", surface=surface, seed=_SEED + index), ramp * twist)
+        v, _, yaw = drive.true_twist[settled:].mean(axis=0)
+        wheels = drive.wheel_twist[settled:].mean(axis=0)
+        rows.append((v, yaw, robot.track * wheels[1] / yaw, wheels[0] / v if twist[0] else np.nan))
+    return np.array(rows)
+
+
+def driven_track_tables(results: Sequence[DrivenTrack], published: Published) -> list[Table]:
+    """The tests beside the paper's, and what the track depends on."""
+    paper, commands = published.virtual_track, results[0].tests
+    rows = [
+        (
+            str(k + 1),
+            f"{yaw:.3f}",
+            f"{track:.3f}",
+            *(f"{result.tests[k, c]:.3f}" for result in results for c in (0, 1, 2)),
+        )
+        for k, (yaw, track) in enumerate(paper.tests[: len(commands)])
+    ]
+    lines = [("P3, Epi.q", f"{paper.p1:.3f}", f"{paper.p0:.3f}", "-", *["-"] * (len(_ALONE) + 1))]
+    for result in results:
+        slopes = [_pm(1e3 * line.p1, 1e3 * line.p1_deviation, 1) for line in result.slopes.values()]
+        lines.append(
+            (
+                result.surface,
+                _pm(result.line.p1, result.line.p1_deviation, 4),
+                _pm(result.line.p0, result.line.p0_deviation, 4),
+                f"{result.line.correlation:.2f}",
+                *slopes,
+                f"{_pm(1e3 * result.by_acceleration.p1, 1e3 * result.by_acceleration.p1_deviation, 0)} "
+                f"({result.by_acceleration.correlation:.2f})",
+            )
+        )
+    columns = ["test", "P3: yaw rate [rad/s]", "P3: track [m]"]
+    for one in results:
+        columns += [f"{one.surface}: v [m/s]", "yaw rate [rad/s]", "track [m]"]
+    return [
+        Table(
+            "Driven virtual track",
+            tuple(columns),
+            tuple(rows),
+            note="The paper's commands on the simulated robot (true track 0.330 m), true v and yaw rate; each in open "
+            "loop, steady part.",
+        ),
+        Table(
+            "What the virtual track depends on",
+            (
+                "floor",
+                "p1 [m s]",
+                "p0 [m]",
+                "correlation [-]",
+                "on the spot, over yaw rate [mm s]",
+                "constant v, over yaw rate [mm s]",
+                "constant yaw rate, over v [mm s/m]",
+                "over (v yaw rate)^2 [mm s^4/m^2] (correlation)",
+            ),
+            tuple(lines),
+            note="Line through the eight tests, then slopes of drives in which one thing stays, with deviations; "
+            "the last over all drives.",
+        ),
+    ]
+
+
+def _pm(value: float, deviation: float, digits: int) -> str:
+    return f"{value:.{digits}f} ± {deviation:.{digits}f}"
+
+
+def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
+    """Whether P3's line has the same sign here, and what stands behind it; one verdict for each floor."""
+    certain, paper = published.rules.certain, published.virtual_track
+    floors = ", ".join(result.surface for result in results)
+    spot, _, speed = _ALONE
+    return [
+        PaperFinding(
+            f"the virtual track grows with the yaw rate, by {certain:g} standard deviations or more ({floors})",
+            "P3, section 3",
+            f"{paper.p1:.3f} m s",
+            "; ".join(f"{_pm(result.line.p1, result.line.p1_deviation, 4)} m s" for result in results),
+            tuple(result.line.p1 > certain * result.line.p1_deviation for result in results),
+        ),
+        PaperFinding(
+            f"at constant yaw rate the virtual track does not depend on v, within {certain:g} standard deviations "
+            f"({floors})",
+            "P3's law",
+            "no v in it",
+            "; ".join(
+                f"{_pm(1e3 * (s := result.slopes[speed]).p1, 1e3 * s.p1_deviation, 1)} mm s/m" for result in results
+            ),
+            tuple(abs(result.slopes[speed].p1) < certain * result.slopes[speed].p1_deviation for result in results),
+        ),
+        PaperFinding(
+            f"turning on the spot, the virtual track does not fall with the yaw rate, by {certain:g} deviations "
+            f"({floors})",
+            "ours",
+            "-",
+            "; ".join(
+                f"{_pm(1e3 * (s := result.slopes[spot]).p1, 1e3 * s.p1_deviation, 1)} mm s" for result in results
+            ),
+            tuple(result.slopes[spot].p1 > -certain * result.slopes[spot].p1_deviation for result in results),
+        ),
+    ]

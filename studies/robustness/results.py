@@ -7,17 +7,46 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.colors import LogNorm
 from pandas import DataFrame
 from scipy.stats import binomtest, poisson
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.experiment import by, mean, total
+from diffdrive_mpc.bench.figure_style import ERROR_MAP, new_figure
 from diffdrive_mpc.bench.grouped_tables import Cell, load_tables
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc.sim.run import Run
-from studies.robustness.market import MARKET
+from diffdrive_mpc_extras.campaign.campaign_file import Condition
+from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
+
+MARKET = "market"
+"""Name of the condition of drawn robots: one condition, another robot in each run."""
+
+
+def market_cases(
+    robots: int,
+    controller: str,
+    model: str,
+    trajectory: str,
+    spot_turns: bool,
+    *,
+    tuning: bool = False,
+    settings: Mapping[str, bool | int | float | str] | None = None,
+) -> list[Case]:
+    """Runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
+
+    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
+    `settings`, configuration values by dotted key.
+    """
+    return [
+        Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
+        for seed in driving_seeds(robots, spot_turns=spot_turns, tuning=tuning)
+    ]
+
 
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
 """Key of the rate of false alarms that the controller is configured for [1/h]."""
@@ -132,3 +161,31 @@ CELLS: Mapping[str, Cell] = {
     "expected": lambda rows: number(_expected(rows), 1),
     "poisson": lambda rows: "{} to {}".format(*alarms_interval(_expected(rows))),
 }
+
+
+_MOST = 10.0
+"""Ratio from which on the colour is the same."""
+
+
+def draw_ratios(rows: DataFrame, path: Path) -> None:
+    """Draw a heat map: a row for each condition, a column for each controller, the ratio written in each cell.
+
+    A cross marks a controller that did not complete every run.
+    """
+    conditions, names = by(rows, "condition"), list(by(rows, "driver"))
+    values = np.array([[ratios(own).get(name, np.nan) for name in names] for own in conditions.values()])
+    with new_figure(path, 2.6 + 0.7 * len(names), 1.2 + 0.19 * len(conditions)) as figure:
+        axes = figure.add_subplot()
+        shown = axes.imshow(np.clip(values, 1.0, _MOST), norm=LogNorm(1.0, _MOST), cmap=ERROR_MAP, aspect="auto")
+        axes.set_xticks(range(len(names)), names, rotation=30, ha="left")
+        axes.xaxis.tick_top()
+        axes.set_yticks(range(len(conditions)), list(conditions), fontsize=7)
+        axes.grid(visible=False)
+        for i, own in enumerate(conditions.values()):
+            for k, name in enumerate(names):
+                lost = not own[own["driver"] == name]["completed"].all()
+                ratio = f"{values[i, k]:.2f}" if np.isfinite(values[i, k]) else "-"
+                dark = not values[i, k] > _MOST**0.5
+                text = f"{ratio} ×" if lost else ratio
+                axes.text(k, i, text, ha="center", va="center", fontsize=6.5, color="white" if dark else "black")
+        figure.colorbar(shown, ax=axes, label="position RMSE over the best one's", shrink=0.4)

@@ -19,9 +19,8 @@ from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
-from diffdrive_mpc_extras.campaign.conditions import Condition
-from studies.robustness.market import MARKET, market_cases
-from studies.robustness.results import FALSE_ALARM_RATE, measured, study_tables
+from diffdrive_mpc_extras.campaign.campaign_file import Condition
+from studies.robustness.results import FALSE_ALARM_RATE, MARKET, market_cases, measured, study_tables
 
 OURS = "mpc"
 """The predictive controller, as `bench.case.Case` names it."""
@@ -136,7 +135,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
 
     def report(self, results: DataFrame, seconds: float) -> Report:
         """Tables, and the figure where there are several controllers to compare."""
-        from studies.robustness.figures import draw_ratios  # noqa: PLC0415
+        from studies.robustness.results import draw_ratios  # noqa: PLC0415
 
         several = len(by(results, "driver")) > 1
         return Report(

@@ -34,8 +34,8 @@ from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands, step_commands
-from diffdrive_mpc_extras.drives.content import drive_content
 from diffdrive_mpc_extras.drives.drive_model import write_drive
+from diffdrive_mpc_extras.drives.finding import drive_content
 from diffdrive_mpc_extras.drives.fitting import fit_drive
 from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, windows_of
 from diffdrive_mpc_extras.networks.network_model import network_content, write_network
@@ -43,7 +43,31 @@ from diffdrive_mpc_extras.networks.training import method, train, training_setti
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
 from studies.reproduce.drives import RobotLogs
 from studies.reproduce.published import load_study
-from studies.shipped_models.tracks import identify_track, side_difference
+
+
+def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:
+    """(K,) right minus left rim speed [m/s] of wheel speeds (K, 4) [rad/s]; each side is the mean of its wheels."""
+    return np.asarray(0.5 * radius * (wheel_speeds @ np.array([-1.0, 1.0, -1.0, 1.0])))
+
+
+def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
+    """Track [m] by which right minus left rim speed (K,) [m/s] becomes a yaw rate (K,) [rad/s], by least squares.
+
+    With the measured yaw rate it is the effective track, on a skid-steer wider than the geometric one; with the
+    commanded yaw rate and settled wheels, that of the firmware times the motors' gain.
+
+    Raises
+    ------
+    ValueError
+        If the data do not turn, or turn against the wheels.
+    """
+    turning = float(yaw_rate @ yaw_rate)
+    slope = float(difference @ yaw_rate) / turning if turning > 0 else 0.0
+    if slope <= 0:
+        raise ValueError("no track can be found: the yaw rate is zero or runs against the wheels; check its sign")
+    # Errors lie in the gyro, so it is regressed on the wheels: yaw rate = difference / track.
+    return float(difference @ difference) / float(difference @ yaw_rate)
+
 
 _SOURCE = (
     "digital twin of this project: mujoco plant, surface default, sensors default. Not from the paper, not from a robot"

@@ -2,14 +2,125 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import diffdrive_mpc as package
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
+from diffdrive_mpc.app.schemas import json_schema
+from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.stated_robot import MakersRobot
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
+from diffdrive_mpc.sim.plants.surface import Surface
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from studies.site.command_line import command_line_page
-from studies.site.file_formats import file_formats_page
+
+Schema = dict[str, Any]
+
+_HEAD = """# What may stand in a file for a model, a path, a log, a floor?
+
+This page lists the keys of each kind of file, from the schemas of its readers. Models and trajectories have a JSON
+Schema, `diffdrive-mpc config schema KIND --json`, with which an editor completes and checks such a file
+([how](../install.md#editors)). A key with a point lies in a group. The controller's configuration has
+[a page of its own](../parameters.md). A scenario may draw a value: `[LOW, HIGH]` or `{one_of: [...]}`. A robot or a
+sensor set may leave out every key: the shipped `default` then counts.
+"""
+_COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
+_BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
+# Groups inside groups that have keys of their own; what lies deeper is told by the schema only.
+_DEPTH = 2
+_FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
+    "trajectory": ("path to follow", "--trajectory", lambda: json.loads(json_schema("trajectory"))),
+    "model": ("velocity model", "--model", lambda: json.loads(json_schema("model"))),
+    "mapping": ("columns or topics of a log", "--mapping", LogMapping.model_json_schema),
+    "stated-robot": ("data sheet of a robot", "identify --robot", MakersRobot.model_json_schema),
+    "robot": ("simulated robot", "--plant mujoco:FILE", SimulatedRobot.model_json_schema),
+    "surface": ("floor", "--surface", Surface.model_json_schema),
+    "sensors": ("sensor set", "--sensors", SensorSet.model_json_schema),
+    "scenario": ("events and faults of a drive", "--scenario", Scenario.model_json_schema),
+    "experiment": ("varied values, parts and tables of a bench", "bench --spec", ExperimentFile.model_json_schema),
+}
+"""Title, option that takes such a file, and schema, by kind."""
+
+
+def file_formats_page() -> str:
+    """Return the kinds of files with their keys as Markdown."""
+    return "\n\n".join([_HEAD, *map(_section, _FORMATS)]) + "\n"
+
+
+def _section(kind: str) -> str:
+    about, option, read_schema = _FORMATS[kind]
+    schema = read_schema()
+    names = ", ".join(f"`{path.stem}`" for path in KINDS[kind].files) if kind in KINDS else ""
+    facts = f"For `{option}`." + (f" Shipped: {names}." if names else "")
+    title = f"## {kind}: {about} {{ #{kind} }}"
+    return "\n\n".join([title, facts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])
+
+
+def _table(part: Schema, schema: Schema) -> str:
+    rows = "\n".join(_rows(part, schema, ""))
+    about = _cell(part.get("description", ""))
+    return "\n\n".join(filter(None, [about, f"{_COLUMNS}\n{rows}"]))
+
+
+def _rows(part: Schema, schema: Schema, prefix: str, needed: str = "required") -> Iterator[str]:
+    required = part.get("required", [])
+    for name, field in part["properties"].items():
+        group = _group(field, schema) if prefix.count(".") < _DEPTH else None
+        if group is not None:
+            # Of a group that may be left out nothing is required but with it.
+            inside = needed if name in required else "required in the group"
+            yield from _rows(group, schema, f"{prefix}{name}.", inside)
+            continue
+        default = needed if name in required else _default(field)
+        yield f"| `{prefix}{name}` | {default} | {_cell(_allowed(field, schema))} | {_cell(_meaning(field, schema))} |"
+
+
+def _group(field: Schema, schema: Schema) -> Schema | None:
+    """The one group that a field may be, if it may be nothing else."""
+    alternatives = _alternatives(field, schema)
+    return alternatives[0] if len(alternatives) == 1 and "properties" in alternatives[0] else None
+
+
+def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
+    """What a field may be, references followed, nothing left out but null."""
+    if "$ref" in field:
+        return _alternatives(schema["$defs"][field["$ref"].rpartition("/")[2]], schema)
+    choices = field.get("anyOf", field.get("oneOf", []))
+    if choices:
+        return [choice for part in choices for choice in _alternatives(part, schema)]
+    return [] if field.get("type") == "null" else [field]
+
+
+def _allowed(field: Schema, schema: Schema) -> str:
+    return " or ".join(dict.fromkeys(filter(None, (_text_of(choice) for choice in _alternatives(field, schema)))))
+
+
+def _text_of(schema: Schema) -> str:
+    values = schema.get("enum", [schema["const"]] if "const" in schema else [])
+    bounds = ", ".join(f"{sign} {schema[name]:g}" for name, sign in _BOUNDS.items() if name in schema)
+    return ", ".join(map(str, values)) or bounds or {"array": "list", "object": "group"}.get(schema.get("type", ""), "")
+
+
+def _default(field: Schema) -> str:
+    default = field.get("default")
+    return "" if default in (None, {}, [], "") else f"`{json.dumps(default)}`"
+
+
+def _meaning(field: Schema, schema: Schema) -> str:
+    inner = (str(choice.get("description", "")) for choice in _alternatives(field, schema))
+    return field.get("description") or next(filter(None, inner), "")
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[").replace("*", "\\*")
+
 
 _NAMES = Path(__file__).with_name("public_names.yaml")
 _PACKAGE = package.__name__

@@ -6,15 +6,100 @@ Run as ``python -m studies.site.staging OUT``, from the top of the repository.
 from __future__ import annotations
 
 import logging
+import posixpath
+import re
 import shutil
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+
+from latex2mathml.converter import convert
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_lab.build import has_compiler, page_text
-from studies.site.formulas import with_mathml
 from studies.site.reference import reference_pages
-from studies.site.repository_links import pages_outside, with_site_links
+
+MOVED = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+"""Documents that lie outside `docs`, and what they are called on the site."""
+
+_LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
+_COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
+_FENCED = re.compile(r"^(```.*?^```)$", re.MULTILINE | re.DOTALL)
+
+
+def place_on_site(path: str) -> str:
+    """Where a file of the repository is on the site, both as paths with slashes from the top."""
+    if path in MOVED:
+        return MOVED[path]
+    if path.startswith("docs/"):
+        return path.removeprefix("docs/")
+    return f"files/{path}.md"
+
+
+def linked_files(markdown: str, document: str) -> set[str]:
+    """Files of the repository that a `document` links to, both as paths with slashes from the top."""
+    return {_resolved(target, document) for _, target, *_ in _LINK.findall(_FENCED.sub("", markdown))}
+
+
+def with_site_links(markdown: str, document: str) -> str:
+    """The text of a `document` of the repository with its links as they are on the site, and without comments."""
+    folder = posixpath.dirname(place_on_site(document)) or "."
+
+    def moved(match: re.Match[str]) -> str:
+        before, target, anchor, after = match.groups()
+        place = place_on_site(_resolved(target, document))
+        return f"{before}{posixpath.relpath(place, folder)}{anchor or ''}{after}"
+
+    parts = _FENCED.split(_COMMENT.sub("", markdown))
+    return "".join(part if part.startswith("```") else _LINK.sub(moved, part) for part in parts)
+
+
+def page_of_file(path: str, text: str) -> str:
+    """A page that shows a file which is no Markdown."""
+    kind = {".py": "python", ".yaml": "yaml", ".cff": "yaml", ".json": "json"}.get(Path(path).suffix, "text")
+    return f"# {path}\n\n```{kind}\n{text.rstrip()}\n```\n"
+
+
+def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
+    """Markdown by place on the site, for what the `documents` (text by path) link to and for those in `MOVED`.
+
+    A file that a link names and that does not exist is left out: the strict build then says which page links to it.
+    """
+    moved = {name: (root / name).read_text(encoding="utf-8") for name in MOVED}
+    linked = {path for name, text in {**documents, **moved}.items() for path in linked_files(text, name)}
+    outside = {path for path in linked if place_on_site(path).startswith("files/") and (root / path).is_file()}
+    shown = {place_on_site(path): page_of_file(path, (root / path).read_text(encoding="utf-8")) for path in outside}
+    whole = {MOVED[name]: with_site_links(text, name) for name, text in moved.items()}
+    return {**shown, **whole, "index.md": f"---\nhide: [navigation]\n---\n\n{whole['index.md']}"}
+
+
+def _resolved(target: str, document: str) -> str:
+    return posixpath.normpath(posixpath.join(posixpath.dirname(document), target))
+
+
+_CODE_OR_FORMULA = re.compile(
+    r"(?P<code>^```.*?^```$|^ {4}[^\n]*$|`[^`\n]+`)|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^\s$](?:[^$\n]*[^\s$])?)\$",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def with_mathml(markdown: str) -> str:
+    """The Markdown of a page with its formulas as MathML; raises what `convert` does for bad TeX."""
+    return _CODE_OR_FORMULA.sub(_mathml, markdown)
+
+
+def _mathml(match: re.Match[str]) -> str:
+    if match["code"]:
+        return match[0]
+    block = match["block"] is not None
+    made = str(convert((match["block"] or match["inline"]).strip(), display="block" if block else "inline"))
+    # Markdown reads on inside of tags: a star or an underscore would begin an emphasis.
+    return made.replace("*", "&#42;").replace("_", "&#95;")
+
 
 _LABORATORY = "lab.html"
 _NO_COMPILER = "the laboratory is not on this site: its compiler is not installed (make lab installs it)"

@@ -6,28 +6,206 @@ import itertools
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.counters import Effort
-from diffdrive_mpc.bench.peers.tracking_peer import slew_step
+from diffdrive_mpc.bench.peers.tracking_peer import nearest_command, slew_step
 from diffdrive_mpc.bench.turns import TurnTimes, take_turns
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc import Controller
+from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from studies.speed.closed_loop_cost import closed_loop_cost
-from studies.speed.drive import ClosedLoop
+from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem.formulas import formula
+from diffdrive_mpc.mpc.problem.slip import Slip
+from diffdrive_mpc.sim import make_plant
 from studies.speed.process.environment import PeerEnvironment
 from studies.speed.process.subject import Subject, SubjectError, TimedStep
 from studies.speed.results import Missing, SpeedRecord, time_statistics
 from studies.speed.settings import SpeedSettings, SubjectSettings
-from studies.speed.stage import StageProblem, stage_problem
+from studies.speed.stage import StageProblem, stage_data, stage_problem
+
+
+class PeerInput:
+    """What peers are told: estimate, reference and feed-forward of our own controller, none of it on their clock."""
+
+    def __init__(self, config: ControllerConfig, model: VelocityModel, reference: Reference) -> None:
+        self._config, self._reference = config, reference
+        self._controller = Controller(config)
+        memory = model.discretise(config.sample_time).memory
+        self._past = np.zeros((memory, 2))
+        self._started = False
+
+    def data(self, t: float, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
+        """State of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
+        if not self._started:
+            self._controller.start(self._reference, t)
+        # What the subject commanded, not what this controller would have.
+        sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
+        stamped = replace(measurement, sent=sent) if self._started else measurement
+        self._started = True
+        self._controller.program.count_from(self._past[-1])
+        estimate = self._controller.step(t, stamped).estimate
+        if estimate is None:
+            raise RuntimeError("the drive begins without a pose: peers cannot be told where the robot is")
+        return stage_data(self._controller.program, estimate, self._past)
+
+    def sent(self, command: FloatArray) -> FloatArray:
+        """What is sent for a peer's `command` (2,): as with ours, the nearest inside range and slew."""
+        sent = nearest_command(command, self._config.limits, self._config.sample_time, self._past[-1])
+        self._past = np.concatenate([self._past[1:], sent[None]])
+        return sent
+
+
+@dataclass
+class ClosedLoop:
+    """A closed loop that goes on tick by tick.
+
+    Attributes
+    ----------
+    ticks, peer_data
+        What the subject was told at each tick, for a replay; and what a peer would have been told there.
+    steps, efforts
+        What it said, and what that took of its process.
+    pose, twist, command
+        True pose (3,) and twist (2,) before each tick, and the command sent (2,).
+    """
+
+    config: ControllerConfig
+    model: VelocityModel
+    settings: SpeedSettings
+    subject: Subject
+    ours: bool
+    ticks: list[tuple[Any, ...]] = field(default_factory=list)
+    peer_data: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    steps: list[TimedStep] = field(default_factory=list)
+    efforts: list[Effort] = field(default_factory=list)
+    pose: list[FloatArray] = field(default_factory=list)
+    twist: list[FloatArray] = field(default_factory=list)
+    command: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Put the robot at the start of the reference."""
+        s = self.settings
+        self.reference = load_trajectory(s.trajectory)
+        self._plant = make_plant(f"model:{self.config.model}", sensors=s.plant_sensors, seed=s.seed)
+        self._plant.reset(self.reference.sample([0.0]).pose[0])
+        self._input = PeerInput(self.config, self.model, self.reference)
+
+    def step(self) -> None:
+        """One tick."""
+        plant = self._plant
+        t, measurement = plant.time, plant.measure()
+        peer_data = self._input.data(t, measurement)
+        data = (t, measurement) if self.ours else peer_data
+        if not self.ticks:
+            self.subject.reset(data)
+        (step,), effort = self.subject.run([data])
+        command = np.array(step.command)
+        if not np.isfinite(command).all():
+            command = np.zeros(2)
+        command = self._input.sent(command)
+        self.ticks.append(data)
+        self.peer_data.append(peer_data)
+        self.steps.append(step)
+        self.efforts.append(effort)
+        self.pose.append(plant.true_pose)
+        self.twist.append(plant.true_twist[[0, 2]])
+        self.command.append(command)
+        plant.advance(command)
+
+
+def closed_loop_cost(
+    pose: FloatArray,
+    twist: FloatArray,
+    command: FloatArray,
+    reference: Reference,
+    config: ControllerConfig,
+    model: VelocityModel,
+) -> float:
+    """Mean over the ticks of the stage cost of `mpc.problem`, taken where the robot really was.
+
+    Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
+    deviation from its feed-forward and of its increments, plus the penalties on soft limits that were exceeded. The
+    terminal weight has no part in it, nor has slip: the feed-forward is that of the model, and no lead is asked for.
+
+    Parameters
+    ----------
+    pose
+        (n, 3) true pose at each tick, the first at time 0 of the reference: x [m], y [m], theta [rad].
+    twist
+        (n, 2) true v [m/s], omega [rad/s] at each tick.
+    command
+        (n, 2) v_ref [m/s], omega_ref [rad/s] sent at each tick; before the first the robot stood.
+    reference
+        What was to be tracked.
+    config
+        Weights, limits, track and sample time.
+    model
+        The velocity model whose steady gain the feed-forward inverts.
+
+    Returns
+    -------
+    float
+        Cost per tick [-].
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not agree, or a value is not finite.
+    """
+    n = len(command)
+    if pose.shape != (n, 3) or twist.shape != (n, 2) or command.shape != (n, 2):
+        raise ValueError(
+            f"pose {pose.shape}, twist {twist.shape}, command {command.shape}: give (n, 3), (n, 2), (n, 2)"
+        )
+    if not all(np.isfinite(values).all() for values in (pose, twist, command)):
+        raise ValueError("pose, twist and command must be finite: a drive that failed has no cost")
+    ahead = FeedForward.of(model, config.sample_time)
+    sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
+    w = config.weights
+    in_path = _in_path(pose, sample.pose[:n])
+    deviation = command - _fed_forward(ahead, sample.twist, n)
+    increment = np.diff(command, axis=0, prepend=np.zeros((1, 2)))
+    squares = in_path**2 @ [w.along, w.across, w.heading]
+    squares += deviation**2 @ [w.v, w.omega] + increment**2 @ [w.v_increment, w.omega_increment]
+    excess = np.maximum(_soft_values(twist, in_path[:, 1], config) - _soft_limits(config), 0.0)
+    penalty = w.soft * excess.sum(axis=1) + w.soft_quadratic * (excess**2).sum(axis=1) / 2
+    return float(np.mean(squares / 2 + penalty))
+
+
+def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
+    """(n, 2) commands that would keep the reference's twist, without slip."""
+    rows = np.arange(n)[:, None] + ahead.whole
+    now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
+    wanted = (now + ahead.rest * (after - now)).T
+    return np.asarray(formula("feed_forward").map(n)(wanted, Slip().flat, ahead.inverse_gain)).T
+
+
+def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
+    """(n, 3) errors along, across and in heading."""
+    error = pose - reference
+    return np.column_stack([*ahead_and_left(error, reference[:, 2]), wrap_angle(error[:, 2])])
+
+
+def _soft_values(twist: FloatArray, across: FloatArray, config: ControllerConfig) -> FloatArray:
+    """(n, 5) magnitudes of v, omega, the speed of either side at the rim, and the distance across the path."""
+    v, omega = twist.T
+    rim = 0.5 * config.wheels.track * omega
+    return np.asarray(np.abs(np.column_stack([v, omega, v + rim, v - rim, across])))
+
+
+def _soft_limits(config: ControllerConfig) -> FloatArray:
+    lim = config.limits
+    return np.array([lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor])
+
 
 T = TypeVar("T")
 _AT_LIMIT = 1e-5

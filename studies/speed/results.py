@@ -35,7 +35,7 @@ class SpeedRecord:
     iterations_p50, iterations_max
         Iterations of the solver.
     closed_loop_cost
-        See `studies.speed.closed_loop_cost`.
+        See `studies.speed.measure`.
     gap_v_p50, gap_v_max, gap_omega_p50, gap_omega_max
         Distance of the command from that of the converged solution at the same state [m/s, rad/s].
     active_share

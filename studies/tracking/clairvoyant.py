@@ -9,20 +9,188 @@ they are not reached on references within the limits.
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
 
+import casadi as ca
 import numpy as np
+from pydantic import Field
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.tracking_peer import nearest_command
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.bench.peers.tracking_peer import nearest_command, slew_step
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from studies.tracking.clairvoyant_program import (
-    ClairvoyantProgram,
-    ClairvoyantSettings,
-    Present,
-    load_clairvoyant_settings,
-)
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from studies.tracking.known_plant import KnownPlant
+
+
+class ClairvoyantSettings(StrictModel):
+    """How far it looks and how exactly it solves."""
+
+    horizon: Annotated[int, Field(ge=1)]
+    disturbance_memory: Annotated[float, Field(ge=0, lt=1)]
+    tolerance: Annotated[float, Field(gt=0)]
+    max_iterations: Annotated[int, Field(ge=1)]
+
+
+@cache
+def load_clairvoyant_settings(path: Path | None = None) -> ClairvoyantSettings:
+    """Read a file of settings, by default the shipped one; raises ConfigError when it has a mistake."""
+    return load_checked(ClairvoyantSettings, path or Path(__file__).parent / "clairvoyant.yaml")
+
+
+@dataclass(frozen=True)
+class Present:
+    """All that is known now.
+
+    Attributes
+    ----------
+    pose
+        (3,) x [m], y [m], theta [rad] on the turn of the reference.
+    state, past
+        (n,) velocity states, and (memory, 2) the commands on their way, oldest first.
+    disturbance
+        (2,) part of v [m/s] and omega [rad/s] that the model does not explain; taken to stay.
+    """
+
+    pose: FloatArray
+    state: FloatArray
+    past: FloatArray
+    disturbance: FloatArray
+
+
+class ClairvoyantProgram:
+    """Cost, weights and hard limits of `mpc.problem`; side-slip in the prediction; no soft limits.
+
+    Parameters
+    ----------
+    known
+        Model and side-slip of the plant.
+    config
+        Weights, limits and sample time.
+    settings
+        Horizon and IPOPT's tolerance.
+    """
+
+    def __init__(self, known: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings) -> None:
+        self._known, self._config, self._steps = known, config, settings.horizon
+        self._model = known.model.discretise(config.sample_time)
+        options: dict[str, Any] = {
+            "print_time": 0,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "ipopt.tol": settings.tolerance,
+            "ipopt.max_iter": settings.max_iterations,
+            "ipopt.warm_start_init_point": "yes",
+            "ipopt.mu_init": 1e-4,  # the guess is the last solution: close to the optimum, not in the middle
+        }
+        self._solver = ca.nlpsol("clairvoyant", "ipopt", self._program(), options)
+        N, n, limits = self._steps, self._model.order, config.limits
+        free, equal = np.full((n + 3) * N, np.inf), np.zeros((n + 3) * N)
+        box = np.concatenate([np.tile([limits.v, limits.omega], N), free])
+        slew = np.concatenate([np.tile(slew_step(limits, self._model.dt), N), equal])
+        self._bounds = {"lbx": -box, "ubx": box, "lbg": -slew, "ubg": slew}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last solution."""
+        self._last: dict[str, FloatArray] | None = None
+
+    def solve(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
+        """(N, 2) optimal commands.
+
+        Parameters
+        ----------
+        present
+            What is known now.
+        reference
+            The reference at the samples 0 to N.
+        feed_forward
+            (N, 2) commands from which deviations are penalised.
+
+        Raises
+        ------
+        RuntimeError
+            If IPOPT does not converge: then there is no bound to speak of.
+        """
+        moving = np.abs(reference.twist[:, 0]) > metric_settings().moving_speed
+        # The heading that travels along the tangent while the robot slips outward.
+        crab = np.where(moving, self._known.side_slip * reference.twist[:, 1], 0.0)
+        data = [
+            present.pose,
+            present.state,
+            present.past.ravel(),
+            present.disturbance,
+            np.column_stack([reference.pose, crab]).ravel(),
+            feed_forward.ravel(),
+        ]
+        guess = self._last or {"x0": self._cold_start(present, reference, feed_forward)}
+        solution = self._solver(p=np.concatenate(data), **guess, **self._bounds)
+        if not self._solver.stats()["success"]:
+            raise RuntimeError(f"the bound's solver did not converge: {self._solver.stats()['return_status']}")
+        x = np.array(solution["x"]).ravel()
+        self._last = {"x0": self._shifted(x)} | {
+            name: np.array(solution[key]).ravel() for name, key in (("lam_x0", "lam_x"), ("lam_g0", "lam_g"))
+        }
+        return x[: 2 * self._steps].reshape(-1, 2)
+
+    def _program(self) -> dict[str, ca.SX]:
+        model, w, N, n = self._model, self._config.weights, self._steps, self._model.order
+        U, X, P = ca.SX.sym("U", 2, N), ca.SX.sym("X", n, N), ca.SX.sym("P", 3, N)
+        pose, state, past = ca.SX.sym("pose", 3), ca.SX.sym("state", n), ca.SX.sym("past", 2, model.memory)
+        disturbance, reference = ca.SX.sym("disturbance", 2), ca.SX.sym("reference", 4, N + 1)
+        feed_forward = ca.SX.sym("feed_forward", 2, N)
+        line, cost, gaps, x, p = ca.horzcat(past, U), ca.SX(0), [], state, pose
+        for k in range(N):
+            columns = [model.memory + k - int(delay) for delay in model.delay]
+            recent = ca.vertcat(*(line[row, column] for row, column in enumerate(columns)))
+            older = ca.vertcat(*(line[row, column - 1] for row, column in enumerate(columns)))
+            after = ca.DM(model.A) @ x + ca.DM(model.B0) @ recent + ca.DM(model.B1) @ older
+            ends = ca.DM(model.C) @ ca.horzcat(x, after)
+            acceleration = (ends[0, 1] - ends[0, 0]) / model.dt
+            gaps += [X[:, k] - after, P[:, k] - self._moved(p, ca.sum2(ends) / 2 + disturbance, acceleration)]
+            x, p = X[:, k], P[:, k]
+            weights = np.array([w.along, w.across, w.heading]) * (w.terminal if k == N - 1 else 1.0)
+            cost += ca.dot(weights, _in_path(p, reference[:, k + 1]) ** 2) / 2
+        increment = U - ca.horzcat(past[:, -1], U[:, :-1])
+        cost += ca.dot(np.array([w.v, w.omega]), ca.sum2((U - feed_forward) ** 2)) / 2
+        cost += ca.dot(np.array([w.v_increment, w.omega_increment]), ca.sum2(increment**2)) / 2
+        return {
+            "x": ca.veccat(U, X, P),
+            "p": ca.veccat(pose, state, past, disturbance, reference, feed_forward),
+            "f": cost,
+            "g": ca.veccat(increment, *gaps),
+        }
+
+    def _moved(self, pose: ca.SX, twist: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """The pose one sample later, along the exact arc of `models.pose` with a lateral speed beside v."""
+        v, omega, dt = twist[0], twist[1], self._model.dt
+        lateral = omega * (self._known.load_shift * acceleration - self._known.side_slip * v)
+        half = omega * dt / 2
+        # sin(x) / x as a series: a robot turns by little in a sample.
+        length = dt * (1 - half**2 / 6 * (1 - half**2 / 20))
+        c, s = length * ca.cos(pose[2] + half), length * ca.sin(pose[2] + half)
+        return pose + ca.vertcat(c * v - s * lateral, s * v + c * lateral, omega * dt)
+
+    def _cold_start(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
+        states = np.tile(present.state, self._steps)
+        return np.concatenate([feed_forward.ravel(), states, reference.pose[1:].ravel()])
+
+    def _shifted(self, x: FloatArray) -> FloatArray:
+        """A solution one step later, its end repeated."""
+        N, n = self._steps, self._model.order
+        parts = [part.reshape(N, -1) for part in np.split(x, [2 * N, (2 + n) * N])]
+        return np.concatenate([np.vstack([part[1:], part[-1:]]).ravel() for part in parts])
+
+
+def _in_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
+    """Errors along and across the path, and in heading from the one that holds it."""
+    error = pose - reference[:3]
+    c, s = ca.cos(reference[2]), ca.sin(reference[2])
+    return ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], error[2] - reference[3])
 
 
 class ClairvoyantController:

@@ -23,13 +23,12 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
-from diffdrive_mpc_extras.campaign.campaign_file import load_campaign
-from diffdrive_mpc_extras.campaign.conditions import load_conditions
+from diffdrive_mpc_extras.campaign.campaign_file import load_campaign, load_conditions
 from diffdrive_mpc_extras.proof.proof_file import load_proof
 from diffdrive_mpc_extras.terrain.terrain_file import load_terrain
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 from diffdrive_mpc_extras.turn_costs.vehicle import load_drive_constants, load_vehicle
-from diffdrive_mpc_extras.worlds.world_file import load_world
+from diffdrive_mpc_extras.worlds.world import load_world
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.rules import load_rules
 from fuzz import mutation, shrink

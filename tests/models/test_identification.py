@@ -9,7 +9,7 @@ from diffdrive_mpc.models.output_error.validation import fit_percent, pooled_fit
 from diffdrive_mpc.models.structures.channel import identify_channel
 from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.wheels import WheelKinematics
-from studies.shipped_models.tracks import identify_track, side_difference
+from studies.shipped_models.model_fitting import identify_track, side_difference
 
 
 def steps(level):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc import integrate_pose, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
-from studies.tracking.steady_arcs import steady_arc_lateral, steady_arcs
+from studies.tracking.measured import steady_arc_lateral, steady_arcs
 
 DT = 0.0202
 

@@ -14,7 +14,6 @@ from studies.reproduce.drives import PathError, Spread
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
 from studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
 from studies.reproduce.published import load_published, load_study
-from studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter
 from studies.reproduce.state_space import (
     IDENTIFIED,
     PRINTED,
@@ -24,8 +23,6 @@ from studies.reproduce.state_space import (
     VelocityFit,
 )
 from studies.reproduce.study import ReproduceResults, ReproduceStudy
-from studies.reproduce.turn_learning import EnergyRun, LearnedTurns
-from studies.reproduce.turning import LAW, SteadyTurns, TurningResult
 from studies.reproduce.virtual_track import check_virtual_track
 
 NAMES = ("circle", "square", "s", "cane")
@@ -96,64 +93,6 @@ def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Co
     }
 
 
-def scatter(floor: str = "p4_grass", drifts: float = 1.0, *, modest: float = 1.0, nominal: float = 10.0) -> SlipScatter:
-    """Errors of one millimetre, foreseen `modest` times as large; without slip `nominal` times as large."""
-    random = np.random.default_rng(0)
-    errors = 1e-3 * random.normal(size=(400, 3))
-    foreseen = Foresight(errors, np.tile(1e-6 * modest**2 * np.eye(3), (400, 1, 1)))
-    straight = np.column_stack([np.linspace(0.0, 1.0, 5)] * 2)
-    return SlipScatter(
-        floor,
-        drifts,
-        nominal=Foresight(nominal * errors, foreseen.covariances),
-        learned=foreseen,
-        scaled=foreseen.scaled(np.full(3, 1 / modest)),
-        by_slip=np.full(3, 1e-4),
-        coefficients=np.full(9, 0.01),
-        deviations=np.full(9, 0.001),
-        truth=np.full(9, 0.01) if floor.startswith("p4_") else None,
-        paths=dict.fromkeys((TRUE, NOMINAL, LEARNED), straight),
-    )
-
-
-RADII = np.array([0.2, 1.0, 10.0, 40.0, 1000.0])
-
-
-def steady(source: str = LAW, speed: float = 0.2, *, grown: float = 1.0, bent: float = 1.0) -> SteadyTurns:
-    """The inner side drives beyond 20 m times `bent`; torques of the outer one are `grown` times as large."""
-    sharp = np.log(20.0 * bent / RADII) / np.log(1000.0)
-    torque = np.stack([grown * (1.0 + sharp), -sharp], axis=-1)
-    return SteadyTurns(source, speed, RADII, torque, torque * speed)
-
-
-def turning(**changes) -> TurningResult:
-    law, driven = (tuple(steady(source, v) for v in (0.2, 0.4, 0.6)) for source in (LAW, "slippery"))
-    return TurningResult(**{"law": law, "driven": driven, "inner_forward_from": 0.245, **changes})
-
-
-def learned_turns(
-    floor: str = "grippy", *, missed: float = -0.1, learned: float = 2.0, own: float = 2.0
-) -> LearnedTurns:
-    """Vinyl misses a third of the energy of each drive; raw torques are at the limit from 1.8 m on."""
-    times = np.linspace(0.0, 10.0, 20)
-    runs = tuple(EnergyRun(k, times, 10 * times, 10 * (1 - missed) * times, 6.7 * times) for k in (1, 2))
-    torque = np.stack([4.0 - np.log(RADII) / 2, np.log(RADII) / 2 - 3.0], axis=-1)
-    raw = np.column_stack(
-        [
-            RADII,
-            torque[:, :1] - 0.2,
-            torque[:, :1],
-            torque[:, :1] + 0.2,
-            torque[:, 1:] - 0.2,
-            torque[:, 1:],
-            torque[:, 1:] + 0.2,
-        ]
-    )
-    return LearnedTurns(
-        floor, 4.6, raw, RADII, torque, 0.3 * torque, (0.03, 0.04), own, 1.8, learned, 0.0, runs, 6e-5, (0.3, 0.5)
-    )
-
-
 def made_up(repetitions: int = 2) -> ReproduceResults:
     return ReproduceResults(
         mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
@@ -162,9 +101,6 @@ def made_up(repetitions: int = 2) -> ReproduceResults:
         rows=(network_rows(),),
         cost=cost(),
         virtual_track=check_virtual_track(load_published().virtual_track, certain=2.0),
-        slip_scatter=(scatter(), scatter("mujoco default"), scatter(drifts=0.001), scatter("mujoco default", 0.001)),
-        turning=turning(),
-        learned_turns=(learned_turns("default"), learned_turns("grippy")),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from commands import invoke
 from studies.cli import app
 
-KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, turning"
+KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models"
 
 
 @pytest.mark.parametrize(

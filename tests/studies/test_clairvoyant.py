@@ -10,10 +10,9 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.sim import make_plant, simulate
-from studies.tracking.clairvoyant import ClairvoyantController
-from studies.tracking.clairvoyant_program import load_clairvoyant_settings
+from studies.tracking.clairvoyant import ClairvoyantController, load_clairvoyant_settings
 from studies.tracking.known_plant import know_plant
-from studies.tracking.steady_arcs import steady_arc_lateral
+from studies.tracking.measured import steady_arc_lateral
 
 
 @pytest.fixture(scope="module")

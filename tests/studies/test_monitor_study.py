@@ -7,12 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from studies.monitor import watched
-from studies.monitor.drawn import COMMANDS, KINDS, SENSES, parts_of
+from studies.monitor import trial
 from studies.monitor.faults import FAULTS, Fault, Sent
 from studies.monitor.study import MonitorStudyResult, complaint
-from studies.monitor.trial import HARM, drawn_trial, faulty_trial, nominal_case, nominal_trial
-from studies.monitor.watched import MonitoredController
+from studies.monitor.trial import HARM, MonitoredController, faulty_trial, nominal_case, nominal_trial
 from typer.testing import CliRunner
 
 from diffdrive_mpc.mpc import Controller, Trajectory, load_config
@@ -87,8 +85,6 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
     rules.write_text(json.dumps(values), encoding="utf-8")
     few = {name: FAULTS[name] for name in ("not a number", "wrong sign")}
     monkeypatch.setattr("studies.monitor.study.FAULTS", few)
-    monkeypatch.setattr("studies.monitor.study.KINDS", 1)
-    monkeypatch.setattr("studies.monitor.study.NAMED_KINDS", ())
     words = ["monitor", "--rules", str(rules), "--seeds", "1", "--hours", "0.01", "--jobs", "1"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
     assert result.exit_code == 1 and "error: missed or late: wrong sign (1)" in result.stderr
@@ -147,28 +143,13 @@ WAITS = {
 def test_a_controller_that_waits_on_purpose_is_let_pass_where_it_says_so(name, told, monkeypatch):
     happens, settings, late = WAITS[name]
     if not told:
-        monkeypatch.setattr(watched, "_TOLD_AGAIN", math.inf)
+        monkeypatch.setattr(trial, "_TOLD_AGAIN", math.inf)
     reference = Trajectory.from_waypoints([[0, 0], [5, 0]], speed=0.4)
     controller = Waits(Controller(load_config("ssm", settings)), happens)
     watch = MonitoredController(controller, RULES)
     simulate(watch, make_plant("model:ssm"), reference, extra_time=late + 12.0)
     assert controller.late > late
     assert bool(watch.verdict) is not told
-
-
-def test_a_controller_that_stops_half_way_is_stopped(kind=2):
-    """Near its path all the while, but not on time; and a monitor that knows no time misses that."""
-    found = drawn_trial(kind, SEED, RULES)
-    assert found.in_time and not found.harmless and found.rule in ("off_path", "strays")
-    path = RULES.path.model_copy(update={"late": 900.0})
-    assert not drawn_trial(kind, SEED, RULES.model_copy(update={"path": path})).in_time
-
-
-def test_no_fault_alone_is_of_two_kinds_and_pairs_are_of_two():
-    single = [parts_of(kind)[0] for kind in range(KINDS) if len(parts_of(kind)) == 1]
-    assert len(single) == len(set(single)) > 20
-    assert all(len(set(parts_of(kind))) == 2 for kind in range(len(single), KINDS))
-    assert {part for kind in range(KINDS) for part in parts_of(kind)} <= {*COMMANDS, *SENSES}
 
 
 def test_an_alarm_in_a_sound_drive_is_a_complaint():

@@ -14,8 +14,7 @@ from diffdrive_mpc import Controller
 from diffdrive_mpc.bench.runner import StudyFailedError
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc_extras.predicted_error import predict_error
-from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
-from diffdrive_mpc_extras.predicted_error.features import FEATURES
+from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, ErrorCalibration, load_calibration
 
 TRUE = {"floor": 0.002, "turning": 0.01, "yaw_acceleration": 0.05}
 """Coefficients of made-up drives; an error is their sum times the drive's own factor and noise."""

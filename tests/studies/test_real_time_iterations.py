@@ -13,7 +13,7 @@ from oracle.controller import OracleController
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem
 from oracle.solver import solve
-from studies.speed.closed_loop_cost import closed_loop_cost
+from studies.speed.measure import closed_loop_cost
 
 TIGHT = {"limits.v_slew": 0.6, "limits.omega_slew": 2.5, "limits.v": 0.6, "limits.omega": 1.2}
 

@@ -15,7 +15,6 @@ from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc_extras.turn_costs import load_vehicle
 from studies.reproduce.cost import measure_cost
 from studies.reproduce.drive_models import (
     EXPERIMENTAL,
@@ -27,7 +26,6 @@ from studies.reproduce.drive_models import (
     reversing_commands,
     velocity_errors,
 )
-from studies.reproduce.driven_track import DrivenTrack, drive_tests, driven_track_findings
 from studies.reproduce.drives import (
     RobotLogs,
     Spread,
@@ -36,13 +34,16 @@ from studies.reproduce.drives import (
     trajectory_commands,
 )
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from studies.reproduce.published import CostStudy, MbmSmStudy, ScatterFloor, SsmStudy, load_published, load_study
-from studies.reproduce.slip_scatter import Foresight, scatter_of
+from studies.reproduce.published import CostStudy, MbmSmStudy, SsmStudy, load_published, load_study
 from studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
 from studies.reproduce.study import ReproduceStudy
-from studies.reproduce.turn_learning import learn_turns
-from studies.reproduce.turning import turn_steadily
-from studies.reproduce.virtual_track import check_virtual_track, fit_line
+from studies.reproduce.virtual_track import (
+    DrivenTrack,
+    check_virtual_track,
+    drive_tests,
+    driven_track_findings,
+    fit_line,
+)
 
 DT = load_robot().sample_time
 twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.floats(-2.0, 2.0))
@@ -225,30 +226,6 @@ def test_both_tracks_alone_tell_the_two_mbm_apart():
     assert found.motor_fit[DATA[0]] != found.motor_fit[DATA[1]]
 
 
-def test_in_a_steady_turn_what_the_outer_side_drives_the_inner_one_brakes_but_for_the_drag():
-    asked = load_study(quick=True).turning.model_copy(update={"radii": (1.0, 5.0, 1000.0), "speeds": (0.2, 0.4)})
-    found, drag = turn_steadily(asked), load_vehicle("fsu_bot").drag_torque
-    for one in (*found.law, *found.driven):
-        assert one.torque.sum(axis=1) == pytest.approx(np.full(3, 2 * drag), abs=0.03)
-        assert one.torque[-1] == pytest.approx([drag, drag], abs=0.03)
-        # All that the motors give is heat at last.
-        assert (one.power.sum(axis=1) > 0).all()
-
-
-@pytest.mark.long
-def test_what_is_foreseen_of_a_drive_is_nearer_once_its_floor_was_learned():
-    asked = load_study(quick=True).turning.model_copy(update={"seeds": (41,), "turns": 3})
-    found = learn_turns(asked, "carpet")
-    (run,) = found.runs
-    assert (np.diff(run.learned) > 0).all()
-    assert abs(run.missed(run.learned)) < abs(run.missed(run.prior))
-    for least, mean, most in (found.raw[:, 1:4].T, found.raw[:, 4:].T):
-        assert (least <= mean + 1e-9).all()
-        assert (mean <= most + 1e-9).all()
-        assert max(np.abs(least).max(), np.abs(most).max()) <= found.limit + 1e-9
-    assert found.raw[:, 0].min() < found.raw_least < found.raw[:, 0].max()
-
-
 STUDY = load_study(quick=True).driven_track
 FEW = STUDY.model_copy(
     update={"tests": ((0.3, 0.3), (0.35, 0.6), (0.4, 1.0)), "yaw_rates": (0.4, 0.8, 1.2), "speeds": (0.2, 0.5, 0.8)}
@@ -311,52 +288,3 @@ def test_both_drive_models_beat_no_model_on_a_short_drive():
     assert {cells[0] for cells in errors.rows} == {"P2, first data set", "P2, second data set", "simulated robot"}
     assert len(numbers.rows) == 2
     assert drive_model_findings([result], load_published())[0].verdict == "yes"
-
-
-@given(st.integers(0, 50), st.floats(-3, 3), st.floats(0.1, 5))
-def test_errors_that_are_as_they_were_foreseen_are_consistent_in_every_frame(seed, angle, scale):
-    """Drawn from their own covariances: 95 % inside, NEES one; another frame or unit of length changes neither."""
-    random = np.random.default_rng(seed)
-    roots = random.normal(size=(800, 3, 3)) + 2 * np.eye(3)
-    errors = (roots @ random.normal(size=(800, 3, 1)))[..., 0]
-    found = Foresight(errors, roots @ roots.transpose(0, 2, 1))
-    assert found.inside == pytest.approx(0.95, abs=0.04)
-    assert found.nees.mean() == pytest.approx(1.0, abs=0.12)
-    c, s = np.cos(angle), np.sin(angle)
-    turn = scale * np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    turned = Foresight(errors @ turn.T, turn @ found.covariances @ turn.T)
-    assert turned.nees == pytest.approx(found.nees, rel=1e-6)
-    assert turned.inside == pytest.approx(found.inside, abs=0.002)
-    assert turned.foreseen[2] == pytest.approx(scale * found.foreseen[2])
-
-
-@given(st.floats(0.2, 5), st.floats(0.2, 5), st.floats(0.2, 5))
-def test_factors_scale_deviations_and_leave_correlations(along, left, heading):
-    random, factors = np.random.default_rng(1), np.array([along, left, heading])
-    roots = random.normal(size=(5, 3, 3)) + 2 * np.eye(3)
-    before = Foresight(random.normal(size=(5, 3)), roots @ roots.transpose(0, 2, 1))
-    after = before.scaled(factors)
-    assert after.foreseen == pytest.approx(factors * before.foreseen)
-    assert np.array_equal(after.errors, before.errors)
-
-    def correlations(shapes):
-        sizes = np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
-        return shapes / sizes[:, :, None] / sizes[:, None, :]
-
-    assert correlations(after.covariances) == pytest.approx(correlations(before.covariances))
-
-
-def test_learned_slip_tells_where_the_robot_will_be_and_a_seed_fixes_it():
-    study = load_study(quick=True).slip_scatter.model_copy(update={"duration": 28.0})
-    floor = ScatterFloor(plant="model:ssm", surface="p4_grass")
-    found, again = scatter_of(study, floor, 0.1, 4), scatter_of(study, floor, 0.1, 4)
-    assert plain(found) == plain(again)
-    assert (found.learned.rms < 0.2 * found.nominal.rms).all()
-    assert np.linalg.eigvalsh(found.learned.covariances).min() > 0
-    # What slip adds is a part of the whole.
-    assert (found.by_slip < found.learned.foreseen).all()
-    # The floor takes a third of the yaw rate.
-    assert found.coefficients[7] == pytest.approx(found.truth[7], abs=0.03)
-    one, other = found.paths["driven"], found.paths["learned slip"]
-    assert np.array_equal(found.paths["no slip"][0], other[0])
-    assert np.hypot(*(one - other).T).max() < np.hypot(*(one - found.paths["no slip"]).T).max()

@@ -18,11 +18,10 @@ from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
-from diffdrive_mpc_extras.campaign.conditions import load_conditions
+from diffdrive_mpc_extras.campaign.campaign_file import load_conditions
 from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
 from studies.cli import app
-from studies.robustness.market import market_cases
-from studies.robustness.results import alarms_interval, measured, ratios, share_interval, study_tables
+from studies.robustness.results import alarms_interval, market_cases, measured, ratios, share_interval, study_tables
 from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()

@@ -15,10 +15,8 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.described import schema_rows
 from studies.site.command_line import command_line_page
-from studies.site.formulas import with_mathml
 from studies.site.reference import api_page, reference_pages, section
-from studies.site.repository_links import linked_files, pages_outside, with_site_links
-from studies.site.staging import stage
+from studies.site.staging import linked_files, pages_outside, stage, with_mathml, with_site_links
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from diffdrive_mpc import ConfigError, load_config, load_model
 from diffdrive_mpc.bench.study import carry_out, write_report
 from diffdrive_mpc.models.interface import ReferenceSample
-from studies.speed.closed_loop_cost import closed_loop_cost
+from studies.speed.measure import closed_loop_cost
 from studies.speed.process.subject import Subject, SubjectError
 from studies.speed.results import (
     Missing,

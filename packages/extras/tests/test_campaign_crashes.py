@@ -14,8 +14,7 @@ from diffdrive_mpc_extras.campaign import engine
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import Row
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, Store
-from diffdrive_mpc_extras.campaign.parquet import read_table
-from diffdrive_mpc_extras.campaign.run import run_campaign
+from diffdrive_mpc_extras.campaign.run import read_table, run_campaign
 
 FILE = 'description: of a test\nruns: 3\nfactors:\n  plant: "model:sm"\n  trajectory: circle\n  config.weights.across: '
 MOMENTS = [*Random(5).sample(range(1, 40), 13), 500]

@@ -17,9 +17,9 @@ from commands import call
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc_extras.campaign import definition
 from diffdrive_mpc_extras.campaign import drive as drive_module
-from diffdrive_mpc_extras.campaign import identity
-from diffdrive_mpc_extras.campaign.definition import Definition
+from diffdrive_mpc_extras.campaign.definition import Definition, key_of
 from diffdrive_mpc_extras.campaign.drive import built, drive, drive_whole
 from diffdrive_mpc_extras.campaign.engine import (
     CampaignPlace,
@@ -30,8 +30,7 @@ from diffdrive_mpc_extras.campaign.engine import (
     drive_all,
     failed,
 )
-from diffdrive_mpc_extras.campaign.identity import key_of
-from diffdrive_mpc_extras.campaign.parquet import read_table
+from diffdrive_mpc_extras.campaign.run import read_table
 
 SHORT = "name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 0.5}\n"
 FILE = """
@@ -124,14 +123,14 @@ def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, mon
     assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) == key_of(one)
     moved.write_text(SHORT.replace("0.3", "0.35"), encoding="utf-8")
     assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) != key_of(one)
-    other_numpy = identity.environment() | {"numpy": "0.1"}
-    monkeypatch.setattr(identity, "environment", lambda: other_numpy)
+    other_numpy = definition.environment() | {"numpy": "0.1"}
+    monkeypatch.setattr(definition, "environment", lambda: other_numpy)
     assert key_of(one) not in keys
 
 
 def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
     model = tmp_path / "model.yaml"
-    shipped = Path(identity.models.__file__).parent / "parameters" / "sm.yaml"
+    shipped = Path(definition.models.__file__).parent / "parameters" / "sm.yaml"
     model.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
     config = tmp_path / "config.yaml"
     config.write_text("model: model.yaml\nhorizon: 20\n", encoding="utf-8")
@@ -208,7 +207,7 @@ def test_a_row_says_all_that_it_is_the_hash_of(campaign: Path, tmp_path: Path) -
     (path,) = (tmp_path / "out").glob("runs/*/*.json")
     record = json.loads(path.read_text(encoding="utf-8"))
     assert record["key"] == path.stem
-    assert record["environment"]["product"] == identity.product_hash()
+    assert record["environment"]["product"] == definition.product_hash()
     assert record["run"]["plant"] == "model:sm"
     assert str(tmp_path) not in path.read_text(encoding="utf-8")
 

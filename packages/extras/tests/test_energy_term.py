@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.energy.power_readings import run_energy
-from diffdrive_mpc_extras.energy_term.feature import energy_function, energy_terms, with_least_radius
+from diffdrive_mpc_extras.energy_term import energy_function, energy_terms, with_least_radius
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 from diffdrive_mpc_extras.turn_costs.turn_costs import FLOORS
 

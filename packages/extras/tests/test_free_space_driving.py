@@ -9,8 +9,8 @@ from diffdrive_mpc import ConfigError, ControllerConfig, make_plant
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc import Controller, Mode
 from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
-from diffdrive_mpc_extras.free_space.footprint import Footprint
 from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, least_gaps, pieces_of
+from diffdrive_mpc_extras.free_space.polygons import Footprint
 
 FAR = 5.0
 AT_REST = 0.02

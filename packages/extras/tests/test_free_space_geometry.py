@@ -13,8 +13,16 @@ from diffdrive_mpc_extras.free_space import (
     SurroundingsError,
 )
 from diffdrive_mpc_extras.free_space.config import FreeSpace
-from diffdrive_mpc_extras.free_space.half_space import half_space_formula, half_space_function, load_free_space
-from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, address, least_gaps, pieces_of, rectangles
+from diffdrive_mpc_extras.free_space.pieces import (
+    PlacedFootprint,
+    address,
+    half_space_formula,
+    half_space_function,
+    least_gaps,
+    load_free_space,
+    pieces_of,
+    rectangles,
+)
 from diffdrive_mpc_extras.free_space.polygons import area, convex_pieces, crosses_itself, hull
 
 CONFIG = FreeSpace()

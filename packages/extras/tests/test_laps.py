@@ -9,8 +9,7 @@ from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
-from diffdrive_mpc_extras.rehearsal.lap_parts import lap_parts
-from diffdrive_mpc_extras.rehearsal.laps import drive_laps
+from diffdrive_mpc_extras.rehearsal.laps import drive_laps, lap_parts
 
 PLAIN = Case(plant="model:sm", trajectory="cane")
 LEARNING = PLAIN.with_override("expert.rehearsal.enabled", value=True)

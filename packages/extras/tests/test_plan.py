@@ -13,12 +13,21 @@ from typer.testing import CliRunner
 from diffdrive_mpc import ConfigError, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc_extras.free_space import Footprint, MovingDisc, Surroundings
-from diffdrive_mpc_extras.planner import PlanError, load_plan_settings, plan, plan_each
-from diffdrive_mpc_extras.planner.clearance import Clearance, covering_discs, outline
-from diffdrive_mpc_extras.planner.inputs import Inputs, make_inputs, rates_of, sharpest_radius
+from diffdrive_mpc_extras.planner import plan, plan_each
+from diffdrive_mpc_extras.planner.clearance import Clearance, PlanError, covering_discs, outline
+from diffdrive_mpc_extras.planner.inputs import (
+    Inputs,
+    arc_arc_arc,
+    arc_straight,
+    arc_straight_arc,
+    make_inputs,
+    placed,
+    rates_of,
+    sharpest_radius,
+)
 from diffdrive_mpc_extras.planner.result import driven
 from diffdrive_mpc_extras.planner.search import PlanSearch
-from diffdrive_mpc_extras.planner.words import arc_arc_arc, arc_straight, arc_straight_arc, placed
+from diffdrive_mpc_extras.planner.settings import load_plan_settings
 from diffdrive_mpc_extras.turn_costs import SlipCoefficients, load_turn_costs, turn_costs_text
 
 SETTINGS = load_plan_settings()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, FeedForward
 
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_log as write_csv
 from diffdrive_mpc.sim.log_mcap import write_log as write_mcap
@@ -28,8 +31,8 @@ from diffdrive_mpc_extras.energy.power_readings import (
     robot_power,
     run_energy,
 )
-from diffdrive_mpc_extras.torque.measurements import TorqueDrive, diagnostic_commands, drawn, driven, record
-from diffdrive_mpc_extras.turn_costs import load_drive_constants
+from diffdrive_mpc_extras.torque.measurements import diagnostic_commands
+from diffdrive_mpc_extras.turn_costs import DriveConstants, load_drive_constants
 
 EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))
 CONSTANTS = ("torque_constant", "resistance", "idle_power")
@@ -143,6 +146,67 @@ def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: 
 
 
 FLOORS = [("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"), ("default", "slippery")]
+
+
+class TorqueDrive(NamedTuple):
+    """What happened, n ticks; the physics does not depend on what is read."""
+
+    dt: float
+    command: FloatArray
+    speeds: FloatArray
+    """(n, 4) as the encoders say [rad/s]"""
+    motors: FloatArray
+    """(n, steps, 2, 4) in the sample before the tick"""
+
+
+def driven(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
+    """Drive, and keep what every motor did in every step."""
+    plant.reset(np.zeros(3))
+    speeds, motors = [], []
+    done = np.zeros_like(plant.motors)
+    for command in commands:
+        measured = plant.measure().wheel_speeds
+        assert measured is not None
+        speeds.append(np.asarray(measured.value))
+        motors.append(done)
+        plant.advance(command)
+        done = plant.motors.copy()
+    return TorqueDrive(plant.sample_time, commands, np.array(speeds), np.array(motors))
+
+
+def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
+    """What a log of the drive holds with sensors of power, for a robot with these constants."""
+    reads = PowerReadings(power_sensor(), battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
+    rows = []
+    for motors in drive.motors:
+        reads.take(motors)
+        rows.append(reads.value)
+    read = np.array(rows)
+    sides = 0.5 * (drive.speeds[:, :2] + drive.speeds[:, 2:])
+    return Record(
+        "drive",
+        0.0,
+        drive.dt,
+        drive.command,
+        wheels=sides,
+        wheel_speeds=drive.speeds,
+        battery=read[:, :2],
+        motor_current=read[:, 2:4] + read[:, 4:],
+        motor_currents=read[:, 2:],
+    )
+
+
+def drawn(usual: DriveConstants, rng: np.random.Generator) -> DriveConstants:
+    """Constants of another robot with the same gears: a half to twice, and a computer of 2 to 20 W."""
+    torque, resistance = np.exp(rng.uniform(np.log(0.5), np.log(2.0), 2))
+    changes = {
+        "torque_constant": usual.torque_constant * torque,
+        "resistance": usual.resistance * resistance,
+        "idle_power": rng.uniform(2.0, 20.0),
+        "regeneration": bool(rng.random() < 0.5),
+        "driver_efficiency": rng.uniform(0.85, 1.0),
+    }
+    return usual.model_copy(update=changes)
 
 
 def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:

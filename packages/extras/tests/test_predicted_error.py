@@ -9,8 +9,7 @@ import yaml
 
 from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc_extras.predicted_error.calibration import load_calibration
-from diffdrive_mpc_extras.predicted_error.features import FEATURES, path_features
+from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, load_calibration, path_features
 from diffdrive_mpc_extras.predicted_error.predicted_error import check_origin, predict_error
 
 POPULATIONS = tuple(load_calibration().populations)

@@ -10,9 +10,17 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
-from diffdrive_mpc_extras.proof.boundaries import Boundary, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc_extras.proof.proof_file import DEFAULT as PROOF
-from diffdrive_mpc_extras.proof.proof_file import BoundarySearch, Map, MapAxis, load_proof
+from diffdrive_mpc_extras.proof.proof_file import (
+    Boundary,
+    BoundarySearch,
+    Map,
+    MapAxis,
+    drawn_map,
+    find_boundaries,
+    load_proof,
+    map_runs,
+)
 from diffdrive_mpc_extras.proof.report import Outcomes, facts, is_unsafe, tables, worst
 
 PROBE = Definition(Case())

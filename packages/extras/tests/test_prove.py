@@ -10,11 +10,10 @@ import yaml
 from opened_report import content_of
 
 from commands import call
-from diffdrive_mpc_extras.campaign.check import check_definitions
 from diffdrive_mpc_extras.campaign.definition import Definition
-from diffdrive_mpc_extras.campaign.parquet import read_table
-from diffdrive_mpc_extras.proof.boundaries import map_runs
-from diffdrive_mpc_extras.proof.proof_file import load_proof
+from diffdrive_mpc_extras.campaign.engine import check_definitions
+from diffdrive_mpc_extras.campaign.run import read_table
+from diffdrive_mpc_extras.proof.proof_file import load_proof, map_runs
 
 SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
 PROOF = """

@@ -14,7 +14,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.stack import estimate_stack, look_ahead_factor
 from diffdrive_mpc_extras.campaign.rates import Rate
-from diffdrive_mpc_extras.stack.stack import package_text, packages
+from diffdrive_mpc_extras.stack import package_text, packages
 
 CLEAN = 1e-3
 SEED = 1

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc_extras.terrain import Shear, Terrain, fit_shear, load_terrain, side_torques
-from diffdrive_mpc_extras.terrain.shear import floor_forces
+from diffdrive_mpc_extras.terrain import Shear, Terrain, load_terrain, side_torques
+from diffdrive_mpc_extras.terrain.turning import floor_forces
 from diffdrive_mpc_extras.turn_costs import least_radius, load_vehicle
 
 BOT = load_vehicle("fsu_bot")
@@ -137,39 +137,15 @@ def test_no_least_radius_on_vinyl_and_one_on_asphalt():
     )
 
 
-def test_a_terrain_is_found_again_from_its_torques_and_carries_over_to_a_payload():
-    rng, on = np.random.default_rng(4), ASPHALT
-    radii = np.geomspace(0.5, 60.0, 12) * np.tile([1, -1], 6)
-    true = side_torques(BOT, on, radii, 0.4)
-    found = fit_shear(BOT, on, radii, 0.4, *(one + 0.02 * rng.normal(size=12) for one in (true.outer, true.inner)))
-    assert not found.at_bound
-    assert found.rms < 0.03
-    assert found.shear.modulus == pytest.approx(0.0016, rel=0.2)
-    loaded = BOT.carrying(8.0)
-    expected, predicted = side_torques(loaded, on, radii, 0.4), side_torques(loaded, found.on(on), radii, 0.4)
-    assert predicted.outer == pytest.approx(expected.outer, abs=0.1)
-    assert np.abs(side_torques(BOT, on, radii, 0.4).outer - expected.outer).max() > 1.0
-
-
-def test_what_torques_do_not_tell_is_named():
-    # One plateau and no way down: the modulus may be anything that is small.
-    plateau = side_torques(BOT, ground(0.6, 1e-6), [0.5, 0.7, 1.0], 0.01)
-    found = fit_shear(BOT, ground(), [0.5, 0.7, 1.0], 0.01, plateau.outer, plateau.inner)
-    assert found.rms < 0.05
-    assert found.shear.modulus < 1e-4
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: side_torques(BOT, load_terrain("grass"), 1.0, 0.4), "not known; fit it"),
+        (lambda: side_torques(BOT, load_terrain("grass"), 1.0, 0.4), "not known; give"),
         (lambda: side_torques(BOT, VINYL, 0.0, 0.4), "other than zero"),
         (lambda: side_torques(BOT, VINYL, np.nan, 0.4), "other than zero"),
         (lambda: side_torques(BOT, VINYL, 1.0, -0.4), "positive number"),
         (lambda: load_terrain("vinil"), "did you mean 'vinyl'"),
         (lambda: load_vehicle("nothing"), "unknown vehicle"),
-        (lambda: fit_shear(BOT, VINYL, [1.0, 2.0], 0.4, [1.0, 1.0], [1.0, 1.0]), "three values"),
-        (lambda: fit_shear(BOT, VINYL, [1.0, 2.0, 3.0], 0.4, [1.0, 1.0, np.inf], [1.0, 1.0, 1.0]), "finite"),
     ],
 )
 def test_bad_input_gets_a_sentence(call, words):

@@ -145,7 +145,7 @@ def test_what_is_written_is_read_again(vinyl, tmp_path):
     again = load_turn_costs(path)
     assert "vehicle: fsu_bot" in path.read_text(encoding="utf-8")
     assert again.power(GRID) == pytest.approx(vinyl.power(GRID), abs=0.01)
-    loaded = vinyl.model_copy(update={"vehicle": BOT.carrying(5.0)})
+    loaded = vinyl.model_copy(update={"vehicle": BOT.model_copy(update={"weight": BOT.weight + 5.0 * 9.81})})
     path.write_text(turn_costs_text(loaded), encoding="utf-8")
     assert load_turn_costs(path).vehicle == loaded.vehicle
 

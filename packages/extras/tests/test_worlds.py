@@ -23,8 +23,7 @@ from diffdrive_mpc_extras.worlds.passage import outline_points
 from diffdrive_mpc_extras.worlds.plug_in import passage
 from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Polygon, Shapes, Wall, distance_to_polygon
 from diffdrive_mpc_extras.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
-from diffdrive_mpc_extras.worlds.world import World
-from diffdrive_mpc_extras.worlds.world_file import SHIPPED, load_world
+from diffdrive_mpc_extras.worlds.world import SHIPPED, World, load_world
 from diffdrive_mpc_extras.worlds.world_plant import TouchedError, WorldPlant
 
 WIDTH, LENGTH = 0.38, 0.30

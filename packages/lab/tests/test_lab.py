@@ -25,10 +25,16 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit
-from diffdrive_mpc_lab.build import page_text
-from diffdrive_mpc_lab.formulas import FLOOR, plant_functions
-from diffdrive_mpc_lab.numbers import configuration, default_of, lab_settings, plant_model, values_of
-from diffdrive_mpc_lab.pool import VARIED, experiments
+from diffdrive_mpc_lab.build import VARIED, experiments, page_text
+from diffdrive_mpc_lab.numbers import (
+    FLOOR,
+    configuration,
+    default_of,
+    lab_settings,
+    plant_functions,
+    plant_model,
+    values_of,
+)
 
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")

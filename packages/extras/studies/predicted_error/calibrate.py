@@ -14,8 +14,7 @@ from studies.predicted_error.drives import DrivenPath
 from diffdrive_mpc.bench.runner import StudyFailedError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc_extras.campaign.rates import Rate, conformal_quantile
-from diffdrive_mpc_extras.predicted_error.calibration import Direction, ErrorScale
-from diffdrive_mpc_extras.predicted_error.features import FEATURES
+from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, Direction, ErrorScale
 
 DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
 _PLACES = 40

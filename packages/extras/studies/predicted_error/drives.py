@@ -24,8 +24,7 @@ from diffdrive_mpc_extras.campaign.campaign_file import Campaign
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 from diffdrive_mpc_extras.campaign.drive import built
-from diffdrive_mpc_extras.predicted_error.calibration import CalibratedRange, CalibratedRanges
-from diffdrive_mpc_extras.predicted_error.features import FEATURES, path_features
+from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, CalibratedRange, CalibratedRanges, path_features
 
 Count = Annotated[int, Field(ge=1)]
 PARTS = ("fit", "calibration", "test")

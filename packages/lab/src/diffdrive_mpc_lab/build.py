@@ -11,14 +11,159 @@ import importlib.util
 import json
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
 
 from diffdrive_mpc.core_sources import core_texts, require
+from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
-from diffdrive_mpc_lab.formulas import generate_plant
-from diffdrive_mpc_lab.numbers import generated_texts, report_fields
-from diffdrive_mpc_lab.pool import page_data
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.config.described import schema_rows
+from diffdrive_mpc.mpc.config.rooms import shown_key
+from diffdrive_mpc_extras.worlds.plug_in import plant_outline
+from diffdrive_mpc_lab import numbers
+from diffdrive_mpc_lab.numbers import (
+    Constants,
+    default_of,
+    generate_plant,
+    generated_texts,
+    lab_settings,
+    report_fields,
+    values_of,
+)
+
+BASES = ("model", "horizon", "told")
+"""Choices whose constants are kept for each combination."""
+VARIED = ("across", "along", "smooth", "slew", "wheel")
+"""Choices of which each changes numbers of its own, whatever the others are."""
+
+
+class Pool:
+    """Arrays by their place; equal ones are kept once."""
+
+    def __init__(self) -> None:
+        self._places: dict[bytes, int] = {}
+        self._arrays: list[FloatArray] = []
+
+    def add(self, array: FloatArray) -> int:
+        """The place of an array."""
+        key = np.ascontiguousarray(array, dtype=float).tobytes()
+        if key not in self._places:
+            self._places[key] = len(self._arrays)
+            self._arrays.append(array)
+        return self._places[key]
+
+    @property
+    def lengths(self) -> list[int]:
+        """Of each array, in the order of `numbers`."""
+        return [array.size for array in self._arrays]
+
+    @property
+    def numbers(self) -> bytes:
+        """All of them one after the other, as the page reads doubles."""
+        return np.concatenate(self._arrays).astype("<f8").tobytes()
+
+
+def page_data() -> tuple[dict[str, Any], bytes]:
+    """The index and the numbers.
+
+    Raises
+    ------
+    ValueError
+        If two choices change the same constant: then the page could not put them together.
+    """
+    pool, settings = Pool(), lab_settings()
+    index = {
+        "choices": {name: _described(choice) for name, choice in settings["choices"].items()},
+        "robot": pool.add(numbers.flat(numbers.robot())),
+        "peer": pool.add(numbers.flat(numbers.peer())),
+        "drawing": pool.add(numbers.flat(numbers.drawing())),
+        "floors": {name: pool.add(numbers.flat(numbers.floor(name))) for name in values_of("surface")},
+        "sensors": {name: pool.add(numbers.flat(numbers.sensors(name))) for name in values_of("sensors")},
+        "noise": {seed: pool.add(numbers.noise(seed)) for seed in values_of("seed")},
+        "models": {
+            f"{name} {late}": pool.add(numbers.plant_model(name, late))
+            for name, late in product(values_of("robot"), values_of("dead"))
+        },
+        "references": {name: pool.add(table) for name, table in _references()},
+        "controllers": {key: _controller(pool, choices) for key, choices in _bases()},
+        "files": {
+            model: numbers.configuration(model, {}).model_dump(mode="json", exclude_defaults=True)
+            for model in values_of("model")
+        },
+        "ice": settings["ice"],
+        "drawn": settings["drawing"],
+        "push": settings["push"],
+        "longest_link": settings["longest_link"],
+        "outline": plant_outline("model:ssm"),
+        "limits": {"v": load_robot().limits.v, "omega": load_robot().limits.omega},
+        "too_far": numbers.configuration(default_of("model"), {}).failure.max_position_error,
+        "experiments": experiments(),
+    }
+    return index | {"lengths": pool.lengths}, pool.numbers
+
+
+def experiments() -> list[dict[str, Any]]:
+    """The guided experiments, `experiments.yaml`."""
+    guided: list[dict[str, Any]] = read_yaml(Path(__file__).with_name("experiments.yaml"))["experiments"]
+    return guided
+
+
+def _described(choice: Mapping[str, Any]) -> dict[str, Any]:
+    """A choice with the key, the help and the unit that the configuration's schema has for it."""
+    rows = {row.key: row for row in schema_rows()}
+    row = rows.get(shown_key(choice.get("key", "")))
+    helped = {} if row is None else {"shown": row.key, "help": row.help, "unit": row.unit}
+    return {**choice, **helped}
+
+
+def _references() -> Iterator[tuple[str, FloatArray]]:
+    for path, speed in product(values_of("path"), values_of("speed")):
+        table = numbers.reference(path, speed)
+        if table is not None:
+            yield f"{path} {speed}", table
+
+
+def _bases() -> Iterator[tuple[str, dict[str, Any]]]:
+    for combination in product(*map(values_of, BASES)):
+        yield " ".join(map(str, combination)), dict(zip(BASES, combination, strict=True))
+
+
+def _controller(pool: Pool, choices: dict[str, Any]) -> dict[str, Any]:
+    """Sizes and fields of a base, and by choice and value the fields that change: place in the field, and number."""
+    model, rest = choices["model"], {name: choices[name] for name in BASES if name != "model"}
+    base = numbers.controller(numbers.configuration(model, rest))
+    changed: dict[str, dict[str, list[Any]]] = {}
+    touched: set[tuple[int, int]] = set()
+    for name in VARIED:
+        by_value, own = {}, set()
+        for value in values_of(name):
+            varied = numbers.controller(numbers.configuration(model, rest | {name: value}))
+            by_value[str(value)] = [
+                [field, places, pool.add(list(varied.fields.values())[field][places])]
+                for field, places in _differences(base, varied)
+            ]
+            own |= {(field, place) for field, places in _differences(base, varied) for place in places}
+        if own & touched:
+            raise ValueError(f"{name}: it changes constants that another choice changes; leave one of them out")
+        touched |= own
+        changed[name] = by_value
+    return {"sizes": pool.add(base.sizes), "fields": [pool.add(f) for f in base.fields.values()], "changed": changed}
+
+
+def _differences(base: Constants, varied: Constants) -> Iterator[tuple[int, list[int]]]:
+    """The fields of `varied` that are not those of `base`, and where in the field."""
+    for field, (before, after) in enumerate(zip(base.fields.values(), varied.fields.values(), strict=True)):
+        places = np.flatnonzero(~((before == after) | (np.isnan(before) & np.isnan(after)))).tolist()
+        if places:
+            yield field, places
+
 
 require(1)
 

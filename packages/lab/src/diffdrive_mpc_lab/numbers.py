@@ -8,15 +8,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference
 from diffdrive_mpc.bench.peers.tracking_peer import MODEL, slew_step
-from diffdrive_mpc.core_sources import build_problem, chosen_model, constant_fields, load_core
+from diffdrive_mpc.core_sources import GeneratedC, build_problem, chosen_model, constant_fields, generate, load_core
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.mpc import ControllerConfig, load_config
@@ -25,10 +27,46 @@ from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.peers.rpp import load_parameters
-from diffdrive_mpc_lab.formulas import FLOOR
+
+FLOOR = ("longitudinal_gain", "yaw_gain", "wheel_yaw_gain", "side_slip")
+"""Fields of `BodySlip` that a floor of the laboratory has, in the order of the second argument of `lab_f_floor`."""
+
+
+def generate_plant() -> GeneratedC:
+    """C of the functions `lab_f_floor` and `lab_f_move`."""
+    return generate(plant_functions(), "lab_plant", "diffdrive_mpc_lab/numbers.py")
+
+
+def plant_functions() -> tuple[ca.Function, ca.Function]:
+    """`lab_f_floor`: twist by model and floor to those of body and wheels; `lab_f_move`: a pose after a while."""
+    return _floor(), _move()
+
+
+def _floor() -> ca.Function:
+    """Twist of the model (2) and floor (4) to the twist of the body (3) and that of the wheels (2)."""
+    output, floor = ca.SX.sym("output", 2), ca.SX.sym("floor", len(FLOOR))
+    symbols: dict[str, Any] = dict(zip(FLOOR, ca.vertsplit(floor), strict=True))
+    slip = BodySlip.model_construct(**symbols)
+    v, omega = slip.gained(output[0], output[1])
+    body = ca.vertcat(v, slip.sideways(v, omega), omega)
+    return ca.Function(
+        "lab_f_floor",
+        [output, floor],
+        [body, ca.vertcat(*slip.turned(output[0], output[1]))],
+        ["output", "floor"],
+        ["body", "wheels"],
+    )
+
+
+def _move() -> ca.Function:
+    """Pose (3), twist of the body (3) and duration (1) to the pose (3) after it."""
+    pose, body, duration = ca.SX.sym("pose", 3), ca.SX.sym("body", 3), ca.SX.sym("duration")
+    after = pose + arc_displacement(pose[2], body[0], body[2], duration, body[1])
+    return ca.Function("lab_f_move", [pose, body, duration], [after], ["pose", "body", "duration"], ["after"])
+
 
 Struct = dict[str, FloatArray]
 """Numbers of a struct of C by the names of its fields, in their order."""

@@ -35,8 +35,7 @@ def monitor(
 
         echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
         return
-    from diffdrive_mpc_monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
-    from diffdrive_mpc_monitor.ros.node import MonitorSettings  # noqa: PLC0415
+    from diffdrive_mpc_monitor.ros.node import MonitorSettings, run  # noqa: PLC0415 - needs ROS
 
     run(arguments, MonitorSettings(rules=rules))
 

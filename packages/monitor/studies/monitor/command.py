@@ -21,7 +21,6 @@ def run(
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Drives of each fault.")] = 20,
     hours: Annotated[float, typer.Option(min=0.01, max=1000, help="Hours of nominal drives.")] = 10.0,
     tuning: Annotated[bool, typer.Option("--tuning", help="The seeds that the rules were tuned on.")] = False,
-    market: Annotated[bool, typer.Option("--market", help="Nominal drives of drawn robots of the market.")] = False,
     jobs: Jobs = None,
 ) -> None:
     """Break controllers on purpose and drive for hours with sound ones: what the monitor catches, when, and what not.
@@ -34,7 +33,7 @@ def run(
     from diffdrive_mpc.app.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
-    problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning, market=market), out, jobs))
+    problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning), out, jobs))
     if problem:
         typer.echo(f"error: {problem}", err=True)
         raise typer.Exit(FAILED)

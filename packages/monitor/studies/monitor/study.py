@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
 
-from studies.monitor.drawn import KINDS, NAMED_KINDS, parts_of
 from studies.monitor.faults import FAULTS, FaultBounds
 from studies.monitor.trial import (
     AFTER,
-    BENCH_PATHS,
     HARM,
     LEFT,
-    STOPPED_AFTER,
-    STOPPED_WITHIN,
-    DrawnTrial,
     MonitorTrial,
-    drawn_trial,
     faulty_trial,
-    market_case,
-    market_trial,
     nominal_case,
     nominal_trial,
 )
@@ -34,13 +26,9 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
-from diffdrive_mpc_extras.campaign.drivable_robots import RESERVED, can_drive
 from diffdrive_mpc_monitor.rules import Rules, load_rules
-from studies.robustness.study import turns_on_the_spot
 
-Trial = MonitorTrial | DrawnTrial
-Task = partial[list[Trial]]
+Task = partial[list[MonitorTrial]]
 FIRST_SEED = {True: (0, 0), False: (30_000, 40_000)}
 """Of faulty and of nominal drives: those that rules were tuned on, and those that are reported. Those from 10,000 and
 20,000 on were reported before, and looked at."""
@@ -53,7 +41,6 @@ class MonitorStudyResult:
 
     faulty: dict[str, list[MonitorTrial]]
     nominal: list[MonitorTrial]
-    drawn: Sequence[DrawnTrial] = ()
 
     @property
     def hours(self) -> float:
@@ -83,56 +70,40 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
     hours
         Of nominal drives, at least [h].
     tuning
-        Whether on the seeds that the rules were tuned on, and on the kinds of broken controllers for building.
-    market
-        Whether nominal drives are of drawn robots of the market; else of the papers' robot.
+        Whether on the seeds that the rules were tuned on.
     """
 
     name, title = "monitor", "What the monitor catches, and how soon"
 
-    def __init__(self, rules: str, seeds: int, hours: float, *, tuning: bool = False, market: bool = False) -> None:
+    def __init__(self, rules: str, seeds: int, hours: float, *, tuning: bool = False) -> None:
         self._rules, self._seeds, self._hours, self._first = rules, seeds, hours, FIRST_SEED[tuning]
-        self._tuning, self._market = tuning, market
 
     def plan(self) -> list[Task]:
         """Every drive, some to a task; raises ConfigError if there are no such rules."""
         rules = load_rules(self._rules)
         seeds = range(self._first[0], self._first[0] + self._seeds)
         faulty = [partial(_each, partial(faulty_trial, name), seeds, rules) for name in FAULTS]
-        kinds = (*range(0 if self._tuning else 1, KINDS, 2), *NAMED_KINDS)
-        drawn = [partial(_each, partial(drawn_trial, kind), seeds, rules) for kind in kinds]
         nominal = self._nominal_seeds()
         chunks = (nominal[k : k + _TOGETHER] for k in range(0, len(nominal), _TOGETHER))
-        drive = market_trial if self._market else nominal_trial
-        return [*faulty, *drawn, *(partial(_each, drive, chunk, rules) for chunk in chunks)]
+        return [*faulty, *(partial(_each, nominal_trial, chunk, rules) for chunk in chunks)]
 
     def _nominal_seeds(self) -> list[int]:
         """As many as it takes to drive for so long."""
         left = 3600.0 * self._hours
         nominal: list[int] = []
-        case_of = market_case if self._market else nominal_case
-        for seed in self._able_robots() if self._market else count(self._first[1]):
+        for seed in count(self._first[1]):
             if left <= 0.0:
                 return nominal
-            left -= load_reference(case_of(seed)).duration + AFTER
+            left -= load_reference(nominal_case(seed)).duration + AFTER
             nominal.append(seed)
         return nominal
-
-    def _able_robots(self) -> Iterator[int]:
-        """Seeds of robots that can drive their path; those for tuning are not those that results are reported on."""
-        spot_turns = {path: turns_on_the_spot(path) for path in BENCH_PATHS}
-        for seed in count(1 if self._tuning else self._first[1], RESERVED):
-            if can_drive(draw_robot(seed), spot_turns[market_case(seed).trajectory]):
-                yield seed
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> MonitorStudyResult:
         """Drive them all."""
         bar.begin("driving", len(plan))
-        every = [trial for some in run_tasks(plan, jobs, bar.advance) for trial in some]
-        drawn = [trial for trial in every if isinstance(trial, DrawnTrial)]
-        done = [trial for trial in every if isinstance(trial, MonitorTrial)]
+        done = [trial for trials in run_tasks(plan, jobs, bar.advance) for trial in trials]
         faulty = {name: [trial for trial in done if trial.fault == name] for name in FAULTS}
-        return MonitorStudyResult(faulty, [trial for trial in done if not trial.fault], drawn)
+        return MonitorStudyResult(faulty, [trial for trial in done if not trial.fault])
 
     def report(self, results: MonitorStudyResult, seconds: float) -> Report:
         """A row for each fault, and what the nominal drives were."""
@@ -143,7 +114,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
             f" until the robot stands. Harm is {HARM:g} m, or a robot that commands do not stop (-)."
         )
         table = Table("Faults", columns, tuple(rows), text_columns=3, note=note)
-        tables = [table, _drawn_table(results.drawn), _nominal_table(results)]
+        tables = [table, _nominal_table(results)]
         if results.alarms:
             tables.append(_alarm_table(results.alarms))
         caught = sum(_is_caught(FAULTS[trial.fault], trial) for some in results.faulty.values() for trial in some)
@@ -152,16 +123,11 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
             f"{len(FAULTS)} faults on {self._seeds} drives each: {caught} of {faulty} caught in time.",
             f"{results.hours:.1f} nominal hours, {len(results.nominal)} drives: {len(results.alarms)} alarms.",
             f"{len(results.false_alarms)} alarms were in drives that stay within {LEFT:g} m of where the reference is.",
-            f"{'Building' if self._tuning else 'Reserved'} kinds of broken controllers, {len(results.drawn)} drives:"
-            f" {sum(trial.in_time for trial in results.drawn)} harmless or stopped in time.",
             f"Seeds of faults from {self._first[0]} on, of nominal drives from {self._first[1]} on.",
             f"Rules `{self._rules}`, in {seconds:.0f} s.",
         ]
         trials = [*(trial for some in results.faulty.values() for trial in some), *results.nominal]
-        content: dict[str, object] = {
-            "trials": [_plain_trial(trial) for trial in trials],
-            "drawn": [_plain_trial(trial) for trial in results.drawn],
-        }
+        content: dict[str, object] = {"trials": [_plain_trial(trial) for trial in trials]}
         meta: dict[str, object] = {"rules": self._rules, "first_seed": self._first}
         return Report(f"{len(trials)} drives", meta, content, facts, tables)
 
@@ -172,13 +138,11 @@ def complaint(results: MonitorStudyResult) -> str:
         trial.fault for some in results.faulty.values() for trial in some if not _is_caught(FAULTS[trial.fault], trial)
     )
     missed = ", ".join(f"{name} ({many})" for name, many in late.items())
-    kinds = sorted({trial.kind for trial in results.drawn if not trial.in_time})
     alarms = f"{len(results.false_alarms)} nominal drives alarmed" if results.false_alarms else ""
-    drawn = f"drawn kinds missed or late: {', '.join(map(str, kinds))}" if kinds else ""
-    return "; ".join(filter(None, [f"missed or late: {missed}" if missed else "", drawn, alarms]))
+    return "; ".join(filter(None, [f"missed or late: {missed}" if missed else "", alarms]))
 
 
-def _each(drive: Callable[[int, Rules], Trial], seeds: Sequence[int], rules: Rules) -> list[Trial]:
+def _each(drive: Callable[[int, Rules], MonitorTrial], seeds: Sequence[int], rules: Rules) -> list[MonitorTrial]:
     return [drive(seed, rules) for seed in seeds]
 
 
@@ -202,32 +166,6 @@ def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[
         number(farthest, 2) if held.stoppable else "-",
         f"{sum(_is_caught(held, trial) for trial in trials)}/{len(trials)}",
     )
-
-
-def _drawn_table(trials: Sequence[DrawnTrial]) -> Table:
-    """Each kind of broken controller: harmless, stopped, late or missed."""
-    rows = []
-    for kind in sorted({trial.kind for trial in trials}):
-        some = [trial for trial in trials if trial.kind == kind]
-        harmful = [trial for trial in some if not trial.harmless]
-        late = [math.inf if math.isnan(trial.stopped) else trial.stopped for trial in harmful]
-        rules = Counter(trial.rule.replace("_", " ") or "none" for trial in harmful)
-        rows.append(
-            (
-                ", ".join(parts_of(kind)),
-                ", ".join(rule for rule, _ in rules.most_common()) or "-",
-                str(len(some) - len(harmful)),
-                f"{sum(trial.in_time for trial in harmful)}/{len(harmful)}",
-                number(max(late), 2) if harmful else "-",
-                number(max(trial.farthest for trial in harmful), 2) if harmful else "-",
-            )
-        )
-    columns = ("broken controller", "stopped by", "harmless", "stopped in time", "latest [s]", "farthest [m]")
-    note = (
-        f"Harmless: never further than {LEFT:g} m from the stretch around its reference. Latest: from then to the stop,"
-        f" at most {STOPPED_AFTER:g} s. Farthest: from the path until it stands, at most {STOPPED_WITHIN:g} m."
-    )
-    return Table("Broken controllers that nobody chose", columns, tuple(rows), text_columns=2, note=note)
 
 
 def _nominal_table(results: MonitorStudyResult) -> Table:
@@ -254,6 +192,6 @@ def _alarm_table(alarms: Sequence[MonitorTrial]) -> Table:
     return Table("Alarms", ("drive", "words", "seed", "at [s]", "farthest [m]"), tuple(rows), text_columns=2)
 
 
-def _plain_trial(trial: Trial) -> dict[str, object]:
+def _plain_trial(trial: MonitorTrial) -> dict[str, object]:
     kept = {name: value for name, value in vars(trial).items() if name != "case"}
     return plain(trial.case.as_row() | kept)  # type: ignore[no-any-return]

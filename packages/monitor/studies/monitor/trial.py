@@ -3,23 +3,125 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from studies.monitor.drawn import DrawnFault
-from studies.monitor.faults import AT_START, FAULTS, Fault
-from studies.monitor.watched import MonitoredController
+from studies.monitor.faults import AT_START, FAULTS, Fault, Sent
 
 from diffdrive_mpc.bench.case import NO_MODEL, Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc.sim.plants.names import DRAWN
-from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
+from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules
+
+BASE_TIMEOUT = 0.5
+"""The base stops by itself so long after the last command [s], as `sim/ros/base.yaml` has it."""
+_STANDING = frozenset({"STOPPED", "FINISHED", "PAUSED", "IDLE"})
+"""Modes in which a controller says that it does not drive."""
+_TOLD_AGAIN = 0.2
+"""The node sends its reference anew where that is due so much later or earlier [s]."""
+_BEFORE = 1000.0
+"""The clock at time 0 [s]: a stamp of 0 means "none", as in ROS."""
+
+
+class WatchedStep(NamedTuple):
+    """What came out of a tick, as `models.interface.ControlStep` has it: the command is that of the monitor."""
+
+    command: FloatArray
+    mode: str
+    message: str
+    step_time: float
+    solve_time: float = math.nan
+    solver: None = None
+    plan: FloatArray | None = None
+
+
+class MonitoredController:
+    """Drives with `inner`, whose commands go through the monitor; satisfies `models.interface.TrackingController`.
+
+    Parameters
+    ----------
+    inner
+        Who decides.
+    rules
+        Of the monitor.
+    fault
+        What breaks it; None: nothing.
+    """
+
+    def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
+        self._inner, self._rules, self._fault = inner, rules, fault or Fault()
+
+    @property
+    def verdict(self) -> MonitorVerdict:
+        """What stopped the robot, on the clock of the plant; nothing while all is well."""
+        verdict = self._judge.verdict
+        return verdict._replace(at=verdict.at - _BEFORE) if verdict else verdict
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Begin to track; the monitor is told of the reference as by the node."""
+        self._fault.start(reference)
+        self._inner.start(self._fault.followed(reference), t0)
+        self._judge = Judge(self._rules, t0 + _BEFORE)
+        self._reference, self._t0 = reference, t0
+        self._tell_reference(t0, 0.0)
+        self._summed, self._summed_at = reference.sample([0.0]).pose[0].tolist(), t0
+        self._base, self._base_at = (0.0, 0.0), t0
+
+    def step(self, t: float, measurement: Measurement) -> WatchedStep:
+        """Decide, judge, and pass on."""
+        fault, now = self._fault, t + _BEFORE
+        broken = fault.active(t)
+        measurement = fault.measures(measurement) if broken else measurement
+        self._tell(t, measurement)
+        step: ControlStep = self._inner.step(t, fault.sees(measurement) if broken else measurement)
+        command, mode = Sent(t, float(step.command[0]), float(step.command[1])), str(step.mode)
+        sent = fault.sends(command) if broken else [command]
+        fault.went(sent)
+        planned = getattr(self._inner, "planned_delay", 0.0)
+        if mode not in _STANDING and abs(planned - self._planned) >= _TOLD_AGAIN:
+            self._tell_reference(t, planned)
+        self._judge.says(now, drives=(fault.says(mode) if broken else mode) not in _STANDING)
+        for one in sent:
+            self._base, self._base_at = self._judge.command(now, one.stamp + _BEFORE, one.v, one.omega), t
+        stopped = self._judge.tick(now)
+        if stopped is not None:
+            self._base, self._base_at = stopped, t
+        if t - self._base_at > BASE_TIMEOUT:
+            self._base = (0.0, 0.0)
+        driven = fault.obeys(self._base) if broken else self._base
+        return WatchedStep(np.array(driven), mode, step.message, step.step_time)
+
+    def _tell_reference(self, t: float, delay: float) -> None:
+        """Tell the judge of the reference, which is due so late [s]."""
+        times = path_times(self._reference.duration)
+        points = np.column_stack([times + self._t0 + delay + _BEFORE, self._reference.sample(times).pose])
+        self._judge.reference(t + _BEFORE, self._fault.told(points).tolist())
+        self._planned = delay
+
+    def _tell(self, t: float, measurement: Measurement) -> None:
+        """What base and sensors say, as on their topics."""
+        now, judge = t + _BEFORE, self._judge
+        if measurement.yaw_rate is not None:
+            judge.gyro(now, measurement.yaw_rate.time + _BEFORE, float(np.asarray(measurement.yaw_rate.value)))
+        if measurement.wheel_twist is not None:
+            twist = np.asarray(measurement.wheel_twist.value).tolist()
+            self._sum_up(measurement.wheel_twist.time, *twist)
+            judge.odometry(now, measurement.wheel_twist.time + _BEFORE, twist, self._summed)
+        if measurement.pose is not None:
+            judge.pose(now, measurement.pose.time + _BEFORE, np.asarray(measurement.pose.value).tolist())
+
+    def _sum_up(self, time: float, v: float, omega: float) -> None:
+        """Carry on the pose of the odometry."""
+        step, self._summed_at = time - self._summed_at, time
+        x, y, theta = self._summed
+        middle = theta + 0.5 * step * omega
+        self._summed = [x + step * v * math.cos(middle), y + step * v * math.sin(middle), theta + step * omega]
+
 
 # Drives in which nothing is wrong: drawn from controllers, paths, floors, what happens there, and sensors.
 
@@ -34,8 +136,6 @@ THROWN_OFF = frozenset({"push", "start_offset"})
 """Here only the MPC drives: a plain law that is thrown off a fast path is half a metre away before it is back, which is
 no sound drive (two alarms in 276 drives from seed 10000 on were of these, and right)."""
 PATHS = ("circle", "square", "s", "cane", "figure8", "fast_circle", "slalom", "reverse_slalom", "k_turn", "spiral")
-BENCH_PATHS = ("circle", "square", "s", "cane")
-"""Those that robots of the market are drawn for."""
 SPLINES = 40
 """Beside these, so many random paths."""
 _FLOORS = ("default", "default", "carpet", "deep_carpet", "grippy", "slippery")
@@ -131,18 +231,6 @@ def nominal_trial(seed: int, rules: Rules) -> MonitorTrial:
     return _drive(nominal_case(seed), "", 0.0, rules)
 
 
-def market_case(seed: int) -> Case:
-    """A drive of a drawn robot of the market: the same robot is not drawn twice, path and model are drawn with it."""
-    draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1973,)))
-    path, model = (names[int(draw.integers(len(names)))] for names in (BENCH_PATHS, [m for _, m in PREDICTIVE]))
-    return Case(model=model, trajectory=path, plant=f"{DRAWN}:{seed}", seed=seed)
-
-
-def market_trial(seed: int, rules: Rules) -> MonitorTrial:
-    """A drive of a drawn robot in which nothing is wrong but the robot."""
-    return _drive(market_case(seed), "", 0.0, rules)
-
-
 def faulty_trial(fault: str, seed: int, rules: Rules) -> MonitorTrial:
     """A drive of the MPC that breaks on its way; path and instant are drawn."""
     draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1972,)))
@@ -192,114 +280,10 @@ def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
     return np.array(away)
 
 
-# Broken controllers that nobody chose: where they drive, and what becomes of them.
-
-
-LEFT, STOPPED_WITHIN, STOPPED_AFTER = 0.1, 0.3, 3.0
-"""Harm begins where the robot is further than `LEFT` from the stretch that its reference covers around now. It has to
-be stopped before it is further than `STOPPED_WITHIN` from its path [m], and `STOPPED_AFTER` after harm began [s]."""
+LEFT = 0.1
+"""Distance beyond which the robot has left the stretch that its reference covers around now [m]."""
 ON_TIME = 0.5
-"""That stretch begins and ends so long before and after now [s]."""
-_PATH, _BRAKES_WITHIN = (10.0, 1.0), 2.0
-"""Its path is what the reference covers from so long ago to so much later, and it stands so long after it was stopped
-[s]; what slides down a slope then is not looked at."""
-_SOUND_WITHIN = 0.07
-"""Without the fault the robot stays within this [m]; elsewhere harm would not be the fault's."""
-_PLACES_OF_DRAWN = (
-    *(("mujoco", floor, "default") for floor in ("default", "default", "carpet", "slippery")),
-    *(("mujoco", "default", sensors) for sensors in ("slam", "poses_5hz", "noise_2cm")),
-    *((f"mujoco:{build}", "default", "default") for build in ("heavy", "mass_behind", "dead_time_80", "slow_motors")),
-    *(("", "default", "default") for _ in range(4)),
-)
-"""Plant, floor and sensors; no plant: a drawn robot of the market."""
-_ROBOTS = 60
-
-
-@dataclass(frozen=True)
-class DrawnTrial:
-    """What came of one drive of a broken controller.
-
-    Attributes
-    ----------
-    kind
-        Its number.
-    case
-        What was driven.
-    rule, words
-        Of the verdict; empty without one.
-    left
-        From the fault until the robot left the stretch around its reference [s]; NaN if it did not.
-    stopped
-        From then until the monitor stopped it, or the controller itself stood and said so [s]; NaN if neither did.
-    farthest
-        From its path, of the true pose, until it was stopped and at rest [m].
-    """
-
-    kind: int
-    case: Case
-    rule: str
-    words: str
-    left: float
-    stopped: float
-    farthest: float
-
-    @property
-    def harmless(self) -> bool:
-        """Whether the robot never left."""
-        return math.isnan(self.left)
-
-    @property
-    def in_time(self) -> bool:
-        """Whether it was stopped in time, or was harmless."""
-        return self.harmless or (self.stopped <= STOPPED_AFTER and self.farthest <= STOPPED_WITHIN)
-
-
-def drawn_trial(kind: int, seed: int, rules: Rules) -> DrawnTrial:
-    """A drive of a broken controller of a kind: place, path, controller, instant and the fault's numbers are drawn."""
-    draw = np.random.default_rng([1974, kind, seed])
-    case = _drawn_case(draw, seed)
-    while not _is_sound(case):
-        case = _drawn_case(draw, seed)
-    fault = DrawnFault(kind, seed, float(draw.uniform(_FIRST, _LAST)))
-    controller, plant, reference = build(case)
-    watched = MonitoredController(controller, rules, fault)
-    run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT)
-    verdict = watched.verdict
-    ends = verdict.at if verdict else math.inf
-    live = (run.time >= fault.begins) & ~np.array(watched.stood)
-    left = run.time[live & (distances(run, (ON_TIME, ON_TIME)) > LEFT) & (run.time <= ends)]
-    if len(left):
-        ends = min(ends, *run.time[~live & (run.time > left[0])], math.inf)
-    braking = (run.time >= fault.begins) & (run.time <= ends + _BRAKES_WITHIN)
-    return DrawnTrial(
-        kind=kind,
-        case=case,
-        rule=verdict.rule,
-        words=verdict.words,
-        left=float(left[0]) - fault.begins if len(left) else math.nan,
-        stopped=ends - float(left[0]) if len(left) and ends < math.inf else math.nan,
-        farthest=float(distances(run, _PATH)[braking].max(initial=0.0)),
-    )
-
-
-def _drawn_case(draw: np.random.Generator, seed: int) -> Case:
-    plant, surface, sensors = _PLACES_OF_DRAWN[int(draw.integers(len(_PLACES_OF_DRAWN)))]
-    controllers = ["mpc", "mpc", "pursuit+slip", *(["kanayama-plain"] if plant == "mujoco" else [])]
-    paths = [*BENCH_PATHS, *(FAULTY_PATHS if plant else ())]
-    controller, path, robot = (
-        str(draw.choice(controllers)),
-        str(draw.choice(paths)),
-        int(draw.choice(driving_seeds(_ROBOTS, spot_turns=True, tuning=True))),
-    )
-    model = Case().model if controller == "mpc" else NO_MODEL
-    case = Case(controller, model, path, surface=surface, sensors=sensors, seed=seed)
-    return replace(case, plant=plant or f"{DRAWN}:{robot}")
-
-
-@cache
-def _is_sound(case: Case) -> bool:
-    """Whether the robot stays near its reference where nothing is wrong."""
-    return _largest_distance(simulate(*build(case), extra_time=AFTER)) <= _SOUND_WITHIN
+"""Time by which this stretch begins before now and ends after now [s]."""
 
 
 def _largest_distance(run: Run) -> float:

@@ -8,13 +8,42 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from matplotlib.axes import Axes
 
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc_extras.costs_from_log.costs_from_log import PRIOR, LogOutcome, learn_log
-from diffdrive_mpc_extras.turn_costs import turn_costs_text
+from diffdrive_mpc_extras.turn_costs import Vehicle, turn_costs_text
+
+_CURVE_RADII = np.geomspace(0.3, 300.0, 80)
+
+
+def draw_log(outcome: LogOutcome, path: Path) -> None:
+    """Torques by the currents of a log, and the curves learned from them."""
+    with new_figure(path, 6.4, 3.8) as figure:
+        axes = figure.subplots()
+        radii, outer, inner = outcome.samples.T
+        pairs = ((outer, outcome.curves.outer, "outer"), (inner, outcome.curves.inner, "inner"))
+        for side, (values, prior, name) in enumerate(pairs):
+            axes.plot(radii, values, ".", color=colour(side), markersize=1.5, alpha=0.25, rasterized=True)
+            axes.plot(_CURVE_RADII, prior(_CURVE_RADII), color=colour(side), label=name)
+        least = outcome.curves.least_radius()
+        if 0 < least < np.inf:
+            axes.axvline(least, color=colour(2), linestyle="-.", label=f"least radius {least:.2f} m")
+        torque_axes(axes, outcome.vehicle, f"Torques by the motors' currents in {outcome.log.name}")
+        axes.legend()
+
+
+def torque_axes(axes: Axes, vehicle: Vehicle, title: str) -> None:
+    """Label the axes of torques over radii, and draw the limits of the motors."""
+    for sign in (1, -1):
+        axes.axhline(sign * vehicle.torque_limit, color=REFERENCE_COLOUR, linewidth=0.8, linestyle="--")
+    axes.axhline(0.0, color=REFERENCE_COLOUR, linewidth=0.8)
+    axes.set(xscale="log", xlabel="commanded turn radius [m]", ylabel="torque [N m]", title=title)
+
 
 DRIVE_FILE, COSTS_FILE = "drive.yaml", "turn-costs.yaml"
 
@@ -52,8 +81,6 @@ class TorqueLogStudy(Study[None, LogOutcome]):
 
     def report(self, results: LogOutcome, seconds: float) -> Report:
         """Tables, the figure and the two files."""
-        from diffdrive_mpc_extras.costs_from_log import figures  # noqa: PLC0415 - matplotlib
-
         least = results.costs.least_radius()
         shown = "none" if least == 0 else f"{number(least, 2)} m"
         source = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
@@ -79,7 +106,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
                 "learned from this very log.",
             ],
             tables=_tables(results),
-            figures={"learned.png": partial(figures.draw_log, results)},
+            figures={"learned.png": partial(draw_log, results)},
             shown=Shown(
                 key_figures=[KeyFigure("least radius", shown, f"at {results.costs.curve.speed:g} m/s", "good")]
             ),

@@ -23,10 +23,13 @@ from diffdrive_mpc.models.output_error.doubts import badly_known
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc_extras.drives.content import drive_content
 from diffdrive_mpc_extras.drives.drive_model import (
+    DRIVE_FILES,
     STATES,
+    DriveChassis,
     DriveModel,
     ExperimentalFile,
     Kind,
@@ -34,8 +37,76 @@ from diffdrive_mpc_extras.drives.drive_model import (
     drive_of,
     write_drive,
 )
-from diffdrive_mpc_extras.drives.fitting import DriveFit, channel_errors, fit_drive, numbers_at_bounds, parameter_names
-from diffdrive_mpc_extras.drives.settings import fit_settings
+from diffdrive_mpc_extras.drives.fitting import (
+    DriveFit,
+    channel_errors,
+    fit_drive,
+    fit_settings,
+    numbers_at_bounds,
+    parameter_names,
+)
+
+
+def drive_content(
+    fit: DriveFit, fields: Mapping[str, Any], geometry: WheelGeometry | None = None
+) -> ExperimentalFile | PhysicalFile:
+    """What the parameter file of `fit` says.
+
+    Parameters
+    ----------
+    fields
+        Name, provenance, scores and warnings.
+    geometry
+        Of the robot's wheels; by default that of the papers' robot, whose mass it has in any case.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a number cannot be a robot's.
+    """
+    content = {
+        "structure": fit.kind,
+        **fields,
+        "sample_time": fit.dt,
+        **(_physical(fit, geometry) if fit.kind == "drive_physical" else {}),
+        **{channel: _channel(fit, row) for row, channel in enumerate(CHANNELS)},
+    }
+    return DRIVE_FILES[fit.kind].model_validate(content)
+
+
+def _channel(fit: DriveFit, row: int) -> dict[str, float]:
+    """What a file says of a channel: not what belongs to both, nor to the sensor."""
+    keys = set(fit.values[row]) - {"offset", "stiffness", "integral_time"}
+    return {
+        "dead_samples": fit.dead_samples[row],
+        "still": fit_settings().still[row],
+        **{key: rounded(fit.values[row][key]) for key in fit.values[row] if key in keys},
+    }
+
+
+def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[str, float]]:
+    """Chassis and drive whose ratios are those that were found, without inertia of wheels and rotors."""
+    robot = load_robot()
+    radius, track = geometry or (robot.wheel_radius, robot.track)
+    forward, turning = fit.values[0]["stiffness"], fit.values[1]["stiffness"]
+    together = robot.mass * radius**2 / 2
+    apart = together * forward / turning
+    chassis = DriveChassis(
+        mass=robot.mass,
+        wheel_radius=radius,
+        track=track,
+        centre_ahead=0.0,
+        yaw_inertia=rounded(apart / 2 * track**2 / radius**2),
+        wheel_inertia=0.0,
+    )
+    drive = {
+        "proportional_gain": rounded(forward * (chassis.own + chassis.other)),
+        "integral_time": rounded(fit.values[0]["integral_time"]),
+        "actuator_lag": fit_settings().actuator_lag,
+        "friction": fit_settings().friction,
+    }
+    return {"chassis": chassis.model_dump(), "wheel_drive": drive}
+
 
 # What a log tells of a drive model's numbers, and what it does not: that keeps its prior.
 

@@ -7,15 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
+from pydantic import Field
 from scipy.optimize import least_squares
 
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc_extras.drives.drive_model import (
     STEPS,
     Channel,
@@ -25,7 +30,35 @@ from diffdrive_mpc_extras.drives.drive_model import (
     settled_state,
     wheel_response,
 )
-from diffdrive_mpc_extras.drives.settings import ParameterRange, fit_settings
+
+
+class ParameterRange(StrictModel):
+    """Where a number is looked for."""
+
+    low: float
+    high: float
+    size: Positive = Field(description="a usual change of it")
+
+
+class FitSettings(StrictModel):
+    """The search."""
+
+    most_dead_time: Positive = Field(description="[s]")
+    most_steps: Annotated[int, Field(ge=1)] = Field(description="of one least-squares search [-]")
+    still: tuple[Positive, Positive] = Field(description="speed below which a robot stands [m/s], [rad/s]")
+    actuator_lag: Positive = Field(description="of the physical model, not searched [s]")
+    friction: Positive = Field(description="viscous, of the physical model, not searched [N m s/rad]")
+    bounds: dict[str, ParameterRange]
+    starts: tuple[dict[str, float], ...]
+    priors: dict[str, float] = Field(description="of numbers that a log need not tell")
+    min_gain: Positive = Field(description="rise of the error power that a prior has to cost, or it is kept [-]")
+
+
+@cache
+def fit_settings() -> FitSettings:
+    """Read the file; raises ConfigError on a mistake in it."""
+    return load_checked(FitSettings, Path(__file__).with_name("settings.yaml"))
+
 
 _COARSE, _CLOSE = 1e-3, 1e-4
 """Relative change of cost or numbers at which a search ends: while dead times are compared, and at last."""

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from diffdrive_mpc.mpc.config.group import FeatureGroup, NotNegative, Positive
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc_extras.free_space.footprint import Footprint
+from diffdrive_mpc_extras.free_space.polygons import Footprint
 
 
 class FreeSpace(FeatureGroup):

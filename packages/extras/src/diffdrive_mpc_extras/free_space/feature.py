@@ -14,8 +14,8 @@ from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
-from diffdrive_mpc_extras.free_space.half_space import half_space_function, load_free_space
 from diffdrive_mpc_extras.free_space.keeper import FreeSpaceKeeper
+from diffdrive_mpc_extras.free_space.pieces import half_space_function, load_free_space
 from diffdrive_mpc_extras.free_space.surroundings import Surroundings
 
 _ANYWHERE = (0.0, 0.0, 0.0, 0.0, 1.0)

@@ -8,16 +8,79 @@ and a way that differs from it costs, so the side on which a thing is passed doe
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
 from diffdrive_mpc_extras.free_space.config import FreeSpace
-from diffdrive_mpc_extras.free_space.half_space import load_free_space
-from diffdrive_mpc_extras.free_space.path_table import PathTable
-from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps
+from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps, load_free_space
+
+SPACING = 0.05
+"""Between two nodes [m]; wider for a reference of more than `MOST` nodes."""
+MOST = 100_000
+_MOST_SAMPLES = 100_000
+# Nodes nearer than this to a turn on the spot or a cusp are not moved aside [m].
+_STAYS = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class PathTable:
+    """The nodes of a path.
+
+    Attributes
+    ----------
+    spacing
+        Between two of them [m].
+    pose
+        (m, 3), theta unwrapped.
+    travel
+        (m,) 1 where it drives forwards, -1 backwards.
+    curvature
+        (m,) of the heading by distance [rad/m].
+    speed
+        (m,) of the reference [m/s].
+    fixed
+        (m,) whether a node must not be moved aside: the end, and where it turns on the spot or changes its direction.
+    """
+
+    spacing: float
+    pose: FloatArray
+    travel: FloatArray
+    curvature: FloatArray
+    speed: FloatArray
+    fixed: FloatArray
+
+    @classmethod
+    def of(cls, reference: Reference) -> PathTable:
+        """The table of a reference."""
+        times = np.linspace(0.0, reference.duration, min(int(reference.duration / 0.02) + 2, _MOST_SAMPLES))
+        sample = reference.sample(times)
+        arc, v, omega = sample.arc_length, sample.twist[:, 0], sample.twist[:, 1]
+        spacing = max(SPACING, float(arc[-1]) / MOST)
+        nodes = np.arange(int(arc[-1] / spacing) + 2) * spacing
+        pose = np.stack([np.interp(nodes, arc, column) for column in sample.pose.T], axis=1)
+        moves = np.abs(v) > STANDING
+        direction = np.where(v[moves] < 0.0, -1.0, 1.0) if moves.any() else np.ones(1)
+        moving_arc = arc[moves] if moves.any() else np.zeros(1)
+        travel = np.sign(np.interp(nodes, moving_arc, direction) + 1e-12)
+        curvature = np.interp(nodes, moving_arc, omega[moves] / np.abs(v[moves]) if moves.any() else np.zeros(1))
+        speed = np.interp(nodes, moving_arc, np.abs(v[moves]) if moves.any() else np.zeros(1))
+        turns = ~moves & (np.abs(omega) > TURNING)
+        cusps = np.flatnonzero(np.diff(direction) != 0.0)
+        stays = np.concatenate([arc[turns], moving_arc[cusps], arc[-1:]])
+        near = np.searchsorted(np.sort(stays), nodes)
+        stays = np.concatenate([[-np.inf], np.sort(stays), [np.inf]])
+        fixed = np.minimum(nodes - stays[near], stays[near + 1] - nodes) <= _STAYS
+        return cls(spacing, pose, travel, curvature, speed, fixed.astype(float))
+
+    def __len__(self) -> int:
+        """How many nodes there are."""
+        return len(self.pose)
+
 
 _STEP = 0.025  # between two offsets that are tried [m]: a doorway leaves some 4 cm
 _STRIDE = 2  # nodes from one station of the search to the next
@@ -248,3 +311,66 @@ def _smoother(pinned: int, free: int, trust: float) -> tuple[FloatArray, FloatAr
     whole = 20.0 * _BEND * second.T @ second + 200.0 * _JERK * third.T @ third
     inverse = np.linalg.inv(whole[pinned:, pinned:] + trust * np.eye(free))
     return np.asarray(trust * inverse, dtype=float), np.asarray(-inverse @ whole[pinned:, :pinned], dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class BentReference:
+    """Satisfies `models.interface.Reference`: `reference` on its own time, moved to the left by the guide's offsets."""
+
+    reference: Reference
+    guide: Guide
+
+    @property
+    def name(self) -> str:
+        """Name of the reference."""
+        return self.reference.name
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        return self.reference.duration
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s]; arc lengths stay those of the reference.
+
+        With the offset l to the left and the curvature k, along the travel s = 1 or -1: the point moves at
+        v sqrt((1 - s l k)^2 + l'^2), in the direction atan2(s l', 1 - s l k) from the heading.
+        """
+        plain = self.reference.sample(times)
+        if not self.guide.bent:
+            return plain
+        pose, twist, arc = plain
+        table = self.guide.table
+        offset, slope, bend = _cubic(self.guide.offset, self.guide.slope, table.spacing, arc)
+        travel, moves = np.where(twist[:, 0] < 0.0, -1.0, 1.0), np.abs(twist[:, 0]) > STANDING
+        node = np.minimum((arc / table.spacing).astype(int), len(table) - 1)
+        speed = np.where(moves, np.abs(twist[:, 0]), 1.0)
+        travel = np.where(moves, travel, table.travel[node])
+        curvature = np.where(moves, twist[:, 1] / speed, table.curvature[node])
+        forward = 1.0 - travel * offset * curvature
+        turned = np.arctan2(travel * slope, forward)
+        stretch = np.hypot(forward, slope)
+        turning = travel * (bend * forward + slope**2 * curvature * travel) / stretch**2
+        heading = pose[:, 2]
+        x, y = pose[:, 0] - np.sin(heading) * offset, pose[:, 1] + np.cos(heading) * offset
+        rate = twist[:, 1] + np.where(moves, turning * speed, 0.0)
+        moved = np.stack([x, y, heading + turned], axis=1)
+        return ReferenceSample(moved, np.stack([twist[:, 0] * stretch, rate], axis=1), arc)
+
+
+def _cubic(
+    values: FloatArray, slopes: FloatArray, spacing: float, at: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Value, slope and second derivative (n,) at `at` of the cubics through `values` with `slopes` every `spacing`."""
+    if len(values) < 2:
+        return np.full(at.shape, values[0]), np.zeros(at.shape), np.zeros(at.shape)
+    place = np.clip(at / spacing, 0.0, len(values) - 1.0)
+    i = np.minimum(place.astype(int), len(values) - 2)
+    u = place - i
+    a, b, m, n = values[i], values[i + 1], spacing * slopes[i], spacing * slopes[i + 1]
+    rise = b - a
+    # Hermite's cubic
+    value = a + u * (m + u * (3.0 * rise - 2.0 * m - n + u * (m + n - 2.0 * rise)))
+    slope = m + u * (2.0 * (3.0 * rise - 2.0 * m - n) + 3.0 * u * (m + n - 2.0 * rise))
+    second = 2.0 * (3.0 * rise - 2.0 * m - n) + 6.0 * u * (m + n - 2.0 * rise)
+    return value, slope / spacing, second / spacing**2

@@ -16,14 +16,20 @@ from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc_extras.free_space.bent_reference import BentReference
 from diffdrive_mpc_extras.free_space.config import free_space_of
 from diffdrive_mpc_extras.free_space.crossing import Crossing, crossing
-from diffdrive_mpc_extras.free_space.footprint import Footprint
-from diffdrive_mpc_extras.free_space.guide import Guide
-from diffdrive_mpc_extras.free_space.half_space import PARAMETERS, load_free_space
-from diffdrive_mpc_extras.free_space.path_table import PathTable
-from diffdrive_mpc_extras.free_space.pieces import Known, Pieces, PlacedFootprint, address, least_gaps, pieces_of
+from diffdrive_mpc_extras.free_space.guide import BentReference, Guide, PathTable
+from diffdrive_mpc_extras.free_space.pieces import (
+    PARAMETERS,
+    Known,
+    Pieces,
+    PlacedFootprint,
+    address,
+    least_gaps,
+    load_free_space,
+    pieces_of,
+)
+from diffdrive_mpc_extras.free_space.polygons import Footprint
 from diffdrive_mpc_extras.free_space.surroundings import Surroundings
 
 AT_REST = 0.02

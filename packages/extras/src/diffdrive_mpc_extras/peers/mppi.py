@@ -8,10 +8,13 @@ of Nav2's MPPI know them.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from diffdrive_mpc.bench.peers import TrackingLaw
 from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, LawInput, NotNegative
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
@@ -109,3 +112,6 @@ class MppiLaw:
         """(S,) what else a plan costs, by its poses (S, N) in the robot's frame of now; None for nothing."""
         del sight, x, y, turned
         return None
+
+
+MPPI = TrackingLaw(MppiLaw, Path(__file__).with_name("gains.yaml"))

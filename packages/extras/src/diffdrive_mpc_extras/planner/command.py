@@ -57,10 +57,12 @@ def plan(
     import numpy as np  # noqa: PLC0415 - --help does without it
 
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from diffdrive_mpc_extras.planner import OBJECTIVES, PlanError, load_plan_settings  # noqa: PLC0415
+    from diffdrive_mpc_extras.planner.clearance import PlanError  # noqa: PLC0415
+    from diffdrive_mpc_extras.planner.inputs import OBJECTIVES  # noqa: PLC0415
+    from diffdrive_mpc_extras.planner.settings import load_plan_settings  # noqa: PLC0415
     from diffdrive_mpc_extras.planner.study import PlanRequest, PlanStudy  # noqa: PLC0415
     from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415
-    from diffdrive_mpc_extras.worlds.world_file import load_world  # noqa: PLC0415
+    from diffdrive_mpc_extras.worlds.world import load_world  # noqa: PLC0415
 
     objective = next((one for one in OBJECTIVES if one == minimise), None)
     if objective is None:

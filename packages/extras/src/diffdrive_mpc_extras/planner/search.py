@@ -18,9 +18,17 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc_extras.planner.clearance import ClearanceMap
-from diffdrive_mpc_extras.planner.inputs import Index, Inputs, Mask
+from diffdrive_mpc_extras.planner.inputs import (
+    Index,
+    Inputs,
+    Mask,
+    Words,
+    arc_arc_arc,
+    arc_straight,
+    arc_straight_arc,
+    placed,
+)
 from diffdrive_mpc_extras.planner.settings import SearchSettings
-from diffdrive_mpc_extras.planner.words import Words, arc_arc_arc, arc_straight, arc_straight_arc, placed
 
 # Between two poses that are held against the map [m, rad].
 _CHECK, _CHECK_ANGLE = 0.12, 0.3

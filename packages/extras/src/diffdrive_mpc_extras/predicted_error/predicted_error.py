@@ -14,13 +14,14 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc_extras.predicted_error.calibration import (
+    FEATURES,
     CalibratedRanges,
     Direction,
     ErrorCalibration,
     ErrorScale,
     load_calibration,
+    path_features,
 )
-from diffdrive_mpc_extras.predicted_error.features import FEATURES, path_features
 
 _LONGEST = 7200.0
 """Of a longer reference nothing is predicted [s]: memory grows by 20 kB for each second."""

@@ -32,7 +32,7 @@ from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import TIME
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.campaign.rates import Rate
-from diffdrive_mpc_extras.proof.boundaries import Boundary, DrivenMap, holds
+from diffdrive_mpc_extras.proof.proof_file import Boundary, DrivenMap, holds
 
 CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")

@@ -17,10 +17,9 @@ from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.draws import Value
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
-from diffdrive_mpc_extras.campaign.parquet import needs_arrow, write_table
-from diffdrive_mpc_extras.campaign.run_file import write_run
-from diffdrive_mpc_extras.proof.boundaries import Boundary, DrivenMap, drawn_map, find_boundaries, map_runs
-from diffdrive_mpc_extras.proof.proof_file import Proof
+from diffdrive_mpc_extras.campaign.repeat import write_run
+from diffdrive_mpc_extras.campaign.run import needs_arrow, write_table
+from diffdrive_mpc_extras.proof.proof_file import Boundary, DrivenMap, Proof, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc_extras.proof.report import (
     Outcomes,
     error_estimates,

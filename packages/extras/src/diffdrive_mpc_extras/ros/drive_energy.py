@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, MessageError, nanos
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
 from diffdrive_mpc.mpc.ros.settings import PartSettings, Positive
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
-from diffdrive_mpc_extras.energy_term.config import energy_of
+from diffdrive_mpc_extras.energy_term import energy_of
 from diffdrive_mpc_extras.turn_costs import TurnCosts, load_turn_costs
 
 # No robot of this kind has more; what is beyond is a broken message.

@@ -39,7 +39,7 @@ class Terrain(StrictModel):
         """The shear law; raises ConfigError where it is not known."""
         if self.shear is None:
             raise ConfigError(
-                f"terrain '{self.description}': its shear law is not known; fit it to measured torques (fit_shear) or "
+                f"terrain '{self.description}': its shear law is not known; "
                 "give 'shear' with mu_outer, mu_inner and modulus"
             )
         return self.shear

@@ -1,7 +1,6 @@
 """Torque of each side against turn radius, learned while driving."""
 
-from diffdrive_mpc_extras.torque.mran import MranNetwork
-from diffdrive_mpc_extras.torque.settings import MranSettings, TorqueSettings, load_torque_settings
+from diffdrive_mpc_extras.torque.mran import MranNetwork, MranSettings, TorqueSettings, load_torque_settings
 from diffdrive_mpc_extras.torque.torque_curves import TorqueCurves
 
 __all__ = ["MranNetwork", "MranSettings", "TorqueCurves", "TorqueSettings", "load_torque_settings"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +12,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc_extras.terrain.terrain_file import Terrain
 from diffdrive_mpc_extras.terrain.turning import side_torques
-from diffdrive_mpc_extras.torque.mran import MranNetwork
-from diffdrive_mpc_extras.torque.settings import TorqueSettings, load_torque_settings
+from diffdrive_mpc_extras.torque.mran import MranNetwork, TorqueSettings, load_torque_settings
 from diffdrive_mpc_extras.turn_costs import SlipCoefficients, TorqueTable, TurnCosts
-from diffdrive_mpc_extras.turn_costs.least_radius import LIMIT_SHARE, least_radius
+from diffdrive_mpc_extras.turn_costs.turn_costs import LIMIT_SHARE, least_radius
 from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, Vehicle
 
 
@@ -107,7 +106,6 @@ class TorqueCurves:
         left: ArrayLike,
         right: ArrayLike,
         sample_time: float,
-        on_sample: Callable[[int], None] | None = None,
         settled: ArrayLike | None = None,
     ) -> int:
         """Take in a drive in order of time, but for what follows a change of the command; returns how much was used.
@@ -120,8 +118,6 @@ class TorqueCurves:
             (n,) torques of the sides [N m] from this row to the next.
         sample_time
             Time between two rows [s].
-        on_sample
-            Called with the number of each row once it was taken in.
         settled
             (n,) of bool: the rows of steady turns; by default those in which the command has not changed for the
             settling time.
@@ -141,8 +137,6 @@ class TorqueCurves:
             outer, inner = torques[k] if v * omega < 0 else torques[k, ::-1]
             sign = math.copysign(1.0, v)
             self.learn(float(radii[k]), abs(v), sign * outer, sign * inner)
-            if on_sample is not None:
-                on_sample(k)
         return len(used)
 
     def outer(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
@@ -239,3 +233,40 @@ def costs_of_curves(
         curve=table,
         provenance=provenance,
     )
+
+
+class PredictedEnergy(NamedTuple):
+    """Of n commands held one after the other."""
+
+    torque: FloatArray
+    """(n, 2) left, right [N m]"""
+    wheel_speed: FloatArray
+    """(n, 2) left, right [rad/s]"""
+    power: FloatArray
+    """(n,) that the battery gives [W]"""
+    energy: float
+    """[J]"""
+
+
+def predict_energy(
+    vehicle: Vehicle, constants: DriveConstants, curves: TorqueCurves, commands: ArrayLike, sample_time: float
+) -> PredictedEnergy:
+    """Energy of driving `commands` (n, 2) v [m/s], omega [rad/s], each for `sample_time` [s].
+
+    Torques are those of steady turns: what speeding up takes and braking gives back is left out, as in P4, which is for
+    gentle driving. Wheel speeds are those that the base makes of the commands.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the commands are not rows of two finite numbers or the time is not positive.
+    """
+    rows = np.asarray(commands, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        raise ConfigError(f"commands of shape {rows.shape}: give (n, 2) finite numbers, v [m/s] and omega [rad/s]")
+    if not (np.isfinite(sample_time) and sample_time > 0):
+        raise ConfigError(f"sample time {sample_time} s: give a positive number")
+    speeds = vehicle.rims(rows) / vehicle.wheel_radius
+    torque = curves.torques(rows)
+    power = constants.robot_power(torque, speeds)
+    return PredictedEnergy(torque, speeds, power, float(power.sum() * sample_time))

@@ -93,16 +93,6 @@ def identify_slip(
     return IdentifiedSlip((solution.T / scale), deviations, np.sqrt(np.mean(rest**2, axis=0)), len(v))
 
 
-def identify_slip_from_poses(
-    commands: ArrayLike, poses: ArrayLike, sample_time: float, settling: float = 0.0
-) -> IdentifiedSlip:
-    """As `identify_slip`, from poses (n, 3) x [m], y [m], theta [rad] at the commands' times; raises as it does."""
-    rows, positions = np.asarray(commands, dtype=float), np.asarray(poses, dtype=float)
-    if positions.shape != (len(rows), 3) or not sample_time > 0:
-        raise ConfigError(f"poses of shape {positions.shape}, {sample_time} s apart: give (n, 3) and a positive time")
-    return identify_slip(rows[:-1], body_twists(positions[:-1], positions[1:], sample_time), sample_time, settling)
-
-
 def body_twists(before: FloatArray, after: FloatArray, time: float) -> FloatArray:
     """(n, 3) forward, lateral speed [m/s] and yaw rate [rad/s] that take poses (n, 3) to others in `time` [s]."""
     moved = after - before

@@ -83,13 +83,6 @@ class Vehicle(StrictModel):
         share = 0.25 + foot[..., :1] * x / self.wheel_base**2 + foot[..., 1:] * y / self.track**2
         return np.asarray(self.weight * np.maximum(share, 0.0))
 
-    def carrying(self, mass: float, height: float | None = None) -> Vehicle:
-        """The vehicle with a payload of `mass` [kg] above its centre of mass, at `height` [m] or as high as that."""
-        ahead, left, own = self.centre_of_mass
-        weight = self.weight + GRAVITY * mass
-        high = own if height is None else (self.weight * own + GRAVITY * mass * height) / weight
-        return self.model_copy(update={"weight": weight, "centre_of_mass": (ahead, left, high)})
-
 
 def load_vehicle(name: str | Path) -> Vehicle:
     """Read a vehicle by shipped name ("default", "fsu_bot") or path; raises ConfigError on a mistake in it."""

@@ -3,23 +3,167 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import yaml
 from joblib import Parallel, delayed
 
+from diffdrive_mpc.app.identification.figures import WINDOW
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.html_report.page import from_zero
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import OptionError
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc_extras.twin.free_run import FreeMotion
 from diffdrive_mpc_extras.twin.from_log import FittedTwin, twin_of
+from diffdrive_mpc_extras.twin.held_out import HeldOutScore
 from diffdrive_mpc_extras.twin.problem import Task, one_by_one
-from diffdrive_mpc_extras.twin.report import PLANT, draw_held_out, fit_table, numbers, parameter_table, plant_text
+from diffdrive_mpc_extras.twin.settings import twin_settings
+
+PLANT = "plant.yaml"
+_HEAD = """\
+# A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
+# models/parameters/robot.yaml. `friction` and `sensors` are the floor and the sensors that `default` means with this
+# plant; another --surface or --sensors replaces them. What was fitted, how well it is known, and what the log did not
+# tell stands under firmware.provenance.
+"""
+
+
+def plant_text(twin: FittedTwin, day: datetime.date) -> str:
+    """The plant file."""
+    robot = twin.fit.robot
+    data: dict[str, Any] = robot.model_dump(exclude_none=True)
+    data["firmware"]["provenance"] = {
+        "source": ", ".join(twin.data.logs),
+        "method": "least squares of free runs of the plant, from commands alone, with priors (diffdrive-mpc twin)",
+        "date": day.isoformat(),
+        "seconds_fitted": round(twin.fit.seconds, 1),
+        "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_held.fit_percent.items()},
+        "parameters": {
+            parameter.name: rounded({"value": parameter.value, "low": parameter.low, "high": parameter.high})
+            | {"told": parameter.told}
+            for parameter in twin.fit.told
+        },
+    }
+    plain = _plain(data)
+    return _HEAD + yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
+    """Numbers with the digits that a file carries; words and truth values as they are."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        return rounded(value)
+    return value
+
+
+def fit_table(twin: FittedTwin) -> Table:
+    """FIT and drift of both, on the same rows."""
+    names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
+    horizons = [drift.horizon for drift in twin.twin_held.drift]
+    rows = []
+    for name, held in (("twin", twin.twin_held), (twin.model_name, twin.model_held)):
+        cells = [f"{held.fit_percent[key]:.1f}" if key in held.fit_percent else "-" for key in names]
+        cells += [f"{drift.position_rmse:.3f}" for drift in held.drift]
+        cells += [f"{drift.heading_rmse:.3f}" for drift in held.drift]
+        rows.append((name, *cells))
+    columns = ["", *(f"FIT {name} [%]" for name in names)]
+    columns += [f"position {horizon:g} s [m]" for horizon in horizons] + [
+        f"heading {horizon:g} s [rad]" for horizon in horizons
+    ]
+    note = f"Free runs from the commands alone, on {twin.data.held_out}. Errors of the pose are RMS."
+    return Table("Rows held out", tuple(columns), tuple(rows), note=note)
+
+
+def parameter_table(twin: FittedTwin) -> Table:
+    """What the log told."""
+    rows = tuple(
+        (
+            parameter.name,
+            parameter.words,
+            parameter.unit,
+            f"{parameter.value:.4g}",
+            f"{parameter.low:.4g} to {parameter.high:.4g}",
+            f"{parameter.share:.2f}",
+            "yes" if parameter.told else "no, prior",
+        )
+        for parameter in twin.fit.told
+    )
+    columns = ("parameter", "what", "unit", "value", "95 % interval", "deviation over prior's", "told")
+    note = (
+        f"Not told: a log leaves the prior {twin_settings().told:g} of its width or more; the plant keeps the prior, "
+        "whose interval is shown. Of two that act together only (mass, torque), one may be told on the other's prior."
+    )
+    return Table("Parameters", columns, rows, text_columns=3, note=note)
+
+
+def numbers(twin: FittedTwin) -> dict[str, Any]:
+    """Return scores and parameters as plain data."""
+    keys = ("horizon", "position_rmse", "heading_rmse")
+
+    def held(score: HeldOutScore) -> dict[str, Any]:
+        return {
+            "fit_percent": dict(score.fit_percent),
+            "drift": [{key: getattr(drift, key) for key in keys} for drift in score.drift],
+        }
+
+    parameters = [asdict(parameter) for parameter in twin.fit.told]
+    return {"twin": held(twin.twin_held), "model": held(twin.model_held), "parameters": parameters}
+
+
+# The picture of a twin: measured, twin and identified model on rows that neither was made from.
+
+
+_UNITS = {"v": "m/s", "omega": "rad/s"}
+
+
+def draw_held_out(twin: FittedTwin, path: Path) -> None:
+    """Draw the busiest window of the longest stretch held out, v above and omega below."""
+    longest = int(np.argmax([run.samples for run in twin.experiments]))
+    run, record = twin.experiments[longest], twin.data.validation[longest]
+    window = round(WINDOW / run.dt)
+    first = _busiest(run.inputs, window)
+    rows = slice(first, first + window)
+    time, when = from_zero(record.time[rows])
+    with new_figure(path, 7.4, 5.2) as figure:
+        panels = figure.subplots(2, 1, sharex=True)
+        for panel, (i, (channel, unit)) in zip(panels, enumerate(_UNITS.items()), strict=True):
+            counts = run.counts[rows, -i]
+            panel.step(time, run.inputs[rows, i], where="post", color=REFERENCE_COLOUR, linewidth=0.9, label="command")
+            panel.plot(
+                time[counts], run.outputs[rows, -i][counts], ".", markersize=2.5, color=colour(0), label="measured"
+            )
+            for k, (name, held) in enumerate((("twin", twin.twin_held), ("identified model", twin.model_held))):
+                fit = held.fit_percent[channel]
+                values = held.predictions[longest].readings[rows, -i]
+                panel.plot(time, values, line_style(k), color=colour(k + 1), label=f"{name}: FIT {fit:.1f} %")
+            panel.set_ylabel(f"{channel} [{unit}]")
+            panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panels[-1].set_xlabel(when)
+        figure.align_ylabels(panels)
+
+
+def _busiest(commands: FloatArray, window: int) -> int:
+    """First row of the window in which the commands, each over its own spread, change most."""
+    if len(commands) <= window:
+        return 0
+    change = np.abs(np.diff(commands, axis=0, prepend=commands[:1]))
+    activity = np.cumsum((change / np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)).sum(axis=1))
+    return int(np.argmax(activity[window - 1 :] - np.concatenate([[0.0], activity[:-window]])))
 
 
 class TwinStudy(Study[None, FittedTwin]):

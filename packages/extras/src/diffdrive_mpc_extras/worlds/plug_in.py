@@ -8,15 +8,18 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim import Plant, Run, make_plant
+from diffdrive_mpc.sim.plants.make import plant_body
 from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plug_ins import PlantKind, RunColumns
-from diffdrive_mpc_extras.worlds.outline import plant_outline
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
 from diffdrive_mpc_extras.worlds.passage import Passage, passage_of
 from diffdrive_mpc_extras.worlds.scene import WorldScene
-from diffdrive_mpc_extras.worlds.world_file import load_world
+from diffdrive_mpc_extras.worlds.settings import world_settings
+from diffdrive_mpc_extras.worlds.world import load_world
 from diffdrive_mpc_extras.worlds.world_plant import WorldPlant, WorldRecord
 
 if TYPE_CHECKING:
@@ -24,6 +27,23 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from diffdrive_mpc.bench.table import Table
+
+
+def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
+    """Return length and width of body and wheels from above [m]."""
+    length, width, _ = twin.chassis.body_size
+    return (
+        max(length, twin.chassis.wheel_base + 2 * robot.wheel_radius),
+        max(width, robot.track + world_settings().body.tyre_width),
+    )
+
+
+def plant_outline(name: str) -> tuple[float, float]:
+    """Return length and width [m] of the robot of a plant's name, that of the papers for "model:NAME".
+
+    Raises ConfigError if it names a robot file that cannot be used.
+    """
+    return outline(*plant_body(name))
 
 
 class WorldKind:
@@ -67,7 +87,7 @@ class WorldColumns(RunColumns):
 
     def table(self, rows: DataFrame) -> Table:
         """Return the table of passages by plant and controller."""
-        from diffdrive_mpc_extras.worlds.tables import world_table  # noqa: PLC0415 - a run without report needs none
+        from diffdrive_mpc_extras.worlds.drawing import world_table  # noqa: PLC0415 - a run without report needs none
 
         return world_table(rows)
 

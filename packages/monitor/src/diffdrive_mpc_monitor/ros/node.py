@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import signal
+from collections.abc import Sequence
+from types import FrameType
 from typing import Any
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
@@ -12,8 +16,11 @@ from pydantic import Field
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -255,3 +262,53 @@ class MonitorNode(Node):
 
     def _ignore(self, topic: str, frame: str) -> None:
         self.get_logger().warning(f"{topic} in frame '{frame}' is not used", throttle_duration_sec=1.0)
+
+
+_LONGEST_WAIT = 0.1  # for which a signal may wait [s]
+
+
+def run(arguments: Sequence[str], settings: MonitorSettings | None = None) -> None:
+    """Run the monitor until SIGINT, SIGTERM or SIGHUP.
+
+    Parameters
+    ----------
+    arguments
+        Arguments for ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
+    settings
+        Defaults of its parameters.
+
+    Raises
+    ------
+    ValueError
+        If an argument, a parameter or the rules cannot be used; one line.
+    """
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
+        words = " ".join(str(error).split())
+        raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
+    signals: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        signals.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, note)
+    executor = SingleThreadedExecutor()
+    try:
+        try:
+            node = MonitorNode(settings)
+        except ParameterException as error:
+            raise ValueError(str(error)) from error
+        executor.add_node(node)
+        try:
+            while not signals:
+                executor.spin_once(timeout_sec=_LONGEST_WAIT)
+        except ExternalShutdownException:
+            pass
+        finally:
+            node.stop()
+            node.destroy_node()
+    finally:
+        executor.shutdown()
+        rclpy.try_shutdown()

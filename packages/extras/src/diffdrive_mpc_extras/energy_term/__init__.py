@@ -1,1 +1,0 @@
-"""What turning costs, in the cost and as a least radius."""

@@ -1,1 +1,0 @@
-"""The commands of the studies: what each takes, and how it begins."""
