@@ -78,10 +78,6 @@ def test_a_campaign_that_breaks_off_goes_on_and_comes_to_the_same(
     check_crashes(files, tmp_path, MOMENTS, full=full)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
-def test_so_it_does_at_every_moment(files: tuple[Path, Path], tmp_path: Path, full: bool) -> None:
-    check_crashes(files, tmp_path, list(range(1, 80)), full=full)
 
 
 def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path], tmp_path: Path) -> None:

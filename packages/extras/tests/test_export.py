@@ -73,10 +73,6 @@ def test_single_precision(tmp_path):
     assert sum(theirs.iterations > 0 for _, theirs in steps) > 50
 
 
-def test_soft_limits_in_single_precision(tmp_path):
-    limits = {"limits.wheel_speed": 0.55, "limits.predicted_omega": 0.49, "limits.corridor": 0.1}
-    steps = track_both(tmp_path, "s", limits, 300, precision="float", within=2e-4)
-    assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 100
 
 
 def test_a_solve_that_is_stopped_drives_as_in_python(tmp_path):
@@ -306,16 +302,6 @@ def test_an_impossible_reference_is_refused(tmp_path):
         trajectory_texts(reference, 0.0202)
 
 
-def test_every_size_is_a_macro():
-    """What internal.h calls them is what is written."""
-    exported = (CORE / "internal.h").read_text().partition("#ifdef DDMPC_EXPORT")[2].partition("#else")[0]
-    used = {name for name in re.findall(r"\bDDMPC_(\w+)", exported) if not name.startswith("MOST_")}
-    config = load_config("ssm", {"horizon": 6})
-    problem = build_problem(config, chosen_model(config, None))
-    written = set(re.findall(r"#define DDMPC_(\w+) \d", sizes_text(problem, single=False)))
-    # How many numbers a model is given matters to who writes them down, not to the core.
-    assert used | {"MODEL_PARAMETERS"} == {name.upper() for name in problem.sizes}
-    assert written == used | {"MODEL_PARAMETERS", "REALS", "INTS"}
 
 
 def numbers_of(source: str, name: str) -> list[float]:

@@ -78,17 +78,8 @@ def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
     assert rms(learned[-1]) < 0.5 * (total + other)
 
 
-def test_the_first_lap_is_driven_as_without_and_off_is_the_default():
-    plain = Controller(load_config("ssm"))
-    assert not plain.features
-    assert np.array_equal(lap(controller(), noise=1.0)[0], lap(plain, noise=1.0)[0])
 
 
-def test_laps_repeat_bit_for_bit():
-    one, two = controller(), controller()
-    for seed in range(3):
-        assert np.array_equal(lap(one, seed=seed, noise=1.0)[0], lap(two, seed=seed, noise=1.0)[0])
-    assert np.array_equal(one.feature("rehearsal").learned.correction, two.feature("rehearsal").learned.correction)
 
 
 def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
@@ -202,12 +193,6 @@ def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
     assert any("learned from 1 laps" in message for message in said)
 
 
-def test_reset_forgets():
-    learning = controller()
-    lap(learning)
-    learning.reset()
-    learning.start(BEND, 0.0)
-    assert learning.feature("rehearsal").learned.laps == 0
 
 
 def test_a_corrected_reference_moves_as_its_poses_do():
@@ -226,11 +211,6 @@ def test_a_corrected_reference_moves_as_its_poses_do():
     assert np.allclose(sample.twist, np.column_stack([v, rate[:, 2]]), atol=2e-3)
 
 
-def test_without_a_correction_it_is_the_same_reference():
-    time = np.arange(0.0, BEND.duration, DT)
-    same, given = corrected(BEND, time, np.zeros((len(time), 3))).sample(time), BEND.sample(time)
-    assert np.allclose(same.pose, given.pose, atol=1e-12)
-    assert np.allclose(same.twist, given.twist, atol=1e-9)
 
 
 CURVED = {"crab": 0.03, "veer": 0.02, "forward_coupling": 0.03, "yaw_coupling": 0.1}

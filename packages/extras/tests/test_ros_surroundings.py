@@ -285,20 +285,6 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
         assert "old" in seen.fault
 
 
-def test_large_messages_are_not_read_and_bad_ones_are_named():
-    with stack(
-        SEEING, trajectory="s", **{"parts.free_space.use_costmap": True, "parts.free_space.use_obstacles": True}
-    ) as s:
-        base, seen = s.base, s.node.parts["free_space"].surroundings
-        seen.take_costmap(bytes(300_000))
-        assert "300000 bytes" in seen.costmap.last_refusal
-        publisher = base.node.create_publisher(PointCloud2, "obstacles", qos_profile_sensor_data)
-        base.until(lambda: publisher.get_subscription_count() > 0, "the subscription")
-        elsewhere = cloud(base.now, [[1.0, 2.0, 0.3, 0.0, 0.0]])
-        elsewhere.header.frame_id = "map"
-        publisher.publish(elsewhere)
-        base.until(lambda: seen.obstacles.refused > 0, "the refusal")
-        assert "frame_id is 'map'" in seen.obstacles.last_refusal
 
 
 def test_topics_of_surroundings_need_a_controller_that_sees():

@@ -98,9 +98,6 @@ def test_without_finite_intervals_there_is_no_value(monkeypatch):
     assert "FollowPath.lookahead_time" not in content
 
 
-def test_the_controllers_frequency_is_that_of_the_settings(exact):
-    content = loaded(package_text("nav2", exact[1]))["controller_server"]["ros__parameters"]
-    assert content["controller_frequency"] == identification_settings().stack.controller_frequency
 
 
 def test_the_least_look_ahead_is_that_of_the_slowest_speed(exact):

@@ -130,10 +130,6 @@ def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path
     assert np.abs(driven[-1]).max() < 1e-3
 
 
-def test_a_person_run_into_while_driving_ends_the_run(tmp_path: Path) -> None:
-    plant = plant_in(tmp_path, "movers: [{x: 0.8, y: 0}]\n")
-    with pytest.raises(RobotLostError, match="mover 0"):
-        drive(plant, (0.5, 0.0), 100)
 
 
 def test_what_is_taken_away_can_be_driven_through_and_stands_again_after_a_reset(tmp_path: Path) -> None:
@@ -344,11 +340,6 @@ def test_a_robot_that_stands_for_good_ends_the_run_where_nothing_changes(tmp_pat
         assert not passage(run).arrived and passage(run).contacts == 0
 
 
-def test_controller_without_observations_drives_blind() -> None:
-    plant = make_plant("world:slalom", seed=3)
-    assert isinstance(plant, WorldPlant)
-    run = simulate(FeedForward(), plant, load_reference(Case(plant="world:slalom")))
-    assert "post 0" in run.ended
 
 
 def test_world_brings_its_path() -> None:
