@@ -78,8 +78,6 @@ def test_a_campaign_that_breaks_off_goes_on_and_comes_to_the_same(
     check_crashes(files, tmp_path, MOMENTS, full=full)
 
 
-
-
 def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path], tmp_path: Path) -> None:
     """The same twice, and another one."""
     expected, out = [carried_out(file, tmp_path / f"quiet-{file.stem}") for file in files], tmp_path / "out"

@@ -77,8 +77,6 @@ def test_energy_and_figure_of_the_log(told: Path) -> None:
     assert (told / "figures" / "learned.png").is_file()
 
 
-
-
 def columns(log: Path, path: Path, without: str = "", rows: slice = slice(None)) -> Path:
     """The log without columns whose names begin so, and with some of its rows alone."""
     lines = [line.split(",") for line in log.read_text().splitlines()]

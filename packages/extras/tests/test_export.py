@@ -16,11 +16,9 @@ from export_parts import SpoiledReference, compile_c, differences, drive_both, e
 
 from diffdrive_mpc import Measurement, NonlinearModel, Stamped, Term, load_config, load_trajectory
 from diffdrive_mpc.mpc import Mode
-from diffdrive_mpc.mpc.core.sources import CORE
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc_extras.export.generated_c import sizes_text, trajectory_texts
+from diffdrive_mpc_extras.export.generated_c import trajectory_texts
 from diffdrive_mpc_extras.export.library import Precision, export_controller
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
@@ -71,8 +69,6 @@ def test_single_precision(tmp_path):
     """Rounding only: both stop at the exact solution of the same program."""
     steps = track_both(tmp_path, "square", TIGHT, 350, precision="float", within=2e-4, offset=(0.02, -0.03, 0.1))
     assert sum(theirs.iterations > 0 for _, theirs in steps) > 50
-
-
 
 
 def test_a_solve_that_is_stopped_drives_as_in_python(tmp_path):
@@ -300,8 +296,6 @@ def test_an_impossible_reference_is_refused(tmp_path):
     reference.spoiled_from = 5.0
     with pytest.raises(ValueError, match="reference 'circle'.*not finite"):
         trajectory_texts(reference, 0.0202)
-
-
 
 
 def numbers_of(source: str, name: str) -> list[float]:

@@ -8,20 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
 from ros_parts import stack
+from sensor_msgs.msg import PointCloud2, PointField
 
 from diffdrive_mpc.mpc import Controller, Mode
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
-
-pytest.importorskip("rclpy")
-
-from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
-
 from diffdrive_mpc.mpc.ros.conversions import MessageError, time_message
+from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
 from diffdrive_mpc_extras.free_space.surroundings import SurroundingsError
 from diffdrive_mpc_extras.ros.surroundings_input import (
     SurroundingsInput,
@@ -283,8 +278,6 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
         assert s.loop.last.mode == Mode.STOPPED
         assert "s old; free_space.max_age" in s.loop.last.message
         assert "old" in seen.fault
-
-
 
 
 def test_topics_of_surroundings_need_a_controller_that_sees():

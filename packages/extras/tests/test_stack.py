@@ -98,8 +98,6 @@ def test_without_finite_intervals_there_is_no_value(monkeypatch):
     assert "FollowPath.lookahead_time" not in content
 
 
-
-
 def test_the_least_look_ahead_is_that_of_the_slowest_speed(exact):
     slow, quantities = identification_settings().stack.slow_speed, exact[1]
     assert slow < quantities["driven.v"].value

@@ -130,8 +130,6 @@ def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path
     assert np.abs(driven[-1]).max() < 1e-3
 
 
-
-
 def test_what_is_taken_away_can_be_driven_through_and_stands_again_after_a_reset(tmp_path: Path) -> None:
     plant = plant_in(tmp_path, "boxes: [{centre: [0.8, 0], size: [0.2, 1], until: 2.0}]\n")
     with pytest.raises(RobotLostError):
@@ -338,8 +336,6 @@ def test_a_robot_that_stands_for_good_ends_the_run_where_nothing_changes(tmp_pat
     assert [round(run.time[-1]) for run in runs] == [10, 20]  # give_up, and the time limit of the file
     for run in runs:
         assert not passage(run).arrived and passage(run).contacts == 0
-
-
 
 
 def test_world_brings_its_path() -> None:
