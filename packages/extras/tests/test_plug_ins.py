@@ -1,11 +1,13 @@
-"""What is registered is found, and what it names is there."""
+"""Registered parts, commands of the command line, and compiled free space of the wheel."""
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import subprocess
 import sys
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -13,9 +15,11 @@ import pytest
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.command_line.options import PluggedCommand
+from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE
 from diffdrive_mpc.models.file_kind import FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.plug_ins import known_packages, plug_in, plug_ins
+from diffdrive_mpc_extras.free_space.pieces import packaged_libraries
 
 
 def test_every_structure_names_what_is_there():
@@ -31,6 +35,17 @@ def test_every_structure_names_what_is_there():
 def test_commands_and_files_are_of_their_kind():
     assert all(isinstance(one, PluggedCommand) for one in plug_ins("commands"))
     assert all(isinstance(one, FileKind) for one in plug_ins("files"))
+
+
+def test_wheel_holds_free_space_and_needs_no_compiler(tmp_path):
+    """An editable installation compiles it at first use instead, so that it fails without a compiler."""
+    origin = json.loads(distribution(PACKAGE).read_text("direct_url.json") or "{}")
+    is_editable = bool(origin.get("dir_info", {}).get("editable"))
+    load = "from diffdrive_mpc_extras.free_space.pieces import load_free_space; load_free_space()"
+    environment = {"PATH": str(tmp_path), CACHE_VARIABLE: str(tmp_path)}
+    loading = subprocess.run([sys.executable, "-c", load], env=environment, capture_output=True, text=True, check=False)
+    assert any(packaged_libraries()) != is_editable
+    assert ("NotCompiledError" in loading.stderr, loading.returncode != 0) == (is_editable, is_editable)
 
 
 PACKAGE = "diffdrive-mpc-extras"
