@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ros_parts import stack
+from follow_parts import ABORTED, SUCCEEDED, following
+from ros_parts import DT, stack
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc import Controller
@@ -158,29 +159,22 @@ LONG = np.linspace(0.0, 2.0, 41)
 BEND = np.column_stack([LONG, 0.3 * np.sin(3 * LONG), np.arctan(0.9 * np.cos(3 * LONG))])
 
 
-@pytest.fixture
-def parts():
-    import follow_parts
-
-    return follow_parts
-
-
 @pytest.mark.usefixtures("ros_types")
 @pytest.mark.parametrize("response", ["refuse", "slow"])
-def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slower(parts, response):
+def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slower(response):
     """The limit is three quarters of the error that is predicted for the path at full speed."""
     controller, settings = Controller("ssm"), NodeSettings()
     limits = path_limits(controller.config, controller.model.dc_gain, settings)
     laid = lay_for_robot(BEND, BEND[0], (0.0, 0.0), limits, settings, controller.config)
-    limit = 0.75 * float(controller.predict_error(laid.reference, "own").lateral.everywhere.max())
+    limit = 0.75 * float(predict_error(controller, laid.reference, "own").lateral.everywhere.max())
     settings = {"follow_error_limit": limit, "follow_error_response": response, "error_population": "own"}
-    with parts.following(**{f"parts.predicted_error.{key}": value for key, value in settings.items()}) as follow:
+    with following(**{f"parts.predicted_error.{key}": value for key, value in settings.items()}) as follow:
         follow.client.send("a", BEND)
-        result = follow.ended("a", pace=0.2 * parts.DT)
+        result = follow.ended("a", pace=0.2 * DT)
         if response == "refuse":
-            assert (result["status"], result["code"]) == (parts.ABORTED, 103)
+            assert (result["status"], result["code"]) == (ABORTED, 103)
             assert f"follow_error_limit is {1e3 * limit:.1f} mm (lateral: worst after" in result["words"]
             assert not np.any(follow.base.commands)
         else:
-            assert (result["status"], result["code"]) == (parts.SUCCEEDED, 0)
+            assert (result["status"], result["code"]) == (SUCCEEDED, 0)
             assert 0.2 * limits.v < np.array(follow.base.commands)[:, 0].max() < 0.85 * limits.v
