@@ -18,13 +18,11 @@ from diffdrive_mpc.models.identification.from_logs import identify_data
 from diffdrive_mpc.models.identification.log_data import LogData, divide
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
-from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
-from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
 from diffdrive_mpc_extras.twin.fitting import fit_twin, told_apart
 from diffdrive_mpc_extras.twin.free_run import FreeMotion, drive, most_telling, readings, stretch
 from diffdrive_mpc_extras.twin.from_log import energy_note
@@ -111,9 +109,6 @@ def in_terms_of(fit, truth):
         "wheel_base": truth["wheel_base"] / robot.twin.chassis.wheel_base,
         "track": truth["track"] / fit.space.nominal.track_of_encoders,
     }
-
-
-ROBOT, TWIN = load_robot(), load_twin_parameters()
 
 
 def rolling_record(radius, track, count=60):
