@@ -8,7 +8,8 @@ border by name.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.compiled.cache import load_cached
 from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_library, what_is_built
-from diffdrive_mpc.models.compiled.packaged import load_library
+from diffdrive_mpc.models.compiled.packaged import Packaged, load_library
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
 from diffdrive_mpc.mpc.core.sources import (
@@ -75,26 +76,34 @@ def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no 
         raise NotCompiledError(f"functions of the user are compiled, these are not: {error}; install gcc") from error
 
 
-def load_with_core(stem: str, texts: Mapping[str, str], header: str) -> Any:  # noqa: ANN401 - as above
-    """Compile the core together with further C, and load the library with the types of `load_core`.
+def load_with_core(packaged: Packaged, texts: Callable[[], Mapping[str, str]], header: str) -> Any:  # noqa: ANN401 - as above
+    """Load a library of further C and the core, with the types of `load_core`.
 
-    The further functions may use the core's internal headers, and take the structs of a running controller.
+    The library comes from the wheel of its package; without one it is compiled at first use. The further functions may
+    use the core's internal headers, and take the structs of a running controller.
 
     Parameters
     ----------
-    stem
-        First part of the library's name in the cache.
+    packaged
+        Library of `packaged_with_core`.
     texts
-        C files and headers by name, in addition to the core's.
+        Function that returns all C files and headers by name, those of the core included.
     header
-        Header of `texts` whose declarations are those of the library.
+        Text of the header whose declarations are those of the library.
 
     Raises
     ------
     NotCompiledError
-        If they cannot be compiled: a wheel brings no library for them, so a C compiler is needed.
+        If no wheel brought the library, and it cannot be compiled.
     """
-    return _load(stem, {**core_texts(), **texts}, declarations(texts[header]))
+    ffi, _ = load_core()
+    declared = declarations(header)
+    ffi.cdef(declared, override=True)
+    for path in packaged.libraries():
+        # A wheel for another C library cannot be loaded.
+        with suppress(OSError):
+            return ffi.dlopen(str(path))
+    return _load(packaged.name, texts(), declared)
 
 
 def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: ANN401 - as above

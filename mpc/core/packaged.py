@@ -6,10 +6,10 @@ of the architecture too (AVX2, AVX-512), and the best one that the processor has
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from diffdrive_mpc.models.compiled.compiler import PLAIN_REST
+from diffdrive_mpc.models.compiled.compiler import PLAIN_REST, digest_of
 from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc.mpc.core.sources import CORE, core_origin, core_texts
 
@@ -36,6 +36,21 @@ def write_packaged(folder: Path) -> list[Path]:
 def packaged_libraries() -> Iterator[Path]:
     """The package's libraries that this processor can run, best first; only whole ones, and only of these sources."""
     return _packaged().libraries()
+
+
+def packaged_with_core(name: str, folder: Path, sources: Sequence[str]) -> Packaged:
+    """Return the library of another package whose C is compiled together with the core, at the levels of the core.
+
+    Parameters
+    ----------
+    name
+        First part of the file names of the library.
+    folder
+        Folder of the library in a wheel of that package.
+    sources
+        Texts that the further C comes from, before anything is generated.
+    """
+    return Packaged(name, folder, digest_of([core_origin(), *sources]), _LEVELS)
 
 
 def _packaged() -> Packaged:

@@ -21,6 +21,7 @@ from diffdrive_mpc.models.lazy_names import on_first_use
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.core.generate import OUTPUT, STEP, GeneratedC, generate, generated_functions, term_name
     from diffdrive_mpc.mpc.core.library import constant_fields, load_core, load_with_core
+    from diffdrive_mpc.mpc.core.packaged import packaged_with_core
     from diffdrive_mpc.mpc.core.sources import CORE, SIZES, core_texts
     from diffdrive_mpc.mpc.core.tick import Tick
     from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
@@ -50,6 +51,7 @@ __all__ = [
     "generated_functions",
     "load_core",
     "load_with_core",
+    "packaged_with_core",
     "parameter_places",
     "require",
     "term",
@@ -60,6 +62,7 @@ __all__ = [
 _NAMES = {
     "mpc.core.generate": ("OUTPUT", "STEP", "GeneratedC", "generate", "generated_functions", "term_name"),
     "mpc.core.library": ("constant_fields", "load_core", "load_with_core"),
+    "mpc.core.packaged": ("packaged_with_core",),
     "mpc.core.sources": ("CORE", "SIZES", "core_texts"),
     "mpc.core.tick": ("Tick",),
     "mpc.problem.build": ("build_problem", "chosen_model"),

@@ -57,10 +57,13 @@ def check_whole(out: Path) -> None:
         assert read_table(out / "results.parquet").num_rows == 3
 
 
-def check_crashes(files: tuple[Path, Path], tmp_path: Path, moments: list[int], *, full: bool) -> None:
+@pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
+def test_a_campaign_that_breaks_off_goes_on_and_comes_to_the_same(
+    files: tuple[Path, Path], tmp_path: Path, full: bool
+) -> None:
     expected = [carried_out(file, tmp_path / f"quiet-{file.stem}") for file in files]
     codes = []
-    for moment in moments:
+    for moment in MOMENTS:
         out = tmp_path / f"out-{moment}"
         codes.append(crash(lambda out=out: carried_out(files[0], out), out, moment, full=full))
         check_whole(out)
@@ -69,19 +72,6 @@ def check_crashes(files: tuple[Path, Path], tmp_path: Path, moments: list[int], 
         assert [carried_out(file, out) for file in reversed(files)] == expected[::-1]
         assert len(Store(out).keys()) == 6
     assert set(codes) == {0, REFUSED if full else KILLED}
-
-
-@pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
-def test_a_campaign_that_breaks_off_goes_on_and_comes_to_the_same(
-    files: tuple[Path, Path], tmp_path: Path, full: bool
-) -> None:
-    check_crashes(files, tmp_path, MOMENTS, full=full)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
-def test_so_it_does_at_every_moment(files: tuple[Path, Path], tmp_path: Path, full: bool) -> None:
-    check_crashes(files, tmp_path, list(range(1, 80)), full=full)
 
 
 def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path], tmp_path: Path) -> None:

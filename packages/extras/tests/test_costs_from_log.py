@@ -77,16 +77,6 @@ def test_energy_and_figure_of_the_log(told: Path) -> None:
     assert (told / "figures" / "learned.png").is_file()
 
 
-def test_what_does_not_go_together_is_refused_in_a_sentence(log: Path, tmp_path: Path) -> None:
-    for words, found in (
-        (("--log", log, "--out", tmp_path / "a"), "Missing option '--vehicle'"),
-        (("--vehicle", "fsu_bot", "--out", tmp_path / "c"), "Missing option '--log'"),
-        (("--log", log, "--vehicle", "no_bot", "--out", tmp_path / "d"), "unknown vehicle 'no_bot'"),
-    ):
-        code, said = asked(*words)
-        assert code == 2 and found in said
-
-
 def columns(log: Path, path: Path, without: str = "", rows: slice = slice(None)) -> Path:
     """The log without columns whose names begin so, and with some of its rows alone."""
     lines = [line.split(",") for line in log.read_text().splitlines()]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import struct
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,17 +14,133 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from export_parts import SpoiledReference, compile_c, differences, drive_both, export
 
-from diffdrive_mpc import Measurement, NonlinearModel, Stamped, Term, load_config, load_trajectory
+from diffdrive_mpc import (
+    Controller,
+    Measurement,
+    NonlinearModel,
+    Stamped,
+    Term,
+    load_config,
+    load_trajectory,
+    make_plant,
+)
 from diffdrive_mpc.mpc import Mode
-from diffdrive_mpc.mpc.core.sources import CORE
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc_extras.export.generated_c import sizes_text, trajectory_texts
+from diffdrive_mpc_extras.export.emulation import REPLY_BYTES, Reply, read_reply, request_bytes
+from diffdrive_mpc_extras.export.generated_c import trajectory_texts
 from diffdrive_mpc_extras.export.library import Precision, export_controller
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
+
+HOST = Path(__file__).with_name("export_host.c")
+# Some parts ask a controller for sizes that are macros in an export.
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wno-unused-parameter", "-Werror")
+
+
+def export(
+    folder: Path, trajectory: str, precision: str, overrides: dict, *flags: str, model: object = "ssm", terms=()
+) -> Path:
+    """Export and compile with the host program, with warnings as errors."""
+    folder.mkdir()
+    config = load_config(model if isinstance(model, str) else "ssm", {"horizon": 15, **overrides})
+    given = None if isinstance(model, str) else model
+    reference = load_trajectory(trajectory)
+    export_controller(config, reference, folder, Precision(precision), model=given, terms=terms)
+    sources = [HOST, folder / "stm32f4" / "frames.c", *sorted((folder / "ddmpc").glob("*.c"))]
+    includes = [f"-I{folder / name}" for name in ("ddmpc", "stm32f4")]
+    compile_c(*STRICT, *flags, *includes, *map(str, sources), "-lm", "-o", str(folder / "host"))
+    return folder / "host"
+
+
+def compile_c(*arguments: str) -> None:
+    assert shutil.which("gcc"), "gcc was not found: install a C compiler (Debian: apt-get install gcc libc6-dev)"
+    result = subprocess.run(["gcc", *arguments], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+class ExportedController:
+    """Drives the host program; `start` and `step` are those of `mpc.Controller`."""
+
+    def __init__(self, program: Path) -> None:
+        self._process = subprocess.Popen(
+            [str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        self._anew = True
+        self.spoiled_from = np.inf
+        """Time of the reference from which on its poses are NaN [s]."""
+
+    def start(self, reference, t0: float) -> None:
+        self._anew = True
+
+    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> Reply:
+        frame = struct.pack("<d", self.spoiled_from) + request_bytes(t, measurement, hold, anew=self._anew)
+        self._anew = False
+        self._process.stdin.write(frame)
+        self._process.stdin.flush()
+        data = self._process.stdout.read(REPLY_BYTES)
+        assert len(data) == REPLY_BYTES, self._process.communicate()[1].decode()
+        return read_reply(data)
+
+    def close(self) -> None:
+        """End the process; it must have nothing to complain of."""
+        _, complaints = self._process.communicate(timeout=10)
+        assert self._process.returncode == 0, complaints.decode()
+
+
+class SpoiledReference:
+    """A trajectory whose poses are NaN from `spoiled_from` [s] on."""
+
+    def __init__(self, name: str) -> None:
+        self._inner = load_trajectory(name)
+        self.name, self.duration, self.spoiled_from = name, self._inner.duration, np.inf
+
+    def sample(self, times):
+        sample = self._inner.sample(times)
+        sample.pose[np.asarray(times, dtype=float) >= self.spoiled_from] = np.nan
+        return sample
+
+
+def drive_both(
+    program: Path,
+    trajectory: str,
+    overrides: dict,
+    ticks: int,
+    *,
+    offset=(0.0, 0.0, 0.0),
+    change=None,
+    model: object = "ssm",
+    terms=(),
+):
+    """The Python controller drives a noisy robot, and the exported one sees the same; both give their steps.
+
+    `change(k, measurement, exported, reference)` may spoil things and returns time shift, measurement and hold.
+    """
+    named = isinstance(model, str)
+    config = load_config(model if named else "ssm", {"horizon": 15, "reentry.enabled": False, **overrides})
+    controller, exported = Controller(config, None if named else model, terms), ExportedController(program)
+    reference = SpoiledReference(trajectory)
+    start = reference.sample([0.0]).pose[0] + offset
+    robot = make_plant("model:ssm", seed=0)
+    robot.reset(start)
+    controller.start(reference, 0.0)
+    exported.start(reference, 0.0)
+    steps = []
+    for k in range(ticks):
+        shift, measurement, hold = 0.0, robot.measure(), None
+        if change is not None:
+            shift, measurement, hold = change(k, measurement, exported, reference)
+        t = robot.time + shift
+        steps.append((controller.step(t, measurement, hold), exported.step(t, measurement, hold)))
+        robot.advance(steps[-1][0].command)
+    exported.close()
+    return steps
+
+
+def differences(steps) -> np.ndarray:
+    """(n, 2) of the commands."""
+    return np.array([ours.command - theirs.command for ours, theirs in steps])
+
 
 # Limits that the square's corners lean on.
 TIGHT = {"limits.omega": 1.0, "limits.v": 0.52, "limits.v_slew": 1.0, "limits.omega_slew": 2.5}
@@ -71,12 +189,6 @@ def test_single_precision(tmp_path):
     """Rounding only: both stop at the exact solution of the same program."""
     steps = track_both(tmp_path, "square", TIGHT, 350, precision="float", within=2e-4, offset=(0.02, -0.03, 0.1))
     assert sum(theirs.iterations > 0 for _, theirs in steps) > 50
-
-
-def test_soft_limits_in_single_precision(tmp_path):
-    limits = {"limits.wheel_speed": 0.55, "limits.predicted_omega": 0.49, "limits.corridor": 0.1}
-    steps = track_both(tmp_path, "s", limits, 300, precision="float", within=2e-4)
-    assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 100
 
 
 def test_a_solve_that_is_stopped_drives_as_in_python(tmp_path):
@@ -304,18 +416,6 @@ def test_an_impossible_reference_is_refused(tmp_path):
     reference.spoiled_from = 5.0
     with pytest.raises(ValueError, match="reference 'circle'.*not finite"):
         trajectory_texts(reference, 0.0202)
-
-
-def test_every_size_is_a_macro():
-    """What internal.h calls them is what is written."""
-    exported = (CORE / "internal.h").read_text().partition("#ifdef DDMPC_EXPORT")[2].partition("#else")[0]
-    used = {name for name in re.findall(r"\bDDMPC_(\w+)", exported) if not name.startswith("MOST_")}
-    config = load_config("ssm", {"horizon": 6})
-    problem = build_problem(config, chosen_model(config, None))
-    written = set(re.findall(r"#define DDMPC_(\w+) \d", sizes_text(problem, single=False)))
-    # How many numbers a model is given matters to who writes them down, not to the core.
-    assert used | {"MODEL_PARAMETERS"} == {name.upper() for name in problem.sizes}
-    assert written == used | {"MODEL_PARAMETERS", "REALS", "INTS"}
 
 
 def numbers_of(source: str, name: str) -> list[float]:

@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 import yaml
-from hybrid_parts import DT, random_correction, random_hybrid
 from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import write_csv, write_mapping
@@ -19,6 +18,7 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.structures.model_file import build_model
 from diffdrive_mpc_extras.hybrids.hybrid_model import (
+    Correction,
     HybridFile,
     HybridModel,
     correction_content,
@@ -27,6 +27,22 @@ from diffdrive_mpc_extras.hybrids.hybrid_model import (
 )
 from diffdrive_mpc_extras.hybrids.training import hybrid_settings, runs_of, trained
 from diffdrive_mpc_extras.model_comparison.model_comparison import compare_models
+
+DT = 0.0202
+
+
+def random_correction(seed=0, size=0.02, units=5):
+    """For the four states of an SM; what it adds in a sample is some hundredths of their usual size."""
+    random = np.random.default_rng(seed)
+    root = np.eye(6) + 0.2 * random.normal(size=(6, 6))
+    scale = np.array([0.5, 0.05, 0.8, 0.02, 0.5, 0.8])
+    inward, outward = random.normal(size=(6, units)), size * random.normal(size=(units, 4))
+    return Correction(scale, inward, outward, root.T @ root, 9.0, 36.0)
+
+
+def random_hybrid(seed=0, **kind):
+    return hybrid_model("hybrid", load_model("sm").discretise(DT), random_correction(seed, **kind))
+
 
 MODEL = random_hybrid()
 LINEAR = MODEL.linear

@@ -1,15 +1,62 @@
 """Networks on past commands: what they compute, their files, and what is refused."""
 
+import ctypes
+import subprocess
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
 import yaml
-from network_parts import DT, network_gain, random_model, random_network
+from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc import ConfigError, ModelError, load_model
+from diffdrive_mpc import (
+    ConfigError,
+    Controller,
+    MissingPackageError,
+    ModelError,
+    identify,
+    load_config,
+    load_model,
+    load_trajectory,
+    make_plant,
+    simulate,
+)
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model
-from diffdrive_mpc_extras.networks.network import Architecture, Network
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.mpc.core.sources import core_texts
+from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc_extras.networks.network_model import network_content, network_model, write_network
+from diffdrive_mpc_extras.networks.training import train, training_settings
+
+DT = 0.0202
+
+
+def random_network(seed=0, scale=0.4, **kind):
+    """A network that nobody trained; its outputs grow with the commands, as a robot's do."""
+    architecture, random = Architecture(**kind), np.random.default_rng(seed)
+    weights = {
+        name: random.normal(size=shape) * (scale if len(shape) > 1 else 0.2)
+        for name, shape in architecture.shapes.items()
+    }
+    network = Network(architecture, weights)
+    # Signs and mixture of the outputs such that both gains are one at rest.
+    gain = network_gain(network)
+    weights["output"] = weights["output"] @ np.linalg.inv(gain)
+    weights["output_offset"] = np.array([0.03, -0.02])
+    return Network(architecture, weights)
+
+
+def network_gain(network, step=1e-5):
+    """(2, 2) what each input's small command for ever adds to the outputs, by input."""
+    held = np.array([np.tile(step * unit, (network.architecture.window, 1)) for unit in (*np.eye(2), *-np.eye(2))])
+    says = network(held)
+    return (says[:2] - says[2:]) / (2 * step)
+
+
+def random_model(seed=0, scale=0.4, **kind):
+    return network_model("network", random_network(seed, scale, **kind), DT)
+
 
 PROVENANCE = {"origin": "assumed", "source": "random numbers"}
 
@@ -115,3 +162,172 @@ def test_what_a_network_cannot_do_is_said():
     weights["dense"] = np.full_like(weights["dense"], np.nan)
     with pytest.raises(ValueError, match="not finite"):
         Network(Architecture(), weights)
+
+
+KINDS = [{}, {"units": 7, "dense": 5, "window": 3}, {"units": 33, "dense": 40, "window": 4}]
+
+
+@pytest.fixture(scope="module", params=["double", "float"])
+def step(request, tmp_path_factory):
+    """The step in C, compiled for itself with guards around its memory."""
+    folder = tmp_path_factory.mktemp(request.param)
+    for name, text in core_texts().items():
+        (folder / name).write_text(text)
+    if request.param == "float":
+        (folder / "ddmpc_sizes.h").write_text("#define DDMPC_FLOAT\n")
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-math-errno", "-fPIC", "-shared"]
+    subprocess.run(["gcc", *flags, "network.c", "-o", "network.so", "-lm"], cwd=folder, check=True)
+    kind = np.float64 if request.param == "double" else np.float32
+    return ctypes.CDLL(str(folder / "network.so")).ddmpc_network_step, kind
+
+
+def call(step, model, window, gradient=True):
+    function, kind = step
+    own = model.compiled_step
+    given = [np.array(part, dtype=kind) for part in (np.zeros(2), window, own.parameters)]
+    after, by_x, by_window = np.full(2, 7, kind), np.full(4, 7, kind), np.full(np.size(window) * 2, 7, kind)
+    # What lies behind its memory must stay as it is.
+    work = np.full(own.work + 64, 1e30, dtype=kind)
+    pointer = ctypes.POINTER(ctypes.c_double if kind is np.float64 else ctypes.c_float)
+    arguments = (pointer * 3)(*(part.ctypes.data_as(pointer) for part in given))
+    results = (pointer * 3)(after.ctypes.data_as(pointer))
+    if gradient:
+        results[1], results[2] = by_x.ctypes.data_as(pointer), by_window.ctypes.data_as(pointer)
+    function(arguments, results, None, work.ctypes.data_as(pointer), 0)
+    assert (work[own.work :] == kind(1e30)).all()
+    return after, by_x, by_window.reshape(-1, 2).T
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=["papers", "small", "wide"])
+def test_the_core_computes_the_graph_and_its_gradient(step, kind):
+    model, rounding = random_model(**kind), 1e-12 if step[1] is np.float64 else 2e-4
+    symbol = ca.MX.sym("window", 2 * (model.memory + 1))
+    gradient = ca.Function("by", [symbol], [ca.jacobian(model.step(ca.MX(2, 1), symbol), symbol)])
+    random = np.random.default_rng(0)
+    # Beyond any command, too: gates that are shut and open for good.
+    for scale in (0.5, 5.0, 500.0):
+        window = scale * random.normal(size=symbol.numel())
+        after, by_x, by_window = call(step, model, window)
+        size = max(1.0, np.abs(gradient(window).full()).max())
+        assert after == pytest.approx(model.step(0, window).full().ravel(), abs=rounding)
+        assert by_window == pytest.approx(gradient(window).full(), abs=rounding * size)
+        assert (by_x == 0).all()
+        # With and without the gradient the compiler may round differently.
+        assert call(step, model, window, gradient=False)[0] == pytest.approx(after, abs=rounding)
+
+
+def test_a_command_that_is_no_number_spoils_the_output(step):
+    window = np.zeros(40)
+    window[7] = np.nan
+    after, _, _ = call(step, random_model(), window)
+    assert np.isnan(after).all()
+
+
+def test_other_networks_are_refused_in_one_line():
+    for kind, said in (({"layers": 2}, "2 layers with tanh"), ({"activation": "relu"}, "1 layers with relu")):
+        with pytest.raises(ModelError, match=said):
+            Controller(load_config("ssm"), model=random_model(**kind))
+
+
+@pytest.mark.parametrize("trajectory", ["square", "s"])
+def test_the_shipped_network_keeps_to_the_path(trajectory):
+    """Within one and a half of the SSM's error."""
+    errors = {}
+    for name in ("ssm", "lstm"):
+        run = simulate(Controller(load_config(name)), make_plant("mujoco", seed=5), load_trajectory(trajectory))
+        errors[name] = run.metrics.position_rmse_m
+        assert set(run.modes) <= {"TRACKING", "FINISHED"}
+    assert errors["lstm"] < 1.5 * errors["ssm"]
+
+
+SMALL = Architecture(window=8, units=8, dense=8)
+SHORT = training_settings().model_copy(update={"most_epochs": 3, "dropout": 0.0, "decay": 0.0, "rate": 0.01})
+
+
+def saturating_drive(seed, count=3000, dt=0.05):
+    """A lag whose gain falls with the command, which no linear model has."""
+    random = np.random.default_rng(seed)
+    commands = np.repeat(random.uniform(-1, 1, (count // 10, 2)), 10, axis=0)
+    twist = np.zeros((count, 2))
+    for k in range(1, count):
+        twist[k] = twist[k - 1] + 0.4 * (np.tanh(1.5 * commands[k - 1]) - twist[k - 1])
+    return SampledExperiment("drive", dt, commands, twist, np.ones((count, 2), dtype=bool))
+
+
+def trained(seed=0, **changes):
+    windows = windows_of([saturating_drive(0)], SMALL.window)
+    training, validation = divided(windows, (0.8, 0.2))
+    return train(SMALL, training, validation, SHORT.model_copy(update={"seed": seed, **changes}))
+
+
+def test_the_windows_are_the_commands_before_each_reading():
+    experiment = saturating_drive(0, count=30)
+    experiment.counts[12] = False
+    windows = windows_of([experiment], 8)
+    assert len(windows) == 30 - 8 - 1
+    np.testing.assert_array_equal(windows.commands[0], experiment.inputs[:8])
+    np.testing.assert_array_equal(windows.twists[0], experiment.outputs[8])
+    # The reading that does not count is left out, and nothing moves because of it.
+    np.testing.assert_array_equal(windows.commands[4], experiment.inputs[5:13])
+    np.testing.assert_array_equal(windows.twists[4], experiment.outputs[13])
+    parts = divided(windows, (0.5, 0.3, 0.2))
+    assert sum(map(len, parts)) == len(windows)
+
+
+def test_it_learns_what_no_linear_model_can_say():
+    found = trained()
+    other = windows_of([saturating_drive(1)], SMALL.window)
+    flat = np.hstack([other.commands.reshape(len(other), -1), np.ones((len(other), 1))])
+    best = np.linalg.lstsq(flat, other.twists, rcond=None)[0]
+    linear = np.sqrt(np.mean((flat @ best - other.twists) ** 2, axis=0))
+    assert (rmse(found.network, other) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
+    assert fit_percent(found.network, other).min() > 90.0
+    assert found.losses[found.best_step // 20] == found.losses.min() < 0.1 * found.losses[0]
+
+
+def test_a_seed_gives_the_same_weights_and_another_one_others():
+    one, same, other = (trained(seed, most_epochs=1).network.weights for seed in (3, 3, 4))
+    assert all(np.array_equal(one[name], same[name]) for name in one)
+    assert not np.array_equal(one["dense"], other["dense"])
+
+
+def test_it_stops_where_validation_does_not_improve():
+    """With nothing to learn from, the first looks are as good as any."""
+    windows = windows_of([saturating_drive(0)], SMALL.window)
+    training, validation = divided(windows, (0.8, 0.2))
+    noise = np.random.default_rng(0).normal(size=training.twists.shape)
+    lost = train(SMALL, type(training)(training.commands, noise), validation, SHORT.model_copy(update={"patience": 3}))
+    assert lost.steps - lost.best_step <= 3 * SHORT.validation_every
+    assert lost.steps < 3 * len(training) // SHORT.batch
+
+
+def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):
+    write_mapping(tmp_path / "map.yaml")
+    log = write_csv(tmp_path / "drive.csv", drive(seconds=120.0))
+    found = identify(log, tmp_path / "map.yaml", "lstm")
+    assert found.report.fitted.validation.fit_percent.min() > 80.0
+    assert found.report.as_json()["model"] == "lstm"
+    assert "LSTM from drive.csv" in found.report.markdown()
+    found.write(tmp_path / "mine")
+    model = load_model(tmp_path / "mine" / "model.yaml")
+    commands = np.random.default_rng(0).uniform(-1, 1, (40, 2))
+    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=1e-5)
+    config = load_config(tmp_path / "mine" / "config.yaml")
+    assert config.sample_time == model.dt == 0.02
+    assert Controller(config).model.network.architecture == Architecture()
+
+
+def test_what_does_not_go_with_a_network_is_said(tmp_path):
+    write_mapping(tmp_path / "map.yaml")
+    log = write_csv(tmp_path / "drive.csv", drive(seconds=20.0))
+    with pytest.raises(ConfigError, match="they stand around an sm, not an lstm"):
+        identify(log, tmp_path / "map.yaml", "lstm", effects=True)
+    with pytest.raises(ConfigError, match="order 2: only ssm has a choice"):
+        identify(log, tmp_path / "map.yaml", "lstm", order=2)
+
+
+def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax", None)
+    with pytest.raises(MissingPackageError) as refused:
+        identify(tmp_path / "never read.csv", None, "lstm")
+    assert str(refused.value) == "training a network needs JAX and Optax: pip install 'diffdrive-mpc[learn]'"

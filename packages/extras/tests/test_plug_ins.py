@@ -1,9 +1,25 @@
-"""What is registered is found, and what it names is there."""
+"""Registered parts, commands of the command line, and compiled free space of the wheel."""
 
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+
+from commands import invoke
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.command_line.options import PluggedCommand
+from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE
 from diffdrive_mpc.models.file_kind import FileKind
 from diffdrive_mpc.models.function_structure import function_structures
-from diffdrive_mpc.models.plug_ins import plug_ins
+from diffdrive_mpc.models.plug_ins import known_packages, plug_in, plug_ins
+from diffdrive_mpc_extras.free_space.pieces import packaged_libraries
 
 
 def test_every_structure_names_what_is_there():
@@ -19,3 +35,105 @@ def test_every_structure_names_what_is_there():
 def test_commands_and_files_are_of_their_kind():
     assert all(isinstance(one, PluggedCommand) for one in plug_ins("commands"))
     assert all(isinstance(one, FileKind) for one in plug_ins("files"))
+
+
+def test_wheel_holds_free_space_and_needs_no_compiler(tmp_path):
+    """An editable installation compiles it at first use instead, so that it fails without a compiler."""
+    origin = json.loads(distribution(PACKAGE).read_text("direct_url.json") or "{}")
+    is_editable = bool(origin.get("dir_info", {}).get("editable"))
+    load = "from diffdrive_mpc_extras.free_space.pieces import load_free_space; load_free_space()"
+    environment = {"PATH": str(tmp_path), CACHE_VARIABLE: str(tmp_path)}
+    loading = subprocess.run([sys.executable, "-c", load], env=environment, capture_output=True, text=True, check=False)
+    assert any(packaged_libraries()) != is_editable
+    assert ("NotCompiledError" in loading.stderr, loading.returncode != 0) == (is_editable, is_editable)
+
+
+PACKAGE = "diffdrive-mpc-extras"
+COMMANDS = sorted(name for name, package in known_packages()["commands"].items() if package == PACKAGE)
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+LOADED = """
+import sys
+sys.argv[1:] = {words}
+from diffdrive_mpc.app.cli import main
+try:
+    main()
+except SystemExit as end:
+    assert not end.code, end.code
+print(*sorted(name for name in sys.modules if name.startswith("diffdrive_mpc_extras.")), sep="\\n")
+print(*(name for name in ("casadi", "scipy", "pandas", "mujoco", "matplotlib") if name in sys.modules), sep="\\n")
+"""
+
+
+def loaded_by(*words: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED.format(words=list(words))], capture_output=True, text=True, check=True
+    )
+    return [line for line in done.stdout.splitlines() if re.fullmatch(r"[a-z_0-9.]+", line)]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_registered_and_has_help_with_an_example(name: str) -> None:
+    assert isinstance(plug_in("commands", name), PluggedCommand)
+    words = name.split(".")
+    shown = " ".join(invoke(app, *words, "--help").stdout.split())
+    assert f"Example: diffdrive-mpc {' '.join(words)} " in shown
+
+
+def test_overview_lists_all_commands_and_loads_command_modules_only() -> None:
+    shown = invoke(app, "--help").stdout
+    assert all(f"  {name} " in shown for name in COMMANDS if "." not in name)
+    assert all(name.endswith(".command") or name.count(".") == 1 for name in loaded_by("--help"))
+
+
+def test_help_of_a_command_loads_that_command_alone() -> None:
+    assert [name for name in loaded_by("twin", "--help") if name.endswith(".command")] == [
+        "diffdrive_mpc_extras.twin.command"
+    ]
+    assert not [name for name in loaded_by("config", "schema", "weights") if name.endswith(".command")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("export --out {out} --trajectories cirle", "unknown trajectory 'cirle'"),
+        ("export --out {taken}", "--out {taken}"),
+        ("export --out {out} --precision half", "--precision 'half': give double or float"),
+        ("export --out {out} --set limits.omega=0.3", "omega = 0.5 rad/s is beyond the limit of 0.3 rad/s"),
+        ("export --out {out} --set solver.method=osqp", "an exported controller has neither OSQP nor DAQP"),
+        (
+            "export --out {out} --set solver.active_set_iterations=0",
+            "set solver.method to auto and leave it iterations",
+        ),
+        ("excite --out {out} --for model", "needs --inside"),
+        ("excite --out {out} --for model --inside 1x1", "a room of 1 by 1 m"),
+        ("excite --out {out} --for model --inside 4x3 --side 3", "--side does not go with --for model"),
+        ("excite --out {out} --for slip --inside 4x3", "--inside does not go with --for slip"),
+        ("excite --out {out} --for model --inside 4x3 --speed 1.4", "give up to 1.05 m/s"),
+        ("excite --out {out} lstm --for model --inside 4x3", "linear"),
+        ("rehearse --out {out} --controller pursuit", "does not learn from laps"),
+        ("rehearse --out {out} --laps 1", "--laps"),
+        ("repeat missing.yaml --out {out}", "missing.yaml"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path) -> None:
+    out, taken = tmp_path / "out", tmp_path / "taken"
+    taken.write_text("a file")
+    result = invoke(app, *shlex.split(arguments.format(out=out, taken=taken)), code=2)
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert message.format(taken=taken) in result.stderr
+    assert result.stdout == ""
+    assert not out.exists()
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("one_process", "quick_search")
+def test_every_command_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    for body in [body for language, body in blocks if language == "yaml"]:
+        (tmp_path / body.split()[2]).write_text(body, encoding="utf-8")
+    lines = [line for language, body in blocks if language == "sh" for line in body.splitlines()]
+    for line in lines:
+        words = shlex.split(line)
+        if words[0] == "diffdrive-mpc":
+            invoke(app, *words[1:])

@@ -1,20 +1,20 @@
 """The predicted tracking error: what it grows with, where it is narrow, and what is refused."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from typer.testing import CliRunner
 
 from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, load_calibration, path_features
 from diffdrive_mpc_extras.predicted_error.predicted_error import check_origin, predict_error
 
 POPULATIONS = tuple(load_calibration().populations)
 DIRECTIONS = ("lateral", "along")
-STUDY = Path(__file__).parents[1] / "studies" / "predicted_error" / "study.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -64,22 +64,6 @@ def along_path(predicted, direction, places):
     """Widths at places of a path [m], each as a share of the whole path."""
     share = predicted.arc_length / predicted.arc_length[-1]
     return np.interp(places, share, getattr(predicted, direction).everywhere)
-
-
-@pytest.mark.parametrize("population", POPULATIONS)
-@pytest.mark.parametrize("direction", DIRECTIONS)
-def test_more_speed_everywhere_is_nowhere_narrower(controller, population, direction):
-    """The same circle or straight of 4 m, each time driven faster."""
-    for bend in (0.0, 0.3, 1.0):
-        widths = [
-            along_path(
-                predict_error(controller, drive(speed=v, bend=bend, seconds=4.0 / v), population),
-                direction,
-                np.linspace(0, 1, 50),
-            )
-            for v in (0.2, 0.4, 0.6, 0.8)
-        ]
-        assert (np.diff(widths, axis=0) >= -1e-9).all()
 
 
 @pytest.mark.parametrize("population", POPULATIONS)
@@ -155,17 +139,6 @@ def test_a_path_faster_than_the_calibration_is_predicted_with_a_warning(controll
     assert np.isfinite(predicted.lateral.everywhere).all()
 
 
-def test_ranges_are_those_of_the_study():
-    data = yaml.safe_load(STUDY.read_text(encoding="utf-8"))
-    ranges = load_calibration().calibrated.model_dump()
-    assert {name: list(values) for name, values in ranges.items()} == {
-        "v": data["speed"],
-        "omega": data["yaw_rate"],
-        "lag_v": data["lag_v"],
-        "lag_omega": data["lag_omega"],
-    }
-
-
 def test_the_worst_place_is_where_the_path_turns(controller):
     """A straight, a quarter of a circle, a straight: the tube is widest in the curve, and says so."""
     predicted = predict_error(controller, "square", "own")
@@ -196,3 +169,59 @@ def test_a_million_points_end_in_one_line_and_two_hours_are_predicted(controller
         Trajectory.from_arrays(t, 0.3 * t, np.zeros_like(t))
     assert "\n" not in str(error.value)
     assert np.isfinite(predict_error(controller, Standing(7200.0)).lateral.everywhere).all()
+
+
+def invoke(*words):
+    return CliRunner().invoke(app, ["predict-error", *map(str, words)])
+
+
+def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
+    result = invoke("--trajectory", "s", "--population", "own", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "lateral: worst after" in result.output
+    assert "along: worst after" in result.output
+    assert (tmp_path / "predicted-error.png").read_bytes().startswith(b"\x89PNG")
+    rows = np.genfromtxt(tmp_path / "predicted-error.csv", delimiter=",", names=True)
+    assert (rows["lateral_everywhere"] > rows["lateral"]).all()
+    assert rows["s"][-1] == pytest.approx(6.28, abs=0.01)
+    assert f"{1e3 * rows['lateral_everywhere'].max():.1f}" in result.output
+
+
+def test_a_calibration_of_ones_own_counts(tmp_path):
+    shipped = load_calibration()
+    mine = shipped.populations["own"].model_copy(update={"description": "drives of my twin"})
+    data = shipped.model_copy(update={"populations": {"mine": mine}}).model_dump(mode="json")
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(data))
+    words = ["--trajectory", "s", "--calibration", tmp_path / "mine.yaml", "--out", tmp_path]
+    result = invoke(*words, "--population", "mine")
+    assert result.exit_code == 0, result.output
+    assert "drives of my twin" in result.output
+    assert "unknown population 'drawn': give mine" in invoke(*words).output
+
+
+def test_a_path_faster_than_the_calibration_gets_one_line_of_warning(tmp_path):
+    result = invoke("--trajectory", "figure8", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in result.output.splitlines() if line.startswith("warning:")]
+    assert "speed reaches 1.2 m/s" in line
+    assert "yaw rate reaches 1.1 rad/s" in line
+    assert "warning:" not in invoke("--trajectory", "s", "--out", tmp_path).output
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--trajectory", "nowhere"], "unknown trajectory 'nowhere'"),
+        (["--trajectory", "s", "--population", "mine"], "unknown population 'mine': give drawn or own"),
+        (["--trajectory", "s", "--calibration", "nowhere.yaml"], "nowhere.yaml"),
+        (["--trajectory", "nan.csv"], "nan.csv"),
+    ],
+)
+def test_mistakes_end_in_one_line(tmp_path, monkeypatch, words, complaint):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "nan.csv").write_text("t,x,y,theta\n0,0,0,0\n1,nan,0,0\n2,1,0,0\n")
+    result = invoke(*words, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert complaint in result.output
+    assert len(result.output.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()

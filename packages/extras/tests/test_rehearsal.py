@@ -10,7 +10,11 @@ from hypothesis import strategies as st
 from ideal_robot import IdealRobot, drive
 from scipy.integrate import cumulative_trapezoid
 
+from commands import invoke
 from diffdrive_mpc import Controller, Measurement, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
@@ -23,6 +27,7 @@ from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
 from diffdrive_mpc_extras.rehearsal.drivable import NotDrivableError, nearest_drivable
 from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
+from diffdrive_mpc_extras.rehearsal.laps import drive_laps, lap_parts
 from diffdrive_mpc_extras.rehearsal.rehearsal import corrected
 
 DT = 0.0202
@@ -76,19 +81,6 @@ def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
     # At least half of what can be removed is.
     total = np.mean([rms(error) for error in without])
     assert rms(learned[-1]) < 0.5 * (total + other)
-
-
-def test_the_first_lap_is_driven_as_without_and_off_is_the_default():
-    plain = Controller(load_config("ssm"))
-    assert not plain.features
-    assert np.array_equal(lap(controller(), noise=1.0)[0], lap(plain, noise=1.0)[0])
-
-
-def test_laps_repeat_bit_for_bit():
-    one, two = controller(), controller()
-    for seed in range(3):
-        assert np.array_equal(lap(one, seed=seed, noise=1.0)[0], lap(two, seed=seed, noise=1.0)[0])
-    assert np.array_equal(one.feature("rehearsal").learned.correction, two.feature("rehearsal").learned.correction)
 
 
 def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
@@ -202,14 +194,6 @@ def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
     assert any("learned from 1 laps" in message for message in said)
 
 
-def test_reset_forgets():
-    learning = controller()
-    lap(learning)
-    learning.reset()
-    learning.start(BEND, 0.0)
-    assert learning.feature("rehearsal").learned.laps == 0
-
-
 def test_a_corrected_reference_moves_as_its_poses_do():
     time = np.linspace(0.0, BEND.duration, 200)
     correction = 0.01 * np.column_stack([np.sin(time), 1 - np.cos(time), np.zeros_like(time)])
@@ -224,13 +208,6 @@ def test_a_corrected_reference_moves_as_its_poses_do():
     rate = np.gradient(sample.pose, fine, axis=0)
     v = rate[:, 0] * np.cos(sample.pose[:, 2]) + rate[:, 1] * np.sin(sample.pose[:, 2])
     assert np.allclose(sample.twist, np.column_stack([v, rate[:, 2]]), atol=2e-3)
-
-
-def test_without_a_correction_it_is_the_same_reference():
-    time = np.arange(0.0, BEND.duration, DT)
-    same, given = corrected(BEND, time, np.zeros((len(time), 3))).sample(time), BEND.sample(time)
-    assert np.allclose(same.pose, given.pose, atol=1e-12)
-    assert np.allclose(same.twist, given.twist, atol=1e-9)
 
 
 CURVED = {"crab": 0.03, "veer": 0.02, "forward_coupling": 0.03, "yaw_coupling": 0.1}
@@ -459,3 +436,64 @@ def test_another_reference_is_driven_by_the_same_floor():
     floor_lap(controller, "p4_concrete", load_trajectory("square"))
     assert isinstance(controller.feature("rehearsal").learned, FloorRehearsal)
     assert controller.feature("rehearsal").learned.begin(CORNER, 0.0) is not CORNER
+
+
+PLAIN = Case(plant="model:sm", trajectory="cane")
+LEARNING = PLAIN.with_override("expert.rehearsal.enabled", value=True)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return drive_laps(PLAIN, 2).runs
+
+
+def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
+    one, two = drive_laps(LEARNING, 2).runs, drive_laps(LEARNING, 2).runs
+    assert all(np.array_equal(a.true_pose, b.true_pose) for a, b in zip(one, two, strict=True))
+    assert np.array_equal(one[0].true_pose, plain[0].true_pose)
+    assert not np.array_equal(plain[0].measured_pose, plain[1].measured_pose)
+    assert not np.array_equal(one[1].command, plain[1].command)
+
+
+def test_the_parts_of_made_up_laps_are_those_that_were_put_in(plain):
+    run, rng = plain[0], np.random.default_rng(0)
+    laps = []
+    for _ in range(8):
+        pose = run.reference_pose + [0.003, 0.004, 0.0]
+        pose[:, :2] += 0.002 * rng.standard_normal(pose[:, :2].shape)
+        laps.append(replace(run, true_pose=pose))
+    parts = lap_parts(laps)
+    assert parts.repeating == pytest.approx(0.005, rel=0.02)
+    assert parts.other == pytest.approx(0.002 * np.sqrt(2), rel=0.05)
+
+
+def test_one_lap_has_no_parts(plain):
+    with pytest.raises(ValueError, match="two or more"):
+        lap_parts(plain[:1])
+
+
+def test_another_floor_is_driven_no_worse_than_without():
+    """Learned on one floor, then all slip is another: at most 10 % worse than without, in any lap."""
+    floors = ["default"] * 2 + ["slippery"] * 2
+    learned, without = (drive_laps(case, 4, surfaces=floors).runs for case in (LEARNING, PLAIN))
+    for ours, other in zip(learned[2:], without[2:], strict=True):
+        assert ours.metrics.position_rmse_m < 1.1 * other.metrics.position_rmse_m
+
+
+def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
+    log = tmp_path / "run.mcap"
+    words = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]
+    result = invoke(app, *words, "--log", log)
+    assert "learned from 1 laps" in result.output
+    assert "do not: the lower bound" in " ".join(result.output.split())
+    assert (tmp_path / "out" / "figures" / "laps.png").exists()
+    written = read_drive_log(log, plans=True)
+    assert written.metadata["case"]["repeat"].startswith("diffdrive-mpc rehearse --laps 2 ")
+    assert any(plan is not None for plan in written.plans)
+
+
+def test_correction_learned_from_slip_is_drawn(tmp_path):
+    words = ["rehearse", "--plant", "model:ssm", "--surface", "p4_concrete", "--trajectory", "square", "--laps", "2"]
+    result = invoke(app, *words, "--set", "expert.rehearsal.by=floor", "--out", tmp_path / "out")
+    assert "slip learned from 1 laps" in " ".join(result.output.split())
+    assert (tmp_path / "out" / "figures" / "laps.png").exists()

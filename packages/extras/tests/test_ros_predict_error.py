@@ -1,13 +1,23 @@
 """The service that predicts the error of the node's reference, over DDS."""
 
 import json
+import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
-from ros_parts import stack
+from follow_parts import ABORTED, SUCCEEDED, following
+from ros_parts import DT, stack
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc import Controller
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.mpc.ros.follow_goal import lay_for_robot, path_limits
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc_extras.predicted_error import predict_error
+from diffdrive_mpc_extras.predicted_error.calibration import ErrorScale, load_calibration
+from diffdrive_mpc_extras.ros.path_error import ErrorLimit, ErrorPredictor, PredictedErrorSettings
 
 PART = {"parts.predicted_error.enabled": True}
 
@@ -75,3 +85,96 @@ def test_it_says_why_nothing_is_predicted(parameters, words):
 def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(parameters, words):
     with pytest.raises(ValueError, match=words), stack(**parameters):
         pass
+
+
+X = np.linspace(0.0, 1.0, 21)
+STRAIGHT = np.column_stack([X, 0 * X, 0 * X])
+CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
+BENT = np.column_stack([2 * X, 0.3 * np.sin(6 * X), np.arctan(0.9 * np.cos(6 * X))])
+
+
+def error_limit(limit, response="slow", v=0.0):
+    """Lay a bent path whose predicted error at full speed is 63 mm, by coefficients that stay as they are."""
+    scale = ErrorScale(coefficients={"floor": 0.01, "turning": 0.07}, at_each_place=1.0, everywhere=1.0)
+    shipped = load_calibration()
+    population = shipped.populations["own"].model_copy(update={"lateral": scale})
+    calibration = shipped.model_copy(update={"populations": {"own": population}})
+    settings = PredictedErrorSettings(follow_error_limit=limit, follow_error_response=response, error_population="own")
+    predictor = replace(ErrorPredictor.of(Controller("ssm"), settings), calibration=calibration)
+    limits = path_limits(CONFIG, np.eye(2), SETTINGS)
+    check = ErrorLimit(predictor, settings)
+    return lay_for_robot(BENT, BENT[0], (v, 0.0), limits, SETTINGS, CONFIG, [check]), predictor
+
+
+def speed_share(laid):
+    """Share of speed in the note of a laid path."""
+    found = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", laid.note)
+    return 1.0 if found is None else 0.01 * int(found[1])
+
+
+def test_a_path_is_slowed_until_its_predicted_error_keeps_to_the_limit():
+    laid, predictor = error_limit(1.0)
+    assert laid.note == ""
+    width = predictor.predict(laid.reference, CONFIG).lateral.everywhere.max()
+    slow, _ = error_limit(0.7 * width)
+    assert speed_share(slow) in (0.4, 0.6) and slow.reference.duration > 1.5 * laid.reference.duration
+    assert predictor.predict(slow.reference, CONFIG).lateral.everywhere.max() <= 0.7 * width
+
+
+def test_a_moving_robot_is_slowed_no_further_than_it_drives():
+    """A reference that begins below its speed would pull it back."""
+    laid, predictor = error_limit(1.0)
+    width = predictor.predict(laid.reference, CONFIG).lateral.everywhere.max()
+    limit = path_limits(CONFIG, np.eye(2), SETTINGS).v
+    driven, _ = error_limit(0.7 * width, v=0.39 * limit)
+    assert speed_share(driven) >= 0.4
+    assert driven.reference.sample([0.0]).twist[0, 0] == pytest.approx(0.39 * limit, rel=0.02)
+    with pytest.raises(ConfigError, match="follow_error_limit"):
+        error_limit(0.7 * width, v=0.9 * limit)
+
+
+@pytest.mark.parametrize(
+    ("limit", "response", "words"),
+    [
+        (0.04, "refuse", r"^path: its predicted error is [\d.]+ mm, follow_error_limit is 40.0 mm \(lateral: worst"),
+        (0.005, "slow", r"mm, follow_error_limit is 5.0 mm .*; at 20 % of this speed: its predicted error is 21.1 mm"),
+    ],
+)
+def test_a_path_that_no_allowed_speed_brings_inside_is_refused(limit, response, words):
+    with pytest.raises(ConfigError, match=words) as error:
+        error_limit(limit, response)
+    assert "\n" not in str(error.value)
+
+
+def test_a_path_faster_than_the_calibration_is_not_known_to_keep_to_the_limit():
+    settings = PredictedErrorSettings(follow_error_limit=10.0, follow_error_response="refuse")
+    check = ErrorLimit(ErrorPredictor.of(Controller("ssm"), settings), settings)
+    fast = NodeSettings(follow_speed_share=1.0)
+    limits = path_limits(CONFIG, np.eye(2), fast)
+    with pytest.raises(ConfigError, match=r"^path: the path's speed reaches 1\.\d+ m/s"):
+        lay_for_robot(3 * STRAIGHT, np.zeros(3), (0.0, 0.0), limits, fast, CONFIG, [check])
+
+
+LONG = np.linspace(0.0, 2.0, 41)
+BEND = np.column_stack([LONG, 0.3 * np.sin(3 * LONG), np.arctan(0.9 * np.cos(3 * LONG))])
+
+
+@pytest.mark.usefixtures("ros_types")
+@pytest.mark.parametrize("response", ["refuse", "slow"])
+def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slower(response):
+    """The limit is three quarters of the error that is predicted for the path at full speed."""
+    controller, settings = Controller("ssm"), NodeSettings()
+    limits = path_limits(controller.config, controller.model.dc_gain, settings)
+    laid = lay_for_robot(BEND, BEND[0], (0.0, 0.0), limits, settings, controller.config)
+    limit = 0.75 * float(predict_error(controller, laid.reference, "own").lateral.everywhere.max())
+    settings = {"follow_error_limit": limit, "follow_error_response": response, "error_population": "own"}
+    with following(**{f"parts.predicted_error.{key}": value for key, value in settings.items()}) as follow:
+        follow.client.send("a", BEND)
+        result = follow.ended("a", pace=0.2 * DT)
+        if response == "refuse":
+            assert (result["status"], result["code"]) == (ABORTED, 103)
+            assert f"follow_error_limit is {1e3 * limit:.1f} mm (lateral: worst after" in result["words"]
+            assert not np.any(follow.base.commands)
+        else:
+            assert (result["status"], result["code"]) == (SUCCEEDED, 0)
+            assert 0.2 * limits.v < np.array(follow.base.commands)[:, 0].max() < 0.85 * limits.v

@@ -8,20 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
 from ros_parts import stack
+from sensor_msgs.msg import PointCloud2, PointField
 
 from diffdrive_mpc.mpc import Controller, Mode
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
-
-pytest.importorskip("rclpy")
-
-from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
-
 from diffdrive_mpc.mpc.ros.conversions import MessageError, time_message
+from diffdrive_mpc_extras.free_space.config import FreeSpace, free_space_of
 from diffdrive_mpc_extras.free_space.surroundings import SurroundingsError
 from diffdrive_mpc_extras.ros.surroundings_input import (
     SurroundingsInput,
@@ -109,15 +104,9 @@ BAD_GRIDS = {
         "cells, at most 250,000|300[0-9]+ bytes",
     ),
     "origin NaN": (change(info__origin__position__x=math.nan), "not finite"),
-    "origin infinite": (change(info__origin__position__y=-math.inf), "not finite"),
-    "origin far": (change(info__origin__position__x=1e300), "m away"),
     "no orientation": (change(info__origin__orientation__w=0.0), "no unit quaternion"),
     "resolution 0": (change(info__resolution=0.0), "resolution 0.0 m"),
-    "resolution negative": (change(info__resolution=-0.05), "resolution -0.05 m"),
     "resolution NaN": (change(info__resolution=math.nan), "resolution nan m"),
-    "resolution infinite": (change(info__resolution=math.inf), "resolution inf m"),
-    "resolution huge": (change(info__resolution=1e30), "resolution 1"),
-    "resolution tiny": (change(info__resolution=1e-30), "resolution 0.0 m"),
     "cells": (cells_of([-128]), "cells from -128"),
     "pieces": (cells_of([*[100, 0] * 60, *[0] * 120]), "rectangles|pieces"),
     "frame": (change(header__frame_id="moon"), "frame_id is 'moon'"),
@@ -132,19 +121,13 @@ BAD_CLOUDS = {
     "many": (change(width=501), "501 points"),
     "lying": (change(width=2**32 - 1, height=2**32 - 1), "points; give 500"),
     "none": (change(width=0), "length"),
-    "short": (change(data=bytes(39)), "length"),
     "step 0": (change(point_step=0), "length"),
-    "step huge": (change(point_step=2**32 - 1), "length"),
     "big-endian": (change(is_bigendian=True), "big-endian"),
     "offset": (field(0, offset=2**32 - 1), "inside a point"),
     "count": (field(0, count=1000), "inside a point"),
     "kind": (field(0, datatype=0), "inside a point"),
     "NaN": (change(data=np.full(5, math.nan).tobytes()), "not finite"),
-    "infinite": (change(data=np.array([1.0, 0, math.inf, 0, 0]).tobytes()), "not finite"),
-    "far": (change(data=np.array([1e9, 0, 1, 0, 0.0]).tobytes()), "m away"),
     "negative radius": (change(data=np.array([5, 5, -1, 0, 0.0]).tobytes()), "radius -1 m"),
-    "huge radius": (change(data=np.array([5, 5, 1e6, 0, 0.0]).tobytes()), r"radius 1e\+06 m"),
-    "fast": (change(data=np.array([5, 5, 0.1, 1e5, 0.0]).tobytes()), "is faster than"),
     "large": (change(data=bytes(100_000), width=2500), "bytes|2500 points"),
     "frame": (change(header__frame_id="moon"), "frame_id is 'moon'"),
     "future": (change(header__stamp__sec=2**31 - 1), "in the future"),
@@ -283,22 +266,6 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
         assert s.loop.last.mode == Mode.STOPPED
         assert "s old; free_space.max_age" in s.loop.last.message
         assert "old" in seen.fault
-
-
-def test_large_messages_are_not_read_and_bad_ones_are_named():
-    with stack(
-        SEEING, trajectory="s", **{"parts.free_space.use_costmap": True, "parts.free_space.use_obstacles": True}
-    ) as s:
-        base, seen = s.base, s.node.parts["free_space"].surroundings
-        seen.take_costmap(bytes(300_000))
-        assert "300000 bytes" in seen.costmap.last_refusal
-        publisher = base.node.create_publisher(PointCloud2, "obstacles", qos_profile_sensor_data)
-        base.until(lambda: publisher.get_subscription_count() > 0, "the subscription")
-        elsewhere = cloud(base.now, [[1.0, 2.0, 0.3, 0.0, 0.0]])
-        elsewhere.header.frame_id = "map"
-        publisher.publish(elsewhere)
-        base.until(lambda: seen.obstacles.refused > 0, "the refusal")
-        assert "frame_id is 'map'" in seen.obstacles.last_refusal
 
 
 def test_topics_of_surroundings_need_a_controller_that_sees():

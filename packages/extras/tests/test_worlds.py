@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, FixedStep
+from scipy import ndimage
 from typer.testing import CliRunner
 
 from diffdrive_mpc import ConfigError, RobotLostError
@@ -130,12 +131,6 @@ def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path
     assert np.abs(driven[-1]).max() < 1e-3
 
 
-def test_a_person_run_into_while_driving_ends_the_run(tmp_path: Path) -> None:
-    plant = plant_in(tmp_path, "movers: [{x: 0.8, y: 0}]\n")
-    with pytest.raises(RobotLostError, match="mover 0"):
-        drive(plant, (0.5, 0.0), 100)
-
-
 def test_what_is_taken_away_can_be_driven_through_and_stands_again_after_a_reset(tmp_path: Path) -> None:
     plant = plant_in(tmp_path, "boxes: [{centre: [0.8, 0], size: [0.2, 1], until: 2.0}]\n")
     with pytest.raises(RobotLostError):
@@ -244,26 +239,17 @@ def dense(way: FloatArray) -> FloatArray:
 
 
 def filled(world: World, radius: float) -> bool:
-    """Whether a disc comes from start to goal, by filling the free cells from the start: no A*, another grid."""
-    step = 0.04
-    x, y = np.arange(-0.4, 8.4, step), np.arange(-2.6, 2.6, step)
-    points = np.column_stack([one.ravel() for one in np.meshgrid(x, y)])
-    free = (world.shapes(0.0).distance(points) > radius).reshape(len(y), len(x))
-    reached = np.zeros_like(free)
-    reached[np.argmin(np.abs(y)), np.argmin(np.abs(x))] = True
-    while True:
-        spread = reached.copy()
-        spread[1:] |= reached[:-1]
-        spread[:-1] |= reached[1:]
-        spread[:, 1:] |= reached[:, :-1]
-        spread[:, :-1] |= reached[:, 1:]
-        spread &= free
-        if (spread == reached).all():
-            break
-        reached = spread
+    """Return True if a disc comes from start to goal, by connected free cells: no A*, another grid."""
+    x, y = np.arange(-0.4, 8.4, 0.04), np.arange(-2.6, 2.6, 0.04)
+    points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
+    free = world.shapes(0.0).distance(points) > radius
+    regions, _ = ndimage.label(free.reshape(len(y), len(x)))
     assert world.way is not None
-    goal = world.way.waypoints[-1]
-    return bool(reached[np.argmin(np.abs(y - goal[1])), np.argmin(np.abs(x - goal[0]))])
+    start, goal = (
+        regions[np.abs(y - place[1]).argmin(), np.abs(x - place[0]).argmin()]
+        for place in ((0.0, 0.0), world.way.waypoints[-1])
+    )
+    return bool(start == goal != 0)
 
 
 def test_shipped_worlds_are_what_they_say() -> None:
@@ -342,13 +328,6 @@ def test_a_robot_that_stands_for_good_ends_the_run_where_nothing_changes(tmp_pat
     assert [round(run.time[-1]) for run in runs] == [10, 20]  # give_up, and the time limit of the file
     for run in runs:
         assert not passage(run).arrived and passage(run).contacts == 0
-
-
-def test_controller_without_observations_drives_blind() -> None:
-    plant = make_plant("world:slalom", seed=3)
-    assert isinstance(plant, WorldPlant)
-    run = simulate(FeedForward(), plant, load_reference(Case(plant="world:slalom")))
-    assert "post 0" in run.ended
 
 
 def test_world_brings_its_path() -> None:

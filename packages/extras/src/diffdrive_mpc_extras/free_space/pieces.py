@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc import core_sources
+from diffdrive_mpc.models.compiled.packaged import Packaged
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc_extras.free_space.config import FreeSpace
 from diffdrive_mpc_extras.free_space.polygons import Footprint, convex_pieces
@@ -32,7 +33,7 @@ core_sources.require(1)
 PARAMETERS = 5
 """Number of stage parameters: a (2), point d (2) of the robot in its own frame [m], b [m]."""
 
-_HEADER = "free_space.h"
+_FOLDER = Path(__file__).parent
 
 
 def half_space(pose: ca.SX, parameters: ca.SX) -> ca.SX:
@@ -62,19 +63,51 @@ def half_space_function() -> ca.Function:
 
 @cache
 def load_free_space() -> tuple[Any, Any]:
-    """Return cffi's declarations and the library of free space, compiled together with the core at first use.
+    """Return cffi's declarations and the library of free space: of the wheel, else compiled with the core at first use.
 
     Raises
     ------
     NotCompiledError
-        If there is no C compiler.
+        If the wheel holds no library, and there is no C compiler.
     """
-    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/pieces.py")
-    folder = Path(__file__).parent
-    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.[ch]"))}
-    texts |= {f"{generated.stem}.c": generated.source, f"{generated.stem}.h": generated.header}
     ffi, _ = core_sources.load_core()
-    return ffi, core_sources.load_with_core("ddmpc_free_space", texts, _HEADER)
+    header = (_FOLDER / "free_space.h").read_text(encoding="utf-8")
+    return ffi, core_sources.load_with_core(_packaged(), _texts, header)
+
+
+def packaged_libraries() -> Iterator[Path]:
+    """Yield the libraries of the wheel that this processor can run, best first."""
+    return _packaged().libraries()
+
+
+def write_packaged(folder: Path) -> list[Path]:
+    """Compile free space for the wheel in `folder`: libraries and manifest.
+
+    Raises
+    ------
+    NotCompiledError
+        If it cannot be compiled.
+    """
+    return _packaged().write(_texts(), folder)
+
+
+def _packaged() -> Packaged:
+    sources = [path.read_text(encoding="utf-8") for path in [*sorted(_FOLDER.glob("*.[ch]")), Path(__file__)]]
+    return core_sources.packaged_with_core("ddmpc_free_space", _FOLDER, sources)
+
+
+def _texts() -> dict[str, str]:
+    """Return all C files and headers by name, those of the core and the generated ones included."""
+    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/pieces.py")
+    written = {path.name: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob("*.[ch]"))}
+    return (
+        core_sources.core_texts()
+        | written
+        | {
+            f"{generated.stem}.c": generated.source,
+            f"{generated.stem}.h": generated.header,
+        }
+    )
 
 
 _AROUND = 100.0  # width of what lies beyond a grid, where that is occupied [m]
