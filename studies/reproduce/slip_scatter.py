@@ -19,7 +19,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc import Controller, load_config
-from diffdrive_mpc.mpc.estimation.estimate import Belief
+from diffdrive_mpc.mpc.estimate import Belief
 from diffdrive_mpc.mpc.problem.slip import PRIORS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc import Controller, Measurement
-from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimate import SENSORS
 from oracle.controller import OracleController
 
 EXACT = 1e-9

@@ -9,7 +9,7 @@ import numpy as np
 from studies.monitor.faults import Fault, Sent
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
-from diffdrive_mpc.models.path_times import path_times
+from diffdrive_mpc.models.logs.drive_log.topics import path_times
 from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING
 from diffdrive_mpc_extras.free_space.guide import Guide
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 
 SPACING = 0.05
 """Between two nodes [m]; wider for a reference of more than `MOST` nodes."""
