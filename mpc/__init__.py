@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.config.config_file import load_config as load_config
     from diffdrive_mpc.mpc.config.schema import ControllerConfig as ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller as Controller
-    from diffdrive_mpc.mpc.estimation.estimate import Estimate as Estimate
+    from diffdrive_mpc.mpc.estimate import Estimate as Estimate
     from diffdrive_mpc.mpc.hold import Hold as Hold
     from diffdrive_mpc.mpc.problem.terms import Term as Term
     from diffdrive_mpc.mpc.solver.report import SolverMethod as SolverMethod
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Controller": "mpc.controller",
     "ControllerConfig": "mpc.config.schema",
-    "Estimate": "mpc.estimation.estimate",
+    "Estimate": "mpc.estimate",
     "Hold": "mpc.hold",
     "Measurement": "models.interface",
     "Mode": "mpc.step_result",

@@ -29,7 +29,7 @@ from diffdrive_mpc.mpc.config.rooms import shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.generate import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
-from diffdrive_mpc.mpc.estimation.estimate import Belief, Estimate
+from diffdrive_mpc.mpc.estimate import Belief, Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepared
 from diffdrive_mpc.mpc.hold import Hold

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.tick import ResultLayout
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
+from diffdrive_mpc.models.logs.drive_log.topics import path_times
 from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
-from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.odometry import Odometry

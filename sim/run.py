@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.errors import load_pandas
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
-from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.interface import FloatArray, Measurement, ReadOnlyArrays, Reference, ReferenceSample, Stamped
+from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measured_cells
 from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
@@ -189,7 +189,7 @@ class Run(ReadOnlyArrays):
         """Everything over time by name, (n,) each: numbers with their unit in the name, NaN without news, and texts.
 
         `v_ref`, `omega_ref`: the command sent; `pose_t`: the instant that the arrived pose describes; `sd`: standard
-        deviation of an estimate; the rest as `sim.told` has it.
+        deviation of an estimate; the rest as `sim.run` has it.
         """
         body, motion = ("x_m", "y_m", "theta_rad"), ("v_m_s", "omega_rad_s")
         uncertain = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
@@ -232,8 +232,6 @@ class Run(ReadOnlyArrays):
             "solver_path": self.solver_methods,
             "message": self.messages,
         }
-        from diffdrive_mpc.sim.told import told_columns  # noqa: PLC0415 - who asks for no columns needs none
-
         columns |= told_columns(self.measurements, len(self.time))
         for part in columns_of(self):
             columns |= part.series(self)
@@ -297,3 +295,9 @@ class Run(ReadOnlyArrays):
 
 def _named(what: str, parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{what}_{part}" for part in parts)
+
+
+def told_columns(measurements: Sequence[Measurement], count: int) -> dict[str, FloatArray]:
+    """Columns (count,) by the names of `TOLD`, NaN where nothing was said; `measurements` may be empty."""
+    rows = [measured_cells(measurement) for measurement in measurements] or [{}] * count
+    return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in TOLD}

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.trust import UntrustedFileError
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.config.config_file import config_from_log
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.trajectories.tabled import TabledTrajectory
+from diffdrive_mpc.mpc.trajectories.native import TabledTrajectory
 
 _LATE_START = 1.5
 """Delay of the first tick after the start, in samples, above which ticks are missing."""

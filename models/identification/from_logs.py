@@ -22,8 +22,8 @@ from diffdrive_mpc.models.identification.deliver.configuration import (
     configure,
     node_text,
     round_period,
+    within_stated,
 )
-from diffdrive_mpc.models.identification.deliver.maker import within_stated
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.deliver.trust import refusals
 from diffdrive_mpc.models.identification.fit.fitting import fit, with_predictor

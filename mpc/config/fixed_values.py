@@ -1,4 +1,8 @@
-"""Constants of `fixed_values.yaml`: former keys of the configuration that no robot has to change."""
+"""Constants that no robot has to change.
+
+`fixed_values.yaml` holds former keys of the configuration; thresholds of re-entry, for Python and the core, are here.
+Thresholds of the sensor test are in `sensor_test.yaml`, those of single measurements in `core_thresholds.yaml`.
+"""
 
 from __future__ import annotations
 
@@ -16,3 +20,13 @@ def fixed_values() -> Mapping[str, float]:
     """Return all constants by dotted key."""
     groups = read_yaml(Path(__file__).with_name("fixed_values.yaml"))
     return {f"{group}.{name}": value for group, values in groups.items() for name, value in values.items()}
+
+
+STANDING = 0.02
+"""The reference stands where it is slower than this [m/s]: it is then taken to head where it will go next."""
+TURNING = 0.05
+"""... and turns on the spot where it is then faster than this [rad/s]."""
+BEHIND = 3.0
+"""In units of `reentry.wait`: waiting leaves a robot behind by twice that at most; further back it was moved [-]."""
+AHEAD = 1.5
+"""The same for a robot that is ahead of its reference, which it never is by much unless it was moved [-]."""

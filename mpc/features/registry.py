@@ -19,7 +19,7 @@ def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
     """
     features = {name: plug_in("features", name) for name, group in config.features.items() if group.is_enabled}
     if config.online_dead_time.enabled:
-        features[ONLINE_DEAD_TIME] = import_module("diffdrive_mpc.mpc.online_dead_time.feature").FEATURE
+        features[ONLINE_DEAD_TIME] = import_module("diffdrive_mpc.mpc.features.online_dead_time").FEATURE
     return dict(sorted(features.items()))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.reentry.path_window import SAME_PLACE, PathWindow, braking_time
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 

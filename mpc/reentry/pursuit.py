@@ -10,9 +10,9 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc.config.reentry_thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.config.fixed_values import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.reentry.options import Course
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock

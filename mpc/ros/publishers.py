@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3Stamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import Odometry, Path
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -16,13 +16,12 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.drive_log.topics import DRIVE
-from diffdrive_mpc.models.path_times import path_times
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, path_times
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.ros.command_output import command_output
 from diffdrive_mpc.mpc.ros.control_loop import LoopTick
-from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
-from diffdrive_mpc.mpc.ros.estimate_output import EstimateOutput
+from diffdrive_mpc.mpc.ros.conversions import pose_message, stamped_pose_message, time_message, twist_message
 from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
@@ -189,3 +188,49 @@ def _reliability(qos: Any) -> str:  # noqa: ANN401 - rclpy's profile has no type
 def _names(infos: Sequence[Any]) -> str:
     names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
     return " and ".join(sorted("a node not known by name yet" if _UNKNOWN in name else name for name in names))
+
+
+ESTIMATE = "~/estimate"
+# Rows of x, y, yaw and of forward speed, yaw rate in ROS' 6 x 6 covariances.
+_POSE, _TWIST = (0, 1, 5), (0, 5)
+
+
+class EstimateOutput:
+    """Publishes the estimate, slip included, where anybody listens.
+
+    Parameters
+    ----------
+    node
+        The node.
+    settings
+        Its settings.
+    frame
+        Frame that control is in.
+    """
+
+    def __init__(self, node: LifecycleNode, settings: NodeSettings, frame: str) -> None:
+        self._node, self._base, self._frame = node, settings.base_frame, frame
+        self._publisher = node.create_lifecycle_publisher(Odometry, ESTIMATE, 10)
+
+    def send(self, estimate: Estimate | None, time: int) -> None:
+        """Send the estimate of the tick at `time` [ns]; nothing before the first pose."""
+        if estimate is None or not self._publisher.get_subscription_count():
+            return
+        message = Odometry(child_frame_id=self._base)
+        message.header.stamp, message.header.frame_id = time_message(time), self._frame
+        message.pose.pose = pose_message(estimate.pose)
+        message.pose.covariance = _covariance(estimate.pose_deviation, _POSE)
+        message.twist.twist = twist_message(estimate.twist)
+        message.twist.covariance = _covariance(estimate.twist_deviation, _TWIST)
+        self._publisher.publish(message)
+
+    def destroy(self) -> None:
+        """Destroy the publisher."""
+        self._node.destroy_lifecycle_publisher(self._publisher)
+
+
+def _covariance(deviation: FloatArray, rows: tuple[int, ...]) -> list[float]:
+    """(36,) row by row: variances of what is estimated, zero for what is not; correlations are left out."""
+    diagonal = np.zeros(6)
+    diagonal[list(rows)] = np.square(deviation)
+    return [float(value) for value in np.diag(diagonal).ravel()]

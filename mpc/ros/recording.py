@@ -18,9 +18,8 @@ from std_msgs.msg import String
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
 from diffdrive_mpc.models.logs.drive_log.tick import Cell, decided_cells
-from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, DRIVE, TICK
+from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, DRIVE, TICK, path_times
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
-from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
@@ -28,7 +27,7 @@ from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc.mpc.trajectories.tabled import table_of
+from diffdrive_mpc.mpc.trajectories.native import table_of
 
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0

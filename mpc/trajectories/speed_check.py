@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
 
 # References of the user: what they sample is looked at before anything, C among it, reads it by count.

@@ -10,9 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.sim.metrics.path_projection import path_polyline
 

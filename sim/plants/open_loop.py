@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant

@@ -31,7 +31,7 @@ class SimulatedRobot(StrictModel):
     friction: Positive | None = Field(
         default=None, description="sliding friction coefficient of the floor that is its default one"
     )
-    sensors: SensorSet = Field(description="those that are its default ones, as sim/sensing/sensor_sets")
+    sensors: SensorSet = Field(description="those that are its default ones, as in sim/sensing/sensor_sets.yaml")
     parts: dict[str, Any] = Field(
         default_factory=dict, description="values for simulator parts of other packages, by their names"
     )

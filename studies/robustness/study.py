@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc_extras.campaign.campaign_file import Condition
 from studies.robustness.results import FALSE_ALARM_RATE, MARKET, market_cases, measured, study_tables
 

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import sliding
 from diffdrive_mpc.mpc.solver.backend import Program
 

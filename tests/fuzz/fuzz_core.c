@@ -128,7 +128,7 @@ static int output(const real **arguments, real **results, long long *iw, real *w
 
 static real *array(long count) { return calloc((size_t)(count ? count : 1), sizeof(real)); }
 
-/* A linear model of lags, and all that is rolled out from it: what mpc/problem/prediction.py does for real ones. */
+/* A linear model of lags, and all that is rolled out from it: what mpc/problem/constants.py does for real ones. */
 static void fill_model(const ddmpc_sizes *s, ddmpc_constants *k)
 {
     const int n = s->states, N = s->steps, W = s->window, width = (2 * N + PADDING - 1) / PADDING * PADDING;

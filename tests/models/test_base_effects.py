@@ -23,10 +23,9 @@ from diffdrive_mpc.models.base_effects import (
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import identify_with_effects
-from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.effects.free_run import free_run, smoothed, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.fit.fitting import fit, loses
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.load import PARAMETERS, load_base_effects, load_model
 from diffdrive_mpc.models.logs.record import Record

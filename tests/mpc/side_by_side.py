@@ -11,7 +11,7 @@ import pytest
 from diffdrive_mpc import Controller, Measurement, load_config
 from diffdrive_mpc.mpc.core import library
 from diffdrive_mpc.mpc.core.sources import CORE, declarations
-from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimate import SENSORS
 from oracle.controller import OracleController
 
 EXACT = 1e-9

@@ -20,8 +20,8 @@ from diffdrive_mpc import (
     make_plant,
 )
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
+from diffdrive_mpc.mpc.problem.constants import build_prediction
 from diffdrive_mpc.mpc.problem.formulas import body_twist
-from diffdrive_mpc.mpc.problem.prediction import build_prediction
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments

@@ -11,8 +11,8 @@ from ideal_robot import IdealRobot, drive
 from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
+from diffdrive_mpc.mpc.features.online_dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments

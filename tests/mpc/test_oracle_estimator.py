@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from diffdrive_mpc import Measurement, Stamped, integrate_pose, load_model
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
-from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimate import SENSORS
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, Slip
 from oracle.estimator import StateEstimator
 from oracle.kalman import Belief, SlipFilter

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimate import SENSORS
 from diffdrive_mpc.mpc.problem.slip import Slip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
-from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimate import SENSORS
 from oracle.checks import CheckedPose, CheckedTwist, PoseGate, PoseRate, TwistGates, sent_command
 from oracle.commands import PastCommands
 from oracle.estimate import Estimate

@@ -6,20 +6,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
+import numpy as np
+
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
-from diffdrive_mpc.models.identification.effects.comparison import loses
+from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.predictor import Finder, Predictor
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
-from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import YawSource, joined, twist_experiments
+from diffdrive_mpc.models.output_error.held_out import blocks, cut, hold_out
+from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderChoice
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, Structure, StructureFit
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,34 @@ def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSou
         except ValueError as error:
             raise ConfigError(f"{name} records: {error}") from error
     return scores[0], scores[1]
+
+
+def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record]) -> str | None:
+    """A sentence if `base` predicts held-out blocks of `records` worse than `plain`, an SM from the same; else None.
+
+    Raises
+    ------
+    ValueError
+        If the records are too short to hold blocks out.
+    """
+    experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
+    measured = joined(sensed(records, plain.yaw))
+    powers: list[FloatArray] = []
+    for row in range(2):
+        channel = [experiment.channel(row, row) for experiment in experiments]
+        powers.append(hold_out(plain.fits[row], channel).powers[:, 0])
+    with_effects = []
+    for (_, block), point in zip(blocks(measured), base.points, strict=True):
+        errors = [(free_run(point, part) - part.readings)[:, [0, -1]] for part in cut(measured, block)]
+        with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
+    rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
+    fits = 100.0 * (1.0 - rms / output_spread(experiments))
+    gained = fits[1] - fits[0]
+    if gained.min() > -settings.most_lost and gained.mean() > 0.0:
+        return None
+    shown = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
+    effects = ", ".join(base.effects) or "a delay of the encoders"
+    return f"effects ({effects}) predict held-out blocks no better than the plain model, FIT {shown}: left out"
 
 
 def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+
 STATE = "/diffdrive_mpc/state"
 """The row of each tick, as JSON."""
 COMMAND, ODOMETRY, IMU, POSE, JOINTS = "/cmd_vel", "/odom", "/imu", "/pose", "/joint_states"
@@ -38,3 +42,12 @@ MAP, ODOM, BASE, IMU_LINK = "map", "odom", "base_link", "imu_link"
 """Frames (REP 105). In simulation map and odom coincide at the start of a run."""
 WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 """Joints of the wheels."""
+
+
+_RATE, _MOST = 20, 500
+"""Poses a second, and in all: more only cost time to send and to draw."""
+
+
+def path_times(duration: float) -> FloatArray:
+    """(n,) times [s] from 0 to `duration`."""
+    return np.linspace(0.0, duration, min(_MOST, 2 + int(duration * _RATE)))

@@ -13,7 +13,7 @@ from studies.monitor.faults import AT_START, FAULTS, Fault, Sent
 from diffdrive_mpc.bench.case import NO_MODEL, Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
-from diffdrive_mpc.models.path_times import path_times
+from diffdrive_mpc.models.logs.drive_log.topics import path_times
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules

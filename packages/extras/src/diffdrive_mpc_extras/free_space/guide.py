@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc_extras.free_space.config import FreeSpace
 from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps, load_free_space
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.core_sources import Tick
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.mpc.config.reentry_thresholds import STANDING
+from diffdrive_mpc.mpc.config.fixed_values import STANDING
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.step_result import Mode, StepResult

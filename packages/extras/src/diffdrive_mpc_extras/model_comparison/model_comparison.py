@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.function_structure import function_structures
-from diffdrive_mpc.models.identification.fit.block_errors import INTERVAL, block_powers, drawn_blocks, pooled_fit
+from diffdrive_mpc.models.identification.deliver.trust import INTERVAL, block_powers, drawn_blocks, pooled_fit
 from diffdrive_mpc.models.identification.fit.fitting import Fitted, fit, with_predictor
 from diffdrive_mpc.models.identification.fit.poses import from_poses
 from diffdrive_mpc.models.identification.fit.predictor import finders

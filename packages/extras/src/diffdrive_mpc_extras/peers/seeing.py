@@ -22,7 +22,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, integrate_pose
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc_extras.peers.mppi import Floats32, MppiGains, MppiLaw
 from diffdrive_mpc_extras.worlds.passage import outline_points
 from diffdrive_mpc_extras.worlds.shapes import Shapes

@@ -13,11 +13,10 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects.free_run import free_run
 from diffdrive_mpc.models.identification.fit.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
-from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc_extras.twin.fitting import TwinFit

@@ -1,1 +1,0 @@
-"""Dead time that is learned while the robot drives."""
