@@ -133,7 +133,7 @@ test-system: $(LAB_READY) ## tests that need Debian packages: a browser, cross c
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
-	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
+	PYTHONPATH=tests:tests/models:tests/mpc $(BIN)/python -m fuzz $(FUZZ)
 
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)

@@ -1,7 +1,7 @@
 """Drive between posts and through a doorway, wait for somebody who crosses the way, and draw what happened.
 
 Everything is seen here as a map and a list of discs; on a robot a costmap does as well. The doorway is 0.10 m wider
-than the robot. What it keeps away from things, and how it says why it stands: docs/worlds.md.
+than the robot. What it keeps away from things, and how it says why it stands: packages/extras/docs/worlds.md.
 """
 
 from pathlib import Path

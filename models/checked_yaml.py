@@ -184,20 +184,6 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
     return check(schema, read_yaml(path), str(path))
 
 
-def load_variation(schema: type[Schema], path: str | Path, base: Mapping[str, Any]) -> Schema:
-    """Read a YAML file that says only where it differs from `base`, values by key, and check the whole.
-
-    Groups are laid over those of `base` key by key; anything else, lists included, takes the place of what was there.
-
-    Raises
-    ------
-    ConfigError
-        As for `load_checked`.
-    """
-    data = read_yaml(path)
-    return check(schema, laid_over(base, data) if isinstance(data, Mapping) else data, str(path))
-
-
 def laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """`base` with the values of `changes` in place of its own, groups key by key."""
     whole = dict(base)

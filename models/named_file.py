@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, Schema, check, laid_over, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.trust import check_trusted
 
@@ -54,6 +58,58 @@ def named_file(
     raise ConfigError(
         f"unknown {kind} '{text}': give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
     )
+
+
+@dataclass(frozen=True)
+class EntryFile:
+    """Shipped YAML file with one entry per name; a file of the user holds one entry without its name.
+
+    Attributes
+    ----------
+    kind
+        Kind of the entries, for messages.
+    path
+        Path of the shipped file.
+    """
+
+    kind: str
+    path: Path
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the shipped entries, sorted."""
+        return tuple(sorted(_entries(self.path)))
+
+    def read(self, name: str | Path) -> tuple[Any, str]:
+        """Return the values of a shipped name or of a user's file, and their place for messages.
+
+        Raises
+        ------
+        models.checked_yaml.ConfigError
+            If there is no such entry or file, or the file cannot be read; see also `named_file`.
+        """
+        entries = _entries(self.path)
+        if isinstance(name, (str, Path)) and str(name) in entries:
+            return deepcopy(entries[str(name)]), f"{self.path}, entry '{name}'"
+        path = named_file(self.kind, self.path, name, self.names)
+        return read_yaml(path), str(path)
+
+    def load(self, schema: type[Schema], name: str | Path, base: Mapping[str, Any] | None = None) -> Schema:
+        """Check the values of `name` against `schema`; they replace those of `base` key by key.
+
+        Raises
+        ------
+        models.checked_yaml.ConfigError
+            As for `read`, or if a value is wrong.
+        """
+        values, where = self.read(name)
+        return check(schema, laid_over(base, values) if base and isinstance(values, Mapping) else values, where)
+
+
+@lru_cache
+def _entries(path: Path) -> Mapping[str, Any]:
+    entries: Mapping[str, Any] = read_yaml(path)
+    return entries
 
 
 def is_file(path: str | Path) -> bool:

@@ -28,7 +28,6 @@ GROUPS = (
     "plants",
     "peers",
     "columns",
-    "dimensions",
     "files",
     "parameter_writers",
 )

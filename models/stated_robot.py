@@ -8,13 +8,13 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topic, Topics
-from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.models.plug_ins import plug_in_names
 from diffdrive_mpc.models.robot import load_robot
 
-FOLDER = Path(__file__).parent / "stated_robots"
+STATED_ROBOTS = EntryFile("robot", Path(__file__).with_name("stated_robots.yaml"))
 TO_IDENTIFY = (
     "gain, lag and dead time of both channels, the yaw rate that the ground leaves of the commanded one, slip, noise of"
     " the sensors"
@@ -174,7 +174,7 @@ class MakersRobot(StrictModel):
 
 def stated_robots() -> tuple[str, ...]:
     """Names of the robots that are known, sorted."""
-    return shipped_names(FOLDER)
+    return STATED_ROBOTS.names
 
 
 def load_stated_robot(name: str | Path) -> MakersRobot:
@@ -190,7 +190,7 @@ def load_stated_robot(name: str | Path) -> MakersRobot:
     models.checked_yaml.ConfigError
         If there is no such robot, or its file has a mistake; the message lists the names.
     """
-    robot = load_checked(MakersRobot, named_file("robot", FOLDER, name))
+    robot = STATED_ROBOTS.load(MakersRobot, name)
     if robot.footprint is not None and robot.footprint_radius is not None:
         raise ConfigError(f"{name}: give 'footprint' or 'footprint_radius', not both")
     return robot

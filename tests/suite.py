@@ -33,11 +33,11 @@ LONG_TESTS = {
     "test_identify_command.py",
     "test_identify_truth.py",
     "test_model_comparison.py",
-    "test_monitor_over_dds.py",
+    "test_monitor_with_node.py",
     "test_network_identification.py",
     "test_over_dds.py",
     "test_real_time_iterations.py",
-    "test_replay_bags.py",
+    "test_replay.py",
     "test_reproduce_experiments.py",
     "test_tutorials.py",
 }

@@ -17,9 +17,10 @@ from studies.documents import documents as twelve_drives
 from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+PACKAGE_PAGES = list(ROOT.glob("packages/*/docs/*.md"))
+DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), *PACKAGE_PAGES])
 # Of tutorials the notebooks are run, by test_tutorials.py.
-PAGES = sorted(page for kind in ("*.md", "tutorials/*.md") for page in (ROOT / "docs").glob(kind))
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
 LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -156,7 +157,7 @@ def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
     """Every word of the line stands quoted in that file, but for the places of files."""
     words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
     named_there = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
-    test = (ROOT / "tests" / file).read_text(encoding="utf-8")
+    test = (ROOT / file).read_text(encoding="utf-8")
     assert all(word in test for word in named_there), named_there
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 

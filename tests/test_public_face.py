@@ -39,11 +39,6 @@ def test_every_public_name_is_there(name):
     assert name in dir(diffdrive_mpc)
 
 
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'diffdrive_mpc' has no attribute 'Controler'"):
-        diffdrive_mpc.Controler  # noqa: B018
-
-
 def python(folder, *arguments):
     command = [sys.executable, *arguments]
     result = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)

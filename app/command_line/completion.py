@@ -45,9 +45,9 @@ def offers(what: str) -> bool:
 
 def _shipped(kind: str) -> Callable[[], Offered]:
     def offered() -> Offered:
-        for path in _kinds_of_files()[kind].files:
-            match = _DESCRIPTION.search(path.read_text(encoding="utf-8"))
-            yield path.stem, match[1] if match else ""
+        for name, text in _kinds_of_files()[kind].texts.items():
+            match = _DESCRIPTION.search(text)
+            yield name, match[1] if match else ""
 
     return offered
 

@@ -41,11 +41,11 @@ KINDS: dict[str, FileKind] = {
         _kind("trajectory", "mpc/trajectories/built_in"),
         _models(),
         _kind("mapping", "models/logs/mappings"),
-        _kind("stated-robot", "models/stated_robots"),
-        _kind("robot", "sim/plants/robots"),
-        _kind("surface", "sim/plants/surfaces"),
-        _kind("sensors", "sim/sensing/sensor_sets"),
-        _kind("scenario", "sim/disturbances/scenarios"),
+        _kind("stated-robot", "models/stated_robots.yaml"),
+        _kind("robot", "sim/plants/robots.yaml"),
+        _kind("surface", "sim/plants/surfaces.yaml"),
+        _kind("sensors", "sim/sensing/sensor_sets.yaml"),
+        _kind("scenario", "sim/disturbances/scenarios.yaml"),
         *plug_ins("files"),
     )
 }

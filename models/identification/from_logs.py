@@ -26,9 +26,9 @@ from diffdrive_mpc.models.identification.deliver.configuration import (
 from diffdrive_mpc.models.identification.deliver.maker import within_stated
 from diffdrive_mpc.models.identification.deliver.report import IdentificationReport
 from diffdrive_mpc.models.identification.deliver.trust import refusals
-from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.fit.fitting import fit, with_predictor
 from diffdrive_mpc.models.identification.fit.poses import from_poses
-from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders, with_predictor
+from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders
 from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surface, surface_text
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
-from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.checked_yaml import StrictModel, check
+from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.sim.disturbances.disturbance_types import (
     BatterySag,
     Blockade,
@@ -34,7 +34,7 @@ from diffdrive_mpc.sim.disturbances.disturbance_types import (
 )
 from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
 
-SCENARIOS = Path(__file__).parent / "scenarios"
+SCENARIOS = EntryFile("scenario", Path(__file__).with_name("scenarios.yaml"))
 _SENSOR_FAULTS = ("drop_outs", "stuck_sensors", "dead_encoders", "gyro_biases", "pose_errors")
 _ANY_PLANT = ("start_offset", "false_commands", *_SENSOR_FAULTS)
 
@@ -95,23 +95,23 @@ class Scenario(StrictModel):
 
 @dataclass(frozen=True)
 class ScenarioFile:
-    """A scenario as its file describes it, ranges and choices included; it has been checked.
+    """Checked scenario before the draw, with its ranges and choices.
 
     Attributes
     ----------
-    path
-        The file.
     data
-        What stands in it.
+        Values by key.
+    where
+        File, and entry of a shipped scenario, for messages.
     """
 
-    path: Path
     data: Any
+    where: str
 
     def draw(self, seed: int) -> Scenario:
         """The scenario of the run with `seed` (not negative): always the same for the same seed."""
         stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
-        return check(Scenario, drawn(self.data, stream), str(self.path))
+        return check(Scenario, drawn(self.data, stream), self.where)
 
 
 def beside(scenario: Scenario, other: Scenario) -> Scenario:
@@ -132,9 +132,8 @@ def load_scenario(name: str | Path) -> ScenarioFile:
     models.checked_yaml.ConfigError
         If there is no such scenario, its file has a mistake, or a value out of range could be drawn from it.
     """
-    path = named_file("scenario", SCENARIOS, name)
-    data = read_yaml(path)
-    check_drawn(data, str(path))
+    data, where = SCENARIOS.read(name)
+    check_drawn(data, where)
     for values in extremes(data):
-        check(Scenario, values, str(path))
-    return ScenarioFile(path, data)
+        check(Scenario, values, where)
+    return ScenarioFile(data, where)

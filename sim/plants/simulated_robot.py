@@ -8,14 +8,14 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over, load_variation
-from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over
+from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.base_motion import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
-ROBOTS = Path(__file__).parent / "robots"
+ROBOTS = EntryFile("robot", Path(__file__).with_name("robots.yaml"))
 DEFAULT = "default"
 """Name of the floor and of the sensors that a robot file may replace by its own."""
 
@@ -80,4 +80,4 @@ def load_simulated_robot(name: str | Path) -> SimulatedRobot:
     models.checked_yaml.ConfigError
         If there is no such robot or its file has a mistake.
     """
-    return load_variation(SimulatedRobot, named_file("robot", ROBOTS, name), digital_twin())
+    return ROBOTS.load(SimulatedRobot, name, digital_twin())

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
 
-SURFACES = Path(__file__).parent / "surfaces"
+SURFACES = EntryFile("surface", Path(__file__).with_name("surfaces.yaml"))
 
 
 class Polynomial(StrictModel):
@@ -117,4 +117,4 @@ def load_surface(name: str | Path) -> Surface:
     models.checked_yaml.ConfigError
         If there is no such surface or its file has a mistake.
     """
-    return load_checked(Surface, named_file("surface", SURFACES, name))
+    return SURFACES.load(Surface, name)

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over, load_checked, load_variation
-from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over
+from diffdrive_mpc.models.named_file import EntryFile
 
-SENSOR_SETS = Path(__file__).parent / "sensor_sets"
+SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml"))
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
 """A standard deviation [m, rad or rad/s]: beyond a kilometre or a thousand turns nothing is measured."""
 
@@ -74,5 +74,5 @@ def load_sensor_set(name: str | Path) -> SensorSet:
     models.checked_yaml.ConfigError
         If there is no such set or its file has a mistake.
     """
-    usual = load_checked(SensorSet, SENSOR_SETS / "default.yaml")
-    return load_variation(SensorSet, named_file("sensor set", SENSOR_SETS, name), usual.model_dump())
+    default = SENSOR_SETS.load(SensorSet, "default")
+    return SENSOR_SETS.load(SensorSet, name, default.model_dump())

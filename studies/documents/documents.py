@@ -11,6 +11,7 @@ Reports that are older say so in their own text.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sys
@@ -88,10 +89,13 @@ EDGE = ShownReport("edge", ("overview.png",), (), study="bench")
 ROBUSTNESS = ShownReport("robustness", ("ratios.png",), ())
 MARKET = ShownReport("market", (), (), study="robustness")
 PROVE = ShownReport(
-    "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
+    "prove",
+    ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"),
+    (),
+    "../packages/extras/docs/prove.md",
 )
 TUNE = ShownReport("tune", ("search.png",), (), "tuning.md")
-PREDICTED_ERROR = ShownReport("predicted-error", (), (), "predicted-error.md")
+PREDICTED_ERROR = ShownReport("predicted-error", (), (), "../packages/extras/docs/predicted-error.md")
 SHOWN = (
     BENCH,
     TRACKING,
@@ -129,6 +133,7 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
 
 def sections(shown: ShownReport, report: str) -> dict[str, str]:
     """Parts of a report by the names of their markers: facts, figures and tables."""
+    folder = os.path.relpath(f"docs/{shown.name}", Path("docs", shown.page).parent)
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
     facts = "\n".join(line for line in lines if line.startswith("* "))
@@ -139,7 +144,7 @@ def sections(shown: ShownReport, report: str) -> dict[str, str]:
     for line in lines:
         if line.startswith("!["):
             name = line[2:].partition("]")[0]
-            parts[f"{shown.name}-figure-{name}"] = line.replace("](", f"]({shown.name}/")
+            parts[f"{shown.name}-figure-{name}"] = line.replace("](", f"]({folder}/")
     for table in tables:
         title, _, body = table.partition("\n")
         parts[f"{shown.name}-{title.lower().replace(' ', '-')}"] = body.strip()

@@ -1,13 +1,14 @@
 """Tutorials as notebooks: the Markdown is the source, and what it shows is what the notebook drew.
 
 Run as ``python -m studies.site.notebooks``, from the top of the repository: it writes the notebooks without
-outputs beside the tutorials, executes them, and writes the pictures of their pages.
+outputs next to the tutorials, executes them, and writes the pictures of their pages. git ignores the notebooks.
 """
 
 from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,9 +18,9 @@ from nbclient import NotebookClient
 
 TUTORIALS = Path("docs/tutorials")
 
-# What a notebook does not need: its own pictures as files, and that it can be downloaded.
+# A notebook needs neither its pictures as files nor the reference to itself.
 _PICTURE = re.compile(r"^!\[[^\]]*\]\((?P<file>[\w-]+\.png)\)\n\n?", re.MULTILINE)
-_DOWNLOAD = re.compile(r" The \[notebook of this page\]\([^)]*\)[^.]*\.")
+_REFERENCE = re.compile(r" The notebook of this page, `(?P<file>[\w-]+\.ipynb)`, has the same steps\.")
 _FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -37,7 +38,7 @@ os.environ.update(PATH=path, FORCE_COLOR="", COLUMNS="110")
 
 def notebook_text(markdown: str) -> str:
     """The notebook of a tutorial as JSON: Python and shell run, and files that the page shows are written."""
-    source = _FILE.sub(r"```python\n%%writefile \1\n\2```", _DOWNLOAD.sub("", _PICTURE.sub("", markdown)))
+    source = _FILE.sub(r"```python\n%%writefile \1\n\2```", _REFERENCE.sub("", _PICTURE.sub("", markdown)))
     if "```sh\n" in source:
         title, _, rest = source.partition("\n")
         source = f"{title}\n\n{_SETUP}{rest}"
@@ -47,6 +48,21 @@ def notebook_text(markdown: str) -> str:
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     notebook.metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
     return str(jupytext.writes(notebook, fmt="ipynb")) + "\n"
+
+
+def with_notebooks(documents: Mapping[str, str], out: Path) -> dict[str, str]:
+    """Write the notebooks of the tutorials among `documents` into the site at `out`.
+
+    Return the documents with a link to each notebook.
+    """
+    linked = dict(documents)
+    for place, markdown in documents.items():
+        reference = _REFERENCE.search(markdown)
+        if reference and place.startswith("docs/tutorials/"):
+            name = reference["file"]
+            (out / "tutorials" / name).write_text(notebook_text(markdown), encoding="utf-8")
+            linked[place] = markdown.replace(f"`{name}`", f"[`{name}`]({name})", 1)
+    return linked
 
 
 def executed(notebook: str, folder: Path) -> list[bytes]:

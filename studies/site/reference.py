@@ -57,7 +57,7 @@ def file_formats_page() -> str:
 def _section(kind: str) -> str:
     about, option, read_schema = _FORMATS[kind]
     schema = read_schema()
-    names = ", ".join(f"`{path.stem}`" for path in KINDS[kind].files) if kind in KINDS else ""
+    names = ", ".join(f"`{name}`" for name in KINDS[kind].texts) if kind in KINDS else ""
     facts = f"For `{option}`." + (f" Shipped: {names}." if names else "")
     title = f"## {kind}: {about} {{ #{kind} }}"
     return "\n\n".join([title, facts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])

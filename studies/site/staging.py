@@ -17,6 +17,7 @@ from latex2mathml.converter import convert
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_lab.build import has_compiler, page_text
+from studies.site.notebooks import with_notebooks
 from studies.site.reference import reference_pages
 
 MOVED = {
@@ -26,6 +27,7 @@ MOVED = {
 }
 """Documents that lie outside `docs`, and what they are called on the site."""
 
+_PACKAGE_PAGE = re.compile(r"packages/(\w+)/docs/(.*)")
 _LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
 _COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
 _FENCED = re.compile(r"^(```.*?^```)$", re.MULTILINE | re.DOTALL)
@@ -37,6 +39,8 @@ def place_on_site(path: str) -> str:
         return MOVED[path]
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
+    if match := _PACKAGE_PAGE.fullmatch(path):
+        return f"{match[1]}/{match[2]}"
     return f"files/{path}.md"
 
 
@@ -114,13 +118,12 @@ def stage(root: Path, out: Path) -> None:
     """
     if out.exists() and not (out / _LABORATORY).is_file():
         raise ConfigError(f"{out}: has no {_LABORATORY}, so it is no folder of the site's pages; name another")
-    documents = {
-        f"docs/{path.relative_to(root / 'docs').as_posix()}": path.read_text(encoding="utf-8")
-        for path in sorted((root / "docs").rglob("*.md"))
-    }
+    pages = [*(root / "docs").rglob("*.md"), *root.glob("packages/*/docs/*.md")]
+    documents = {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in sorted(pages)}
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(root / "docs", out, ignore=shutil.ignore_patterns("*.md"))
-    ours = {name.removeprefix("docs/"): with_site_links(text, name) for name, text in documents.items()}
+    documents = with_notebooks(documents, out)
+    ours = {place_on_site(name): with_site_links(text, name) for name, text in documents.items()}
     for place, text in {**ours, **pages_outside(root, documents), **reference_pages(documents)}.items():
         page = out / place
         page.parent.mkdir(parents=True, exist_ok=True)

@@ -43,16 +43,6 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.long
-def test_a_sweep_compares_the_values_of_a_field(tmp_path: Path) -> None:
-    arguments = "--models ssm --trajectories cane --seeds 1 --jobs 1 --plant model:ssm --set horizon=8,25"
-    invoke(app, "bench", "--out", tmp_path, *arguments.split())
-    runs = json.loads((tmp_path / "bench.json").read_text())["runs"]
-    assert [run["horizon"] for run in runs] == [8, 25]
-    assert [run["set"] for run in runs] == [{"horizon": 8}, {"horizon": 25}]
-    assert runs[0]["position_rmse_m"] != runs[1]["position_rmse_m"]
-
-
 def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None:
     logs = []
     for name in ("first", "second"):
@@ -67,27 +57,6 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
     for column, values in logs[0].items():
         assert np.array_equal(values, logs[1][column], equal_nan=True), column
     assert np.isfinite(logs[0]["wheel_fl_rad_s"][5:]).all()
-
-
-@pytest.mark.long
-def test_scenarios_are_compared_and_replayed(tmp_path: Path) -> None:
-    arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario none,push"
-    invoke(app, "bench", "--out", tmp_path, *arguments.split())
-    report = json.loads((tmp_path / "bench.json").read_text())
-    plain, pushed = report["runs"]
-    assert report["meta"]["experiment"]["scenarios"] == ["none", "push"]
-    assert (plain["scenario"], pushed["scenario"]) == ("none", "push")
-    assert plain["recovery_time_s"] is None
-    assert plain["disturbance_s"] is None
-    assert 4.0 <= pushed["disturbance_s"][0] < pushed["disturbance_s"][1] <= 5.25
-    assert pushed["lateral_max_m"] > 0.05 > plain["lateral_max_m"]
-    assert 0.0 < pushed["recovery_time_s"] < 3.0
-    assert pushed["overshoot_m"] >= 0.0
-    assert pushed["command_energy_v"] > 0.0 < pushed["command_energy_omega"]
-    text = (tmp_path / "bench.md").read_text()
-    assert "## Scenarios" in text
-    assert "| none | SSM | - | - | - |" in text
-    assert "scenarios none, push, seeds 0" in text
 
 
 SUMMARY = (
@@ -111,11 +80,6 @@ def test_simulate_prints_six_lines_of_80_characters(
     for line, pattern in zip(lines, SUMMARY, strict=True):
         assert re.fullmatch(pattern, line)
     assert (tmp_path / "out" / "report.html").exists() == ("--out" in words)
-
-
-def test_summary_names_the_recovery_from_a_scenario() -> None:
-    arguments = ["simulate", "--plant", "model:ssm", "--trajectory", "cane", "--scenario", "start_offset"]
-    assert re.search(r"^recovery: [\d.]+ s, overshoot [\d.]+ mm$", runner.invoke(app, arguments).stdout, re.MULTILINE)
 
 
 def test_simulate_shows_the_recovery_from_a_scenario() -> None:
@@ -154,11 +118,3 @@ def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp
     assert [name for name, value in tipped.items() if value is None and not name.startswith(timed)] == [
         "recovery_time_s"
     ]
-
-
-def test_simulate_tells_of_a_robot_that_tips_over_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "tips.yaml").write_text(TIPPING)
-    arguments = ["--trajectory", "cane", "--scenario", str(tmp_path / "tips.yaml"), "--out", str(tmp_path / "out")]
-    result = invoke(app, "simulate", *arguments, "--log", tmp_path / "log.csv")
-    assert len(re.findall(rf"^not completed: {TIPPED}$", result.stdout, re.MULTILINE)) == 1
-    assert 50 < len(read_columns(tmp_path / "log.csv")["t_s"]) < 100

@@ -5,17 +5,28 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from commands import invoke
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.case import combinations
+from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
 from diffdrive_mpc.bench.runner import NotReproducibleError
+from diffdrive_mpc.bench.sweep import sweep_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.sim import Run, simulate
 from processes import run_command
 from studies.cli import app as studies_app
@@ -64,12 +75,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("arguments", "message"),
     [
         ("simulate --model foo", "unknown model 'foo'"),
-        ("simulate --model missing.yaml", "unknown model 'missing.yaml'"),
         ("simulate --trajectory cirle", "did you mean 'circle'"),
         ("simulate --plant foo", "unknown plant 'foo'"),
-        ("simulate --surface foo", "unknown surface 'foo'"),
-        ("simulate --sensors foo", "unknown sensor set 'foo'"),
-        ("simulate --scenario pusch", "unknown scenario 'pusch': give one of battery_sag, biased_gyro, blocked"),
         ("simulate --scenario pusch", "did you mean 'push'?"),
         ("simulate --scenario {folder}/tilted.yaml", "slope.angle: Input should be less than or equal to 0.6"),
         ("simulate --scenario push --plant model:ssm", "needs a plant with mass, wheels and motors (pushes)"),
@@ -77,76 +84,39 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("simulate --config missing.yaml", "missing.yaml"),
         ("simulate --set weights.acros=1", "did you mean 'weights.across'"),
         ("simulate --set weights.across=-1", "weights.across"),
-        ("simulate --set horizon=0", "horizon"),
-        ("simulate --set sample_time=0", "sample_time"),
         ("simulate --trajectory spline-3 --scale-to-robot", "unknown trajectory 'spline-3'"),
         ("simulate --set horizon=5,10", "use 'bench'"),
-        ("simulate --set horizon", "write KEY=VALUE"),
         ("simulate --seed -1", "--seed"),
-        ("simulate --seed one", "--seed"),
-        ("simulate --log /dev/null/folder/run.csv", "cannot be written to"),
         ("simulate --log {folder}/taken/run.csv", "--log {folder}/taken/run.csv: cannot be written to"),
         ("simulate --log {folder}", "--log {folder}: not a regular file"),
-        ("simulate --log {folder}/link", "--log {folder}/link: not a regular file"),
-        ("simulate --log /dev/null", "--log /dev/null: not a regular file"),
         ("simulate --out ''", "'--out': it is empty"),
         ("simulate --model ''", "--model: it is empty"),
-        ("simulate --model '' --controller kanayama", "takes no --model, --config or --set"),
         ("simulate --model {folder}/unstable.yaml", "unstable"),
         ("simulate --model {folder}/nan.yaml", "A.0.0: Input should be a finite number"),
-        ("simulate --plant model:{folder}/unstable.yaml", "unstable"),
         ("simulate --trajectory {folder}/empty.yaml", "empty.yaml: expected keys and values, found nothing"),
-        ("simulate --trajectory {folder}/no_segments.yaml", "no_segments.yaml: segments is empty"),
         ("simulate --trajectory {folder}/too_fast.yaml", "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit"),
-        (
-            "simulate --trajectory {folder}/too_fast.yaml --out {out} --log {out}/deep/run.csv",
-            "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit",
-        ),
-        ("simulate --controller kanayama --set horizon=5", "takes no --model, --config or --set"),
-        ("simulate --spede 3", "--spede"),
         ("simulat", "simulat"),
-        ("bench --out ''", "'--out': it is empty"),
         ("bench --out {folder}/blocked --models ssm", "'bench.md' there is in the way"),
         ("bench --out {out} --models ''", "--models"),
         ("bench --out {out} --models ssm,{folder}/ssm.yaml", "rename one file"),
-        ("bench --out {out} --models {folder}/unstable.yaml", "unstable"),
-        ("bench --out {out} --models {folder}/nan.yaml", "A.0.0: Input should be a finite number"),
-        ("bench --out {out} --trajectories {folder}/no_segments.yaml", "no_segments.yaml: segments is empty"),
-        (
-            "bench --out {out} --trajectories {folder}/too_fast.yaml",
-            "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit",
-        ),
-        ("bench --out {out} --models ssm --set sample_time=0", "sample_time"),
         ("bench --out {out} --controller kanayama --models nope", "takes no --models, --config, --set or --horizons"),
-        ("bench --out {out} --controller kanayama --set horizon=5", "takes no --models, --config, --set or --horizons"),
         ("bench --out {out} --models ssm,foo", "unknown model 'foo'"),
         ("bench --out {out} --models ssm,ssm", "given twice"),
-        ("bench --out {out} --controller foo", "unknown controller 'foo'"),
-        ("bench --out {out} --trajectories circle,foo", "unknown trajectory 'foo'"),
         ("bench --out {out} --models ssm --scenario push,foo", "unknown scenario 'foo'"),
         ("bench --out {out} --models ssm --scenario push --plant model:ssm", "use 'mujoco'"),
-        ("bench --out {out} --seeds 0", "--seeds 0"),
         ("bench --out {out} --horizons 0,5", "at least 1"),
         ("bench --out {out} --horizons 5 --set horizon=5,10", "give one of them"),
-        ("bench --out {out} --models ssm --set weights.across=1,-1", "weights.across"),
         ("bench --out {out} --jobs 0", "--jobs"),
-        ("config show foo", "foo"),
         ("config check missing.yaml", "missing.yaml"),
-        ("models show foo", "unknown model 'foo'"),
         ("models check missing.yaml", "missing.yaml"),
         ("simulate --out {folder}/taken", "--out {folder}/taken: cannot be written to"),
-        ("simulate --trajectories=cirle", "unknown trajectory 'cirle'"),
         ("simulate --models smm", "unknown model 'smm'"),
         ("simulate --seeds 3", "No such option: --seeds (Possible options: --seed,"),
-        ("bench --out {out} --trajectory circle,cirle", "unknown trajectory 'cirle'"),
-        ("bench --out {out} --model sm,smm", "unknown model 'smm'"),
         ("bench --out {out} --seed 3", "No such option: --seed (Possible options: --seeds"),
         ("bench --out {out} --seeds 1000000000", "--seeds 1000000000: give at most 10000 seeds"),
         ("config check {folder}/negative.yaml", "negative.yaml: weights.across"),
-        ("config schema weigths", "unknown key 'weigths'; did you mean 'weights'?"),
         ("config schema weights.acros", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
         ("config schema weights --json", "there is no schema of 'weights'; give controller, model, trajectory"),
-        ("models check {folder}/unstable.yaml", "unstable"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path, folder: Path) -> None:
@@ -176,14 +146,7 @@ def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
     assert run["completed"] is False
 
 
-@pytest.mark.parametrize("command", ["simulate", "bench"])
-def test_the_help_of_surface_names_both_kinds_of_plant(command: str) -> None:
-    text = " ".join(re.sub(r"[│\s]+", " ", runner.invoke(app, [command, "--help"]).stdout).split())
-    assert "slip of" in text
-    assert "loor of the mujoco plant" in text
-
-
-def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_fault_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
@@ -204,22 +167,8 @@ def test_every_study_has_help_with_an_example(command: str) -> None:
     assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
 
 
-@pytest.mark.parametrize(
-    ("former", "words"),
-    [
-        ("replay a.csv --out x", "`diffdrive-mpc log replay`"),
-        ("schema", "`diffdrive-mpc config schema KIND --json`"),
-        ("commission", "docs/tutorials/commission.md"),
-        ("log rerun a.mcap", "Rerun"),
-    ],
-)
-def test_former_command_names_its_replacement_in_one_line(former: str, words: str) -> None:
-    result = invoke(app, *former.split(), code=2)
-    assert words in result.stderr and len(result.stderr.splitlines()) == 1
-
-
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)
-def test_a_group_without_a_command_shows_what_there_is(group: list[str]) -> None:
+def test_group_without_a_command_shows_usage(group: list[str]) -> None:
     result = invoke(app, *group, code=2)
     assert "Usage" in result.stdout
 
@@ -240,16 +189,14 @@ ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
         ("rclpy", "sim-robot", ROS),
     ],
 )
-def test_without_a_package_the_remedy_is_named(package: str, word: str, remedy: str) -> None:
+def test_missing_package_is_one_line_with_the_remedy(package: str, word: str, remedy: str) -> None:
     done = run_command(word, without=package)
     assert done.returncode == 1
     assert re.fullmatch(rf"error: the package '{package}' is not installed; {remedy}\n", done.stderr)
 
 
 @pytest.mark.parametrize("kind", [NotCompiledError, NotReproducibleError, MissingPackageError])
-def test_an_error_of_the_project_that_is_not_bad_input_has_an_exit_code_of_its_own(
-    kind: type[Exception], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_project_error_has_exit_code_1(kind: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> None:
         raise kind("no compiler;\n  get one")
 
@@ -262,3 +209,85 @@ def test_the_console_command_runs_as_a_program() -> None:
     done = run_command("models", "show", "foo")
     assert done.returncode == 2
     assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)
+
+
+def test_a_grid_is_counted_before_it_is_listed() -> None:
+    """10^12 combinations of four settings, and of four dimensions."""
+    tracemalloc.start()
+    values = ",".join(map(str, range(1, 1001)))
+    with pytest.raises(ValueError, match="1,000,000,000,000 runs are asked for, at most 100,000"):
+        sweep_settings([f"weights.{name}={values}" for name in ("along", "across", "heading", "v")])
+    names = [str(i) for i in range(1000)]
+    with pytest.raises(ValueError, match="1,000,000,000,000 runs"):
+        combinations(model=names, trajectory=names, surface=names, seed=range(1000))
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+    assert len(combinations(seed=range(5), model=["a", "b"])) == 10
+
+
+def test_a_bench_counts_its_controllers_and_settings_too() -> None:
+    """Places alone would be few enough."""
+    asked = read_options({"seeds": "10000", "trajectories": "circle,s"}, settings=["weights.across=1,2,3,4,5,6"])
+    with pytest.raises(ValueError, match="480,000 runs"):
+        plan_cases(asked)
+
+
+def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:
+    """A mapping that allows any gap: 5,000,000,300 samples, 37 GiB for the first array."""
+    log, mapping = tmp_path / "years.csv", tmp_path / "any.yaml"
+    rows = [(0.02 * i, (-1) ** (i // 50) * 0.3) for i in range(300)]
+    rows += [(1e8 + t, v) for t, v in rows]
+    log.write_text("t,v,w,m\n" + "".join(f"{t:.2f},{v},{-v},{0.9 * v}\n" for t, v in rows), encoding="utf-8")
+    columns = "time: t, command: {v: v, omega: w}, encoders: {v: m, omega: w}"
+    mapping.write_text(f"gap: 1.0e+9\ncolumns: {{{columns}}}\n", encoding="utf-8")
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="more than 2,000,000 samples; give a shorter 'gap'"):
+        read_log(log, mapping)
+    assert tracemalloc.get_traced_memory()[1] < 100e6  # a block of text is 16 MB
+    tracemalloc.stop()
+    mapping.write_text(f"columns: {{{columns}}}\n", encoding="utf-8")
+    assert len(read_log(log, mapping).records) == 2
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
+def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise kind
+
+    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
+    result = invoke(app, "models", "show", "ssm", code=130)
+    assert result.stderr.strip() == "error: aborted"
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "bench", "--seeds", "20"]
+    words = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]
+    with subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        session = process.pid
+        while not list(tmp_path.rglob("*")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        time.sleep(2.0)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 143
+    assert said.strip() == "error: ended by SIGTERM"
+    assert not list(tmp_path.rglob("*"))
+    for _ in range(100):  # what was killed takes a moment; idle processes would stay for two minutes
+        if session not in sessions():
+            return
+        time.sleep(0.1)
+    raise AssertionError("processes are left")
+
+
+def sessions() -> list[int]:
+    """The session of each process."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            found.append(int(stat.read_text().rpartition(")")[2].split()[3]))
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+    return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
@@ -16,8 +15,7 @@ from typer.testing import CliRunner
 from commands import invoke
 from diffdrive_mpc import ControllerConfig, load_config, load_model
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.schemas import json_schema
-from diffdrive_mpc.bench.case import MOST_SEEDS, parse_seeds
+from diffdrive_mpc.bench.case import parse_seeds
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.load import ROBOT_NAMES, model_names
@@ -26,8 +24,6 @@ from diffdrive_mpc.mpc.config.rooms import side_by_side
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 
 runner = CliRunner()
-ROOT = Path(__file__).parents[2]
-SCHEMA = ROOT / "mpc" / "schemas" / "controller.schema.json"
 
 
 def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
@@ -53,47 +49,11 @@ def test_the_schema_lists_every_key_with_its_default() -> None:
     assert "[" not in flat["weights.across"].help
 
 
-@pytest.mark.parametrize("part", ["weights", "limits.v", "solver", "terms"])
-def test_a_part_of_the_schema_is_shown_alone(part: str) -> None:
-    result = invoke(app, "config", "schema", part)
-    shown = [line.split()[0] for line in result.stdout.splitlines()[3:] if not line.startswith(" ")]
-    assert shown == [row.key for row in schema_rows() if re.fullmatch(rf"(expert\.)?{part}((\[\])?\..*)?", row.key)]
-
-
-def test_the_json_schema_is_written_to_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "controller.schema.json"
-    result = runner.invoke(app, ["config", "schema", "--json", "--out", str(path)])
-    assert (result.exit_code, result.stdout) == (0, "")
-    assert path.read_text() == json_schema("controller")
-    refused = runner.invoke(app, ["config", "schema", "--out", str(tmp_path / "table.txt")])
-    assert (refused.exit_code, refused.stderr) == (2, "error: --out is for the JSON Schema; give --json too\n")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["new"]
-
-
-def test_every_number_in_the_json_schema_says_what_it_is() -> None:
-    groups = json.loads(SCHEMA.read_text(encoding="utf-8"))
-    for group in (groups, *groups["$defs"].values()):
-        for name, field in group["properties"].items():
-            if field.get("type") in ("number", "integer"):
-                assert re.search(r"\w.* \[.+\]$", field["description"]), name
-
-
 def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
     result = invoke(app, "models", "show", "ssm")
     assert "-7.444, -13.25" in result.stdout
     assert "published" in result.stdout
     assert str(load_model("ssm").provenance["source"]).split(":")[0] in result.stdout
-
-
-def test_a_model_file_is_checked(tmp_path: Path) -> None:
-    source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
-    path = tmp_path / "good.yaml"
-    path.write_text(source.read_text())
-    assert "2 states" in runner.invoke(app, ["models", "check", str(path)]).stdout
-
-
-def test_every_shipped_model_is_listed() -> None:
-    assert {"mbm", "sm", "ssm"} <= set(runner.invoke(app, ["models", "list"]).stdout.split())
 
 
 @pytest.mark.parametrize(
@@ -102,12 +62,6 @@ def test_every_shipped_model_is_listed() -> None:
 )
 def test_a_number_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
     assert parse_seeds(text) == seeds
-
-
-def test_the_most_seeds_are_accepted_and_one_more_is_not() -> None:
-    assert parse_seeds(str(MOST_SEEDS)) == tuple(range(MOST_SEEDS))
-    with pytest.raises(ValueError, match=f"at most {MOST_SEEDS}"):
-        parse_seeds(str(MOST_SEEDS + 1))
 
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -149,12 +103,6 @@ def completed(words: str, shell: str = "bash") -> list[str]:
 )
 def test_names_are_completed(words: str, offered: set[str]) -> None:
     assert set(completed(f"diffdrive-mpc {words}")) == offered
-
-
-def test_other_shells_are_told_what_words_mean() -> None:
-    words = "diffdrive-mpc simulate --scenario pus"
-    assert "knocked sideways off the path while it drives" in "".join(completed(words, "zsh"))
-    assert "knocked sideways off the path while it drives" in "".join(completed(words, "fish"))
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -207,11 +155,6 @@ def test_columns_that_do_not_fit_continue_below_with_the_names(
     assert text.count("Errors of everything") == text.count("A note") == 1
     monkeypatch.setenv("COLUMNS", "200")
     assert printed(WIDE, capsys).count("pursuit+slip") == 1
-
-
-def test_a_pipe_without_columns_is_wide(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.delenv("COLUMNS", raising=False)
-    assert output_console().width == 140
 
 
 @pytest.mark.parametrize("width", [60, 80])

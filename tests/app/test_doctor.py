@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -54,14 +53,6 @@ def test_broken_controller_ends_with_exit_code_1(monkeypatch) -> None:
     assert lines[3].startswith("MISSING controller") and "RuntimeError: no core of any kind; report this" in lines[3]
 
 
-def test_broken_mujoco_is_a_warning(monkeypatch) -> None:
-    def broken(*arguments: object) -> None:
-        raise ModuleNotFoundError("No module named 'mujoco'")
-
-    monkeypatch.setattr("diffdrive_mpc.sim.make_plant", broken)
-    assert "WARN    mujoco" in invoke(app, "doctor").stdout
-
-
 def test_missing_compiler_is_a_warning_with_a_remedy(monkeypatch) -> None:
     monkeypatch.setattr(compiler, "find_compiler", no_compiler)
     line = doctor._compiler().line
@@ -90,28 +81,3 @@ def test_ros_is_probed_in_another_process(distribution: str, code: int, words: s
     check = doctor._ros()
     assert (check.is_ok, check.is_required, words in check.line) == (code == 0, False, True)
     assert check.is_ok or "ImportError: no rclpy" in check.line
-
-
-@pytest.mark.parametrize(
-    ("governors", "is_ok"),
-    [(("performance", "performance"), True), (("performance", "powersave"), False), ((), True)],
-)
-def test_governor_other_than_performance_is_a_warning(governors: tuple[str, ...], is_ok: bool, tmp_path: Path) -> None:
-    for number, governor in enumerate(governors):
-        file = tmp_path / f"sys/devices/system/cpu/cpu{number}/cpufreq/scaling_governor"
-        file.parent.mkdir(parents=True)
-        file.write_text(f"{governor}\n", encoding="utf-8")
-    check = doctor._governor(tmp_path)
-    assert check.is_ok == is_ok and all(governor in check.finding for governor in governors)
-
-
-@pytest.mark.parametrize(
-    ("limit", "user", "is_ok"), [(0, 1000, False), (98, 1000, True), (-1, 1000, True), (0, 0, True)]
-)
-def test_real_time_priority_needs_a_limit_or_root(limit: int, user: int, is_ok: bool, monkeypatch) -> None:
-    import resource
-
-    monkeypatch.setattr(doctor.shutil, "which", lambda name: f"/bin/{name}")
-    monkeypatch.setattr(doctor.os, "geteuid", lambda: user)
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: (limit, limit))
-    assert doctor._priority().is_ok == is_ok

@@ -104,10 +104,8 @@ YAML = {
     "surface": "simulate --surface FILE",
     "sensors": "simulate --sensors FILE",
     "scenario": "simulate --scenario FILE",
-    "world": "simulate --plant world:FILE",
     "mapping": "identify LOG --mapping FILE --out OUT",
     "plan of a search": "tune ssm --plan FILE --out OUT",
-    "rules": "monitor --rules FILE --export OUT",
 }
 
 
@@ -279,7 +277,7 @@ DOORS = {
 
 
 @pytest.mark.parametrize("name", DOORS)
-def test_nothing_that_comes_through_a_door_is_executed(name, stranger, tmp_path, monkeypatch):
+def test_input_is_never_executed(name, stranger, tmp_path, monkeypatch):
     door = tmp_path / "door"
     door.mkdir()
     monkeypatch.syspath_prepend(str(stranger))
@@ -373,33 +371,20 @@ def bombs(door):
     good = NETWORK.with_suffix(".npz").read_bytes()
     zeros = bytes(80_000_000)
     networks = {
-        **{f"{key} of 1e9": (good, {key: 10**9}, "architecture") for key in ("window", "units", "dense", "layers")},
-        "none": (good, {"window": 0}, "architecture"),
-        "too many multiplications": (good, {"window": 512, "units": 1000}, "multiplications"),
+        **{f"{key} of 1e9": (good, {key: 10**9}, "architecture") for key in ("window", "units")},
         "bomb": (archive(dense=array((10_000_000,), zeros)), {}, "unpacks to"),
         "large": (good + bytes(1_000_000), {}, "larger than"),
         "array that says 8 TB": (archive(dense=array((10**12,))), {}, "shape"),
-        "array that is cut off": (archive(dense=array((30, 32), b"0")), {}, "holds 1 bytes"),
         "objects": (archive(dense=array((30, 32), kind="|O")), {}, "object"),
         "deep header": (archive(dense=b"\x93NUMPY\1\0\xff\x1f" + b"(" * 0x1FFF), {}, "weights"),
-        "bare array": (array((30, 32), bytes(7680)), {}, "not a zip file"),
-        "empty": (b"", {}, "not a zip file"),
-        "empty archive": (b"PK\5\6" + bytes(18), {}, "missing"),
         "encrypted": (encrypted(archive()), {}, "encrypted"),
-        "cut off": (good[:-200], {}, "weights"),
-        "damaged": (good[:3000] + bytes(100) + good[3100:], {}, "weights"),
     }
     for count, (packed, architecture, words) in enumerate(networks.values()):
         yield f"models show {network(door, packed, name=f'network{count}', **architecture)}", words
     sm = yaml.safe_load(model_path("sm").read_text(encoding="utf-8"))
-    row = [0.1] * 6
-    correction = {"scale": row, "inward": [row] * 6, "outward": [row[:4]] * 6, "shape": [row] * 6}
-    correction |= {"full": 1.0, "least": 2.0}
-    hybrid = {key: sm[key] for key in ("name", "provenance")} | {"structure": "hybrid", "linear": sm}
     ssm = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8")) | {"A": [[0.0] * 300] * 300}
     aliases = "\n".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}' if i else '0'] * 10)}]" for i in range(12))
     files = {
-        "hybrid": (yaml.safe_dump({**hybrid, "sample_time": 1e-9, "correction": correction}), "sample_time"),
         "states": (yaml.safe_dump(ssm), "64 items"),
         "aliases": (aliases, "values"),
         "values": ("a: [" + "1, " * 100_000 + "1]", "100,000 values"),
@@ -416,7 +401,7 @@ def bombs(door):
     yield f"identify {door / 'words.parquet'} --mapping {door / 'mapping.yaml'} --out {door / 'out'}", "words.parquet"
 
 
-def test_small_files_that_say_large_sizes_end_in_one_line_and_take_no_memory(tmp_path):
+def test_small_files_of_large_content_are_refused_without_memory(tmp_path):
     listed = list(bombs(tmp_path))
     commands = "\n".join(["models show lstm", "identify none.csv", *(command for command, _ in listed)])
     done = subprocess.run(
@@ -429,7 +414,7 @@ def test_small_files_that_say_large_sizes_end_in_one_line_and_take_no_memory(tmp
         assert peak < usual + MOST_MEMORY, (command, peak, usual)
 
 
-def test_escape_sequences_of_a_name_are_shown_not_sent(tmp_path):
+def test_escape_sequences_of_names_are_printed_as_text(tmp_path):
     data = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8"))
     data["name"] = "odd\x1b[2J\x07\u202e"
     data["provenance"]["notes"] = "a note\x1b]0;owned\x07"

@@ -1,14 +1,13 @@
 """How records are divided, and what is read off their wheels."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.models.identification.log_data import divide, most_informative, read_data
+from diffdrive_mpc.app.identification.figures import envelope
+from diffdrive_mpc.models.identification.log_data import divide, read_data
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import firmware_track, wheel_geometry
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -52,16 +51,6 @@ def test_radius_and_tracks_are_read_off_the_wheels(radius, track, effective, fir
     assert firmware_track([drive], geometry, gain) == pytest.approx(firmware, rel=1e-6)
 
 
-def test_without_a_gyro_the_model_s_omega_is_that_of_the_wheels():
-    drive = driven(0.1, 0.4, 0.6, 0.5, gyro=False)
-    geometry = wheel_geometry([drive])
-    assert firmware_track([drive], geometry, np.diag([1.0, 0.5 / 0.4])) == pytest.approx(0.5, rel=1e-9)
-
-
-def test_a_log_without_wheels_has_no_geometry():
-    assert wheel_geometry([record(50)]) is None
-
-
 def test_all_logs_get_the_sample_time_of_the_first(tmp_path):
     mapping = str(write_mapping(tmp_path / "map.yaml"))
     logs = [write_csv(tmp_path / f"{dt}.csv", drive(seconds=20.0, dt=dt)) for dt in (0.02, 0.05)]
@@ -85,23 +74,9 @@ def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
     )
 
 
-def test_wheels_and_gyro_that_were_never_read_together_tell_no_track():
-    drive = driven(0.1, 0.4, 0.6, 0.5)
-    even = np.arange(200) % 2 == 0
-    apart = replace(
-        drive,
-        twist=np.where(even[:, None], drive.twist, np.nan),
-        yaw_rate=np.where(even, np.nan, drive.yaw_rate),
-        fresh_twist=even,
-        fresh_yaw_rate=~even,
-    )
-    assert firmware_track([apart], wheel_geometry([apart]), np.eye(2)) is None
-
-
-def test_of_many_rows_the_parts_that_are_driven_most_are_used():
-    command = np.zeros((12000, 2))
-    command[3000:6000] = np.repeat(np.random.default_rng(1).normal(size=(60, 2)), 50, axis=0)
-    record = Record("long", 0.0, 0.02, command, twist=command)
-    (part,) = most_informative([record], 4000)
-    assert (part.start, len(part.command)) == (60.0, 3000)
-    assert most_informative([record], 12000) == [record]
+def test_an_envelope_keeps_extremes_and_gaps():
+    values = np.sin(np.linspace(0.0, 20.0, 10_000))
+    values[3000], values[7000], values[5000] = 9.0, -9.0, np.nan
+    rows = envelope(values, 100)
+    assert {3000, 5000, 7000} <= set(rows) and len(rows) <= 103
+    assert list(envelope(values[:50], 100)) == list(range(50))

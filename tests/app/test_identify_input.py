@@ -66,34 +66,23 @@ def folder(tmp_path_factory):
     ("arguments", "message"),
     [
         ("missing.csv --mapping map.yaml", "column 'gyro' is missing"),
-        ("constant.csv --mapping map.yaml", "constant.csv"),
-        ("ten.csv --mapping map.yaml", "10 samples in the longest stretch, at least 20 are needed"),
         ("nan.csv --mapping map.yaml", "nan.csv: column 'v_ref' holds no usable number"),
-        ("stamped.csv --mapping two_clocks.yaml", "two clocks"),
         (
             "slow.csv --mapping no_pose.yaml",
             "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
         ),
-        ("silent", "neither /odom nor /imu is there"),
-        ("damaged", "damaged"),
         ("none.csv", "none.csv: there is no such file or folder"),
         ("good.csv", "which column is what? Give a mapping file"),
-        ("good.csv --mapping nope", "unknown mapping 'nope'"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
         ("good.csv --mapping map.yaml --structure mbm", "wheels"),
-        ("good.csv --mapping no_gyro.yaml --structure mbm", "wheels"),
         ("good.csv --mapping map.yaml --structure ssm --order 7", "--order '7': give auto, or 1 to 5"),
-        ("good.csv --mapping map.yaml --order 2", "--order 2: only ssm has a choice of order"),
         ("good.csv --mapping map.yaml --structure ssm --effects", "--effects: they stand around an sm"),
         ("good.csv --mapping map.yaml --fit-share 1", "--fit-share 1: give 0.1 to 0.9"),
-        ("good.csv --mapping map.yaml --fit-share nan", "--fit-share nan: give 0.1 to 0.9"),
         ("good.csv --mapping map.yaml --fit-share 0.5 --validate ten.csv", "--fit-share: with --validate"),
         ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
-        ("good.csv --mapping map.yaml --validate ten.csv", "ten.csv: 10 samples"),
         ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
-        ("good.csv --mapping map.yaml --model sm", "--model"),
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
         ("", "LOG"),
     ],
@@ -121,32 +110,6 @@ def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder
     followed = runner.invoke(app, [*words, str(tmp_path / "out" / "fixed.yaml")])
     assert followed.exit_code == 0, followed.stderr
     assert (tmp_path / "out" / "fixed.yaml").exists(), "it is read, so it stays"
-
-
-def test_a_warning_s_remedy_stands_in_the_report_with_its_mapping_beside_it(folder, tmp_path):
-    columns = drive(seconds=30.0)
-    log = write_csv(tmp_path / "late.csv", columns | {"gyro": np.roll(columns["gyro"], 15)})
-    words = ["identify", str(log), "--out", str(tmp_path / "out"), "--mapping", str(folder / "map.yaml")]
-    result = runner.invoke(app, words)
-    assert result.exit_code == 0, result.stderr
-    assert "gyro `delay: +0.30`" in result.stdout and str(tmp_path / "out" / "fixed.yaml") in result.stdout
-    for report in ("report.md", "report.html"):
-        assert "With the mapping fixed.yaml" in (tmp_path / "out" / report).read_text()
-
-
-def test_findings_are_shown_before_the_error_that_stops(folder, tmp_path):
-    """A gap is no reason to stop, a gyro in degrees is."""
-    rows = np.r_[0:200, 300:600]
-    columns = {name: column[rows] for name, column in COLUMNS.items()} | {"gyro": np.degrees(COLUMNS["gyro"][rows])}
-    log = write_csv(tmp_path / "gap.csv", columns)
-    result = runner.invoke(
-        app, ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
-    )
-    assert result.exit_code == 2
-    lines = result.stdout.splitlines()
-    assert [line.split()[0] for line in lines[:6]] == ["gap.csv", "streams", "time", "commands", "v", "omega"]
-    assert lines[6].startswith("note: gap.csv, 4.0 to 6.0 s: no data")
-    assert "deg/s" in result.stderr
 
 
 def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(folder, tmp_path):
@@ -220,3 +183,28 @@ def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, m
         "report.md",
         "surface.yaml",
     ]
+
+
+DRAFT_COLUMNS = drive(seconds=8.0)
+
+
+def draft(*words):
+    return CliRunner().invoke(app, ["identify", "--draft-mapping", *(str(word) for word in words)])
+
+
+def test_a_draft_is_written_where_the_user_stands_and_is_never_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    log = write_csv(tmp_path / "log.csv", DRAFT_COLUMNS | {"gyro": -DRAFT_COLUMNS["gyro"]})
+    shown = draft("log.csv").stdout
+    written = tmp_path / "mapping.yaml"
+    assert written.read_text() in shown
+    assert "omega of the gyro runs against the command" in shown
+    assert shown.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
+    written.write_text("corrected by hand")
+    refused = draft("log.csv")
+    assert refused.exit_code == 2
+    assert "mapping.yaml: exists and is not replaced; move it away, or give --out" in refused.stderr
+    assert written.read_text() == "corrected by hand"
+    assert draft(log, "--out", "mine/map.yaml").exit_code == 0
+    assert (tmp_path / "mine/map.yaml").is_file()
+    assert "--draft-mapping: 2 logs; give one" in draft(log, log).stderr

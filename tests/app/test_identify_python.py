@@ -1,17 +1,13 @@
 """The public call from logs to a controller, without the command line."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-import diffdrive_mpc
-from diffdrive_mpc import ConfigError, Controller, ControllerConfig, identify, load_config, load_model
+from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
-from diffdrive_mpc.models.robot import SampleTime
 
 
 @pytest.fixture(scope="module")
@@ -26,11 +22,6 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(folder):
     return identify([folder / "one.csv"], mapping=folder / "map.yaml", structure="sm", validate=[folder / "two.csv"])
-
-
-def test_the_call_is_public_and_lazy():
-    assert "identify" in diffdrive_mpc.__all__
-    assert identify is diffdrive_mpc.models.identify
 
 
 def test_the_model_is_the_robot_and_drives(found):
@@ -71,23 +62,6 @@ def test_the_report_prints_as_tables_and_is_data(found):
     assert report["parameters"]["v.gain"]["value"] == found.report.fitted.identified.parameters.value("v.gain")
 
 
-def arrays(value):
-    if isinstance(value, np.ndarray):
-        yield value
-    elif dataclasses.is_dataclass(value):
-        for field in dataclasses.fields(value):
-            yield from arrays(getattr(value, field.name))
-    elif isinstance(value, (list, tuple)):
-        for part in value:
-            yield from arrays(part)
-
-
-def test_no_array_of_the_result_can_be_written_to(found):
-    held = list(arrays(found))
-    assert len(held) > 30
-    assert not any(array.flags.writeable for array in held)
-
-
 def test_one_path_is_a_log_and_progress_is_told(folder):
     told, findings = [], []
     one = identify(
@@ -119,13 +93,3 @@ def test_one_path_is_a_log_and_progress_is_told(folder):
 def test_an_argument_that_cannot_be_used_is_named(folder, options, message):
     with pytest.raises(ConfigError, match=message):
         identify([folder / "one.csv"], folder / "map.yaml", **options)
-
-
-def test_no_logs_are_no_logs():
-    with pytest.raises(ConfigError, match="no logs"):
-        identify([])
-
-
-def test_a_log_is_refused_where_no_controller_could_run_at_its_rate():
-    """The rule stands once, and the controller's schema uses it."""
-    assert ControllerConfig.model_fields["sample_time"].metadata == list(SampleTime.__metadata__[0].metadata)

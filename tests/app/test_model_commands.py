@@ -6,18 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from commands import invoke
 from diffdrive_mpc import load_model, make_plant
-from diffdrive_mpc.app.model_report import model_text
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop
 from studies.cli import app
 from studies.shipped_models.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 
-runner = CliRunner()
 FITTING = "studies.shipped_models.model_fitting"
 
 
@@ -72,33 +69,6 @@ def test_an_interrupted_fit_leaves_the_old_files(tmp_path: Path) -> None:
         fit_models(tmp_path, on_progress=interrupt)
     assert [path.name for path in tmp_path.iterdir()] == ["sm.yaml"]
     assert (tmp_path / "sm.yaml").read_text() == "old"
-
-
-@pytest.mark.usefixtures("quick_parts")
-def test_the_fit_command_prints_the_table(tmp_path: Path) -> None:
-    result = invoke(app, "models", "fit", "--out", tmp_path / "fitted")
-    assert "FIT" in result.stdout
-    assert sorted(path.name for path in (tmp_path / "fitted").iterdir()) == ["mbm.yaml", "sm.yaml"]
-
-
-@pytest.mark.usefixtures("quick_parts")
-def test_parameters_at_their_bounds_are_named_in_the_file_and_on_the_command_line(tmp_path: Path) -> None:
-    """One step of a robot whose yaw rate has one lag does not tell of a second pole."""
-    result = runner.invoke(app, ["models", "fit", "--out", str(tmp_path)])
-    said = (
-        "omega: the shorter time constant lies at the lower bound of the search, 0.00233: the data do not determine it "
-        "(does not matter for driving: one lag is enough)"
-    )
-    assert f"warning: SM: {said}" in result.stderr.splitlines()
-    assert said in load_model(tmp_path / "sm.yaml").provenance["warnings"]
-    assert said in model_text(load_model(tmp_path / "sm.yaml"))
-
-
-def test_the_shipped_sm_says_what_is_not_known() -> None:
-    # How omega's delay is divided among dead time and poles is not known; their sum is, so nothing else is said.
-    (shipped,) = load_model("sm").provenance["warnings"]
-    assert shipped.startswith("omega: the shorter time constant lies at the lower bound")
-    assert "does not matter for driving" in shipped
 
 
 @pytest.mark.usefixtures("no_long_work")

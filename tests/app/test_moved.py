@@ -1,64 +1,120 @@
-"""docs/moved.md: what went where."""
+"""Every name of version 0.2.0 still exists or has a row in docs/moved.md."""
 
 import importlib
+import json
 import re
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
 import typer.main
 
 from commands import invoke
+from diffdrive_mpc import Controller
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.mpc.config.fixed_values import fixed_values
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
+from diffdrive_mpc.app.former_names import former_names
+from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
+from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.former_keys import former_keys
-from diffdrive_mpc.mpc.config.rooms import shown_key
-from studies.cli import app as studies_app
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.sim import Run
 
-PAGE = (Path(__file__).parents[2] / "docs" / "moved.md").read_text(encoding="utf-8")
-_ROW = re.compile(r"^\| `([^`]+)`([^|]*) \| `([^`]+)` \|$", re.MULTILINE)
-_PLACES, _, _KEYS = PAGE.partition("## Keys of a configuration")
-ROWS = _ROW.findall(_PLACES)
-COMMANDS = [(before, now) for before, more, now in ROWS if " " in now and not more]
-NAMES = [(before, now) for before, _, now in ROWS if " " not in now]
-
-
-def found(command):
-    """The command of those words, in the command line or among the studies."""
-    words = command.removeprefix("diffdrive-mpc ").removeprefix("python -m studies ").split()
-    group = typer.main.get_command(studies_app if command.startswith("python") else app)
-    for word in words:
-        if word.startswith("--"):
-            return next(option for option in group.params if word in option.opts)
-        group = group.commands[word]
-    return group
+TESTS = Path(__file__).parents[1]
+NAMES = json.loads((TESTS / "names_of_0_2_0.json").read_text(encoding="utf-8"))
+PAGE = (TESTS.parent / "docs" / "moved.md").read_text(encoding="utf-8")
+LISTED = {
+    name.removeprefix("diffdrive-mpc ").removeprefix("diffdrive_mpc.").replace(".NAME", ".*")
+    for before in re.findall(r"^\| ([^|]*`[^|]*) \|", PAGE, re.MULTILINE)
+    for name in re.findall(r"`([^`]+)`", before)
+}
+"""Names in the first columns of the tables; `*` stands for any text."""
 
 
-@pytest.mark.parametrize(("before", "now"), COMMANDS)
-def test_a_former_command_is_there_under_its_new_name_and_says_so(before, now):
-    assert found(now)
-    if now != before:
-        said = invoke(app, *before.split()[1:], code=2)
-        assert now in " ".join(said.output.split())
+def is_listed(name, parts_of_owner=1):
+    """Return True if the page has a row for a name or its owner, a module or group of at least so many parts."""
+    parts = name.split(".")
+    prefixes = [name, *(".".join(parts[:count]) for count in range(parts_of_owner, len(parts)))]
+    return any(fnmatchcase(prefix, listed) for prefix in prefixes for listed in LISTED)
 
 
-@pytest.mark.parametrize(("before", "now"), NAMES)
-def test_a_name_is_where_the_page_says_and_no_longer_where_it_was(before, now):
-    assert named(now) is not None
-    with pytest.raises((ImportError, AttributeError)):
-        named(before)
+def commands(group, words=""):
+    """Yield each command of a group with its options."""
+    for name, command in getattr(group, "commands", {}).items():
+        yield f"{words}{name}", {option for entry in command.params for option in (*entry.opts, *entry.secondary_opts)}
+        yield from commands(command, f"{words}{name} ")
 
 
-def named(dotted):
-    """A module, or what a module or a class of it holds."""
+def python_name_exists(name):
+    module, _, attribute = name.rpartition(".")
     try:
-        return importlib.import_module(dotted)
+        return hasattr(importlib.import_module(f"diffdrive_mpc.{module}".rstrip(".")), attribute)
     except ImportError:
-        home, _, name = dotted.rpartition(".")
-        return getattr(named(home), name)
+        return False
 
 
-def test_the_page_names_every_key_that_has_another_name_now():
-    assert {before: now for before, _, now in _ROW.findall(_KEYS)} == {
-        old: f"fixed_values.yaml: {new}" if new in fixed_values() else shown_key(new)
-        for old, new in former_keys().items()
+def missing_command_names():
+    present = dict(commands(typer.main.get_command(app)))
+    for command, options in NAMES["commands"].items():
+        if command in present:
+            names = (f"{command} {option}" for option in options if option not in present[command])
+            yield from (name for name in names if name not in LISTED)
+        elif command not in LISTED:
+            yield command
+
+
+def missing_keys():
+    present = {row.key for row in (*schema_rows(), *feature_rows())}
+    for key in NAMES["keys"]:
+        if not (key in present or is_listed(key) or is_listed(key.removeprefix("expert."))):
+            yield key
+
+
+def missing_node_parameters():
+    present = set(NodeSettings.model_fields)
+    yield from (name for name in NAMES["node"] if name not in present | LISTED)
+
+
+def missing_python_names():
+    classes = {"controller": Controller, "run": Run}
+    for kind, owner in classes.items():
+        annotated = {name for base in owner.__mro__ for name in getattr(base, "__annotations__", {})}
+        names = (
+            f"{owner.__name__}.{name}" for name in NAMES[kind] if name not in annotated and not hasattr(owner, name)
+        )
+        yield from (name for name in names if name not in LISTED)
+    yield from (name for name in NAMES["python"] if not python_name_exists(name) and not is_listed(name, 2))
+
+
+def missing_file_kinds():
+    yield from (name for name in NAMES["file_kinds"] if name not in KINDS and name not in LISTED)
+
+
+def test_each_name_of_0_2_0_exists_or_is_listed():
+    missing = {
+        "commands and options": [*missing_command_names()],
+        "keys of a configuration": [*missing_keys()],
+        "node parameters": [*missing_node_parameters()],
+        "Python": [*missing_python_names()],
+        "kinds of files": [*missing_file_kinds()],
     }
+    assert {kind: names for kind, names in missing.items() if names} == {}
+
+
+def test_renamed_keys_of_the_page_are_those_that_are_read():
+    missing = [before for before in former_keys() if before in NAMES["keys"] and not is_listed(before)]
+    assert missing == []
+
+
+@pytest.mark.parametrize("words", [*former_names("commands"), *former_names("options")])
+def test_former_command_or_option_prints_its_line_and_is_listed(words):
+    result = invoke(app, *words.split(), code=2)
+    line = {**former_names("commands"), **former_names("options")}[words]
+    assert line in " ".join(result.stderr.split()) and result.stderr.count("\n") == 1
+    assert words in LISTED
+
+
+def test_parameters_of_node_parts_are_those_of_the_page():
+    rows = re.findall(r"`parts\.(\w+)\.(\w+)`", PAGE.partition("## Parameters of the node")[2].partition("## Files")[0])
+    schemas = {name: plug_in("node_parts", name).schema for name in plug_in_names("node_parts")}
+    assert rows and all(field in schemas[part].model_fields for part, field in rows)

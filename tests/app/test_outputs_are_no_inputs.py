@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
+from typer.testing import CliRunner
 
 from commands import invoke
+from diffdrive_mpc import ControllerConfig, identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.input_file import read_input, reading
 from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.typed_command import named_inputs
 from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.sim import log_mcap
 
 _POSES = "t,x,y,theta\n" + "".join(f"{0.1 * i:.1f},{0.02 * i:.2f},0,0\n" for i in range(50))
 
@@ -57,17 +64,6 @@ def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     assert file.read_text(encoding="utf-8") == _POSES
 
 
-@pytest.mark.parametrize("given", ["--trajectory={}", "--trajectory=./{}"])
-def test_files_are_known_however_the_option_is_written(
-    tmp_path: Path, given: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In one word, and by another way."""
-    monkeypatch.chdir(tmp_path)
-    file = tmp_path / "x.csv"
-    file.write_text(_POSES, encoding="utf-8")
-    assert "this command reads that file" in _refused("simulate", given.format(file.name), f"--log={file}")
-
-
 def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> None:
     """The model of a configuration, which is known only once that is read."""
     model = tmp_path / "model.csv"
@@ -77,14 +73,6 @@ def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> N
     config.write_text(f"model: {model}\n", encoding="utf-8")
     assert "this command reads that file" in _refused("simulate", "--config", config, "--log", model)
     assert model.read_bytes() == before
-
-
-def test_tune_says_at_once_that_it_would_replace_its_configuration(tmp_path: Path) -> None:
-    """Hours before it would."""
-    config = tmp_path / "config.yaml"
-    config.write_text("model: ssm\n", encoding="utf-8")
-    assert "this command reads that file" in _refused("tune", config, "--out", tmp_path)
-    assert config.read_text(encoding="utf-8") == "model: ssm\n"
 
 
 def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Path) -> None:
@@ -109,3 +97,56 @@ def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Pat
     with reading(), whole_file(file) as draft:
         draft.write_text("new", encoding="utf-8")
     assert file.read_text(encoding="utf-8") == "new"
+
+
+WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
+
+
+def simulated(*words):
+    return CliRunner().invoke(app, [*WORDS, *words])
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for name in ("s.csv", "s.mcap"):
+        assert simulated("--log", str(folder / name)).exit_code == 0
+    return folder
+
+
+def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
+    told = read_drive_log(logs / "s.mcap").metadata
+    assert told["case"]["plant"] == "model:ssm" and told["case"]["seed"] == "3"
+    assert told["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
+    assert ControllerConfig.model_validate(yaml.safe_load(told["configuration"]["yaml"])).horizon == 12
+    assert yaml.safe_load(told["model"]["yaml"])["name"]
+
+
+def test_identify_finds_the_same_in_both(logs):
+    one, other = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
+    sampled, expected = one.model.discretise(0.0202), other.model.discretise(0.0202)
+    assert all(
+        np.array_equal(getattr(sampled, name), getattr(expected, name)) for name in ("A", "B0", "B1", "C", "delay")
+    )
+    assert one.config == other.config
+
+
+def test_drive_of_a_peer_is_logged_without_plans(tmp_path):
+    words = [word for word in WORDS if word not in ("--set", "horizon=12")]
+    invoke(app, *words, "--controller", "pursuit", "--log", tmp_path / "run.mcap")
+    log = read_drive_log(tmp_path / "run.mcap", plans=True)
+    assert "--controller pursuit" in log.metadata["case"]["repeat"]
+    assert all(plan is None for plan in log.plans)
+
+
+def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(log_mcap, "write_ticks", full)
+    log = tmp_path / "run.mcap"
+    log.write_bytes(b"old")
+    result = simulated("--log", str(log))
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == f"error: --log {log}: cannot be written (No space left on device)"
+    assert log.read_bytes() == b"old" and list(tmp_path.iterdir()) == [log]

@@ -14,9 +14,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.identification.deliver.configuration import round_period
 from diffdrive_mpc.models.load import model_path
-from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -66,31 +64,11 @@ def test_a_fast_path_is_driven_by_the_commands_with_its_configuration(files):
     assert "beyond the limit of 1.5 m/s; lower it, or give the configuration of the robot (--config)" in message
 
 
-def test_python_hands_over_the_configuration_and_is_told_whose_limits_counted(files):
-    config = load_config("fast.yaml")
-    assert load_trajectory("straight.yaml", config).duration < 7.0
-    with pytest.raises(ConfigError, match=r"papers' robot; for another robot: load_trajectory\(path, config\)"):
-        load_trajectory("straight.yaml")
-
-
-def test_a_reference_accelerates_no_faster_than_the_commands_may():
-    config = load_config("sm", {"limits.v_slew": 0.4})
-    assert load_trajectory("circle", config).duration > load_trajectory("circle").duration + 0.5
-    assert load_trajectory("circle", load_config("sm")).duration == load_trajectory("circle").duration
-
-
 def test_a_controller_and_a_plant_of_other_sample_times_are_refused_with_both_values():
     controller, circle = Controller(load_config("sm", {"sample_time": 0.05})), load_trajectory("circle")
     with pytest.raises(ValueError, match=r"sample_time is 0.05 s, .* 0.0202 s: .*make_plant\(..., sample_time=0.05\)"):
         simulate(controller, make_plant("model:sm"), circle)
     assert simulate(controller, make_plant("model:sm", sample_time=0.05), circle).metrics.position_rmse_m < 0.02
-
-
-@pytest.mark.parametrize(
-    ("measured", "written"), [(0.0500001, 0.05), (0.02019994, 0.0202), (1 / 30, 0.033333), (0.0166667, 0.016667)]
-)
-def test_the_sample_time_of_a_log_is_written_without_its_jitter(measured, written):
-    assert round_period(measured) == written
 
 
 OWN = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"
@@ -153,35 +131,6 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     assert NodeSettings(**parameters)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (MAPPING + "wheels: {radius: 0.1, track: 0.5}\n", "wheels.radius is not used"),
-        ("topics: {command: {topic: /cmd_vel, sign: -1}}\n", "topics.command.sign is not used"),
-        ("topics: {odometry: {topic: /odom, on_change: true}}\n", "topics.odometry.on_change is not used"),
-    ],
-)
-def test_a_stated_value_of_a_mapping_that_is_not_used_is_said(tmp_path, text, words):
-    (line,) = load_mapping(write_mapping(tmp_path / "map.yaml", text)).unused()
-    assert line.startswith(words)
-
-
-@pytest.mark.parametrize("structure", ["sm", "ssm"])
-def test_dead_time_and_lag_are_shown_by_their_sum_first(tmp_path, structure):
-    """The robot's lag is 0.1 s, without dead time: the sum is well known, its parts need not be."""
-    log, mapping = write_csv(tmp_path / "drive.csv", drive()), write_mapping(tmp_path / "map.yaml")
-    report = identify(log, mapping=mapping, structure=structure, order=2 if structure == "ssm" else "auto").report
-    delays = report.fitted.identified.delays
-    for i, channel in enumerate(("v", "omega")):
-        whole, dead_time, lag = delays.values[3 * i : 3 * i + 3]
-        assert whole == pytest.approx(0.1, abs=0.01)
-        assert dead_time + lag == pytest.approx(whole)
-        assert delays.standard_deviation[3 * i] < 0.1 * delays.standard_deviation[3 * i + 2] + 0.002
-        row = next(line for line in report.markdown().splitlines() if line.startswith(f"| {channel} | {whole:.3g} +- "))
-        assert f" | {dead_time:.3g} +- " in row
-    assert "dead_time" not in report.markdown()
-
-
 def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     wide = load_config("sm", {"wheels.encoder_track": 0.6}).model_dump(mode="json")
     (files / "wide.yaml").write_text(yaml.safe_dump(wide))
@@ -192,13 +141,6 @@ def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     (sentence,) = other_robots([fast_robot])
     assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
     assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []
-
-
-def test_simulate_and_bench_say_so(files):
-    words = ["--config", "fast.yaml", "--trajectory", "circle"]
-    assert "note: the plant 'mujoco' is another robot" in run("simulate", *words)
-    bench = ["bench", "--config", "fast.yaml", "--seeds", "1", "--trajectories", "circle", "--jobs", "1"]
-    assert "note: the plant 'mujoco' is another robot" in run(*bench, "--horizons", "none", "--out", "out")
 
 
 def test_config_check_names_what_is_left_to_the_papers_robot(files):

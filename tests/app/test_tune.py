@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from opened_report import content_of
-from tune_parts import write_plan
 
 from commands import call
 from diffdrive_mpc import load_config
-from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint, best_of
+from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint
 from diffdrive_mpc.app.tune.study import Comparison, TuningOutcome, tune
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -110,20 +111,9 @@ def test_seed_fixes_the_search_with_any_number_of_processes(tmp_path: Path) -> N
     assert other[1:] != points[1:]
 
 
-def test_best_point_has_the_smallest_error() -> None:
-    points = [TunePoint(k, {}, error, 0) for k, error in enumerate((3e-3, 1e-3, 2e-3, 1e-3))]
-    assert best_of(points).number == 1
-
-
 def run_rows(errors: list[float], completed: list[bool]) -> pd.DataFrame:
     ended = ["" if is_complete else "off the path" for is_complete in completed]
     return pd.DataFrame({"position_rmse_m": errors, "completed": completed, "ended": ended})
-
-
-def test_failed_run_counts_with_the_failure_error(tmp_path: Path) -> None:
-    search = ConfigurationSearch("ssm", load_plan(write_plan(tmp_path, {"failure_error": 0.25})))
-    rows = run_rows([0.004, 0.004, 0.9, np.nan], [True, False, False, False])
-    assert search.errors(rows).tolist() == [0.004, 0.25, 0.9, 0.25]
 
 
 @pytest.mark.parametrize(
@@ -141,3 +131,24 @@ def test_better_needs_a_lower_error_and_no_more_failures(factor: float, failures
     outcome = TuningOutcome([], TunePoint(1, {"horizon": 20}, 0.0, 0), {"horizon": 30}, compared)
     assert outcome.sentence.startswith("better than" if is_better else "no better than")
     assert outcome.written == ({"horizon": 20} if is_better else {})
+
+
+SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
+PLAN = """
+description: short drives of a model
+points: 6
+parameters:
+  weights.across: {times: [0.2, 5.0]}
+  horizon: {low: 15, high: 40}                      # steps
+runs: {plant: "model:sm", trajectory: short.yaml}
+tuning_seeds: {first: 600, count: 1}
+report_seeds: {first: 700, count: 4}
+"""
+
+
+def write_plan(folder: Path, changes: Mapping[str, object] | None = None) -> Path:
+    """Write the plan with changed top-level values, and its path file next to it."""
+    (folder / "short.yaml").write_text(SHORT, encoding="utf-8")
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(PLAN) | dict(changes or {})), encoding="utf-8")
+    return path

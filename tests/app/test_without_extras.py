@@ -48,11 +48,6 @@ def test_command_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, word
     assert (done.returncode, done.stderr) == (1, line)
 
 
-def test_overview_lists_no_command_of_a_missing_package(tmp_path):
-    listed = run(tmp_path, "--help").stdout
-    assert "simulate" in listed and "torque" not in listed
-
-
 def test_parameters_of_another_package_need_the_plug_in(tmp_path):
     done = run(tmp_path, "identify", "drive.csv", "--for", "nav2")
     line = (
@@ -76,11 +71,6 @@ def test_a_drive_is_driven_and_identified(tmp_path):
     found = run(tmp_path, "identify", "s.csv", "--structure", "sm", "--out", "found")
     assert found.returncode == 0, found.stderr
     assert (tmp_path / "found" / "report.html").is_file()
-
-
-def test_a_bench_needs_none(tmp_path):
-    words = ("--models", "sm", "--trajectories", "circle", "--seeds", "1", "--out", "bench")
-    assert run(tmp_path, "bench", *words).returncode == 0
 
 
 def test_json_schema_of_models_leaves_out_missing_structures(tmp_path):

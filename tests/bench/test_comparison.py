@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from bench_parts import rows as rows_of
 from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config, make_plant
-from diffdrive_mpc.bench.case import COMPARED, DIMENSIONS, Case, label
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
+from diffdrive_mpc.bench.case import COMPARED, DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
 from diffdrive_mpc.bench.comparison.plan import (
     LATE_TICKS,
@@ -34,6 +36,7 @@ from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
+from diffdrive_mpc.bench.statistics import BootstrapEstimate, cvar, mean, median
 from diffdrive_mpc.bench.study import write_report
 
 QUICK = {
@@ -118,13 +121,19 @@ def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, ob
 
 
 SHIPPED = {
-    "models": "models/parameters/ssm.yaml",
-    "trajectories": "mpc/trajectories/built_in/s.yaml",
-    "surfaces": "sim/plants/surfaces/ideal.yaml",
-    "sensors": "sim/sensing/sensor_sets/perfect.yaml",
-    "plants": "models/parameters/ssm.yaml",
-    "scenarios": "sim/disturbances/scenarios/start_offset.yaml",
+    "models": ("model", "ssm"),
+    "trajectories": ("trajectory", "s"),
+    "surfaces": ("surface", "ideal"),
+    "sensors": ("sensors", "perfect"),
+    "plants": ("model", "ssm"),
+    "scenarios": ("scenario", "start_offset"),
 }
+
+
+def _text(dimension: str) -> str:
+    """Return the text of a shipped file or entry of a dimension."""
+    kind, name = SHIPPED[dimension]
+    return KINDS[kind].texts[name]
 
 
 @pytest.mark.parametrize("dimension", SHIPPED)
@@ -132,7 +141,7 @@ def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) ->
     paths = [tmp_path / "a" / "mine.yaml", tmp_path / "b" / "Mine.yaml", tmp_path / "b" / "other.yaml"]
     for path in paths:
         path.parent.mkdir(exist_ok=True)
-        path.write_text((Path(__file__).parents[2] / SHIPPED[dimension]).read_text())
+        path.write_text(_text(dimension))
     first, second, other = (f"model:{path}" if dimension == "plants" else str(path) for path in paths)
     changes = {"horizons": (), "seeds": (0,), "trajectories": ("s",)}
     with pytest.raises(ConfigError, match="rename one file") as refused:
@@ -144,7 +153,7 @@ def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) ->
 def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
     for name in ("SSM", "kanayama"):
         path = tmp_path / f"{name}.yaml"
-        path.write_text((Path(__file__).parents[2] / SHIPPED["models"]).read_text())
+        path.write_text(_text("models"))
         changes = {"models": ("ssm", str(path)), "controllers": ("mpc", "kanayama")}
         with pytest.raises(ConfigError, match=f"and '{path}' would both be '{name}'"):
             plan_cases(experiment(horizons=(), seeds=(0,), **changes))
@@ -156,32 +165,6 @@ def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path:
 def test_peers_alone_refuse_what_they_would_ignore(given: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match="the controller 'kanayama' takes no --models, --config, --set or --horizons"):
         asked(controllers="kanayama", **given)
-
-
-def test_peers_alone_sweep_no_horizon() -> None:
-    assert asked(controllers="kanayama", sweeps=True).horizons == ()
-    assert asked(controllers="mpc,kanayama", models="ssm", sweeps=True).horizons
-
-
-def test_options_change_the_experiment() -> None:
-    chosen = asked(models="ssm", seeds="3,4", surfaces="default,slippery", horizons="5,10")
-    assert chosen.models == ("ssm",)
-    assert chosen.seeds == (3, 4)
-    assert chosen.surfaces == ("default", "slippery")
-    assert chosen.horizons == (5, 10)
-
-
-def test_scenarios_are_a_dimension_of_the_comparison_and_sweep_no_horizon_unless_asked() -> None:
-    chosen = asked(scenarios="none,start_offset", models="ssm", trajectories="s", seeds="2")
-    assert chosen.horizons == ()
-    plan = plan_cases(experiment(scenarios=chosen.scenarios, trajectories=("s",), seeds=(0, 1), horizons=()))
-    assert [(case.scenario, case.seed) for case in plan.all] == [
-        ("none", 0),
-        ("none", 1),
-        ("start_offset", 0),
-        ("start_offset", 1),
-    ]
-    assert asked(scenarios="push", horizons="5").horizons == (5,)
 
 
 def test_quick_is_one_seed_without_horizons() -> None:
@@ -217,20 +200,6 @@ def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> N
     assert case.labels["plant"] == "model:my_robot"
     assert case.horizon == load_config("ssm").horizon
     assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
-
-
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("ssm", "ssm"),
-        ("folder/mine.yaml", "mine"),
-        ("model:folder/mine.yaml+0.04", "model:mine+0.04"),
-        ("model:sm+0.08", "model:sm+0.08"),
-        ("drive.v2.csv", "drive.v2"),
-    ],
-)
-def test_labels_tell_names_apart_without_folders(name: str, shown: str) -> None:
-    assert label(name) == shown
 
 
 def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
@@ -404,3 +373,31 @@ def test_controllers_stand_side_by_side_path_by_path(outcome: RunOutcome) -> Non
     assert table.rows[0] == (outcome.case.trajectory, error, "-")
     assert table.rows[1] == ("s", "-", error)
     assert table.rows[2] == ("mean", error, error)
+
+
+def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
+    values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
+    assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
+    # A twentieth of 30 runs is one and a half of them.
+    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
+    assert cvar(np.arange(1.0, 11.0)) == 10.0
+    assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
+    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
+    assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
+
+
+def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
+    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
+    found = BootstrapEstimate.of_runs(values, mean)
+    half = 1.96 * np.std(values) / math.sqrt(400)
+    assert found.value == pytest.approx(np.mean(values))
+    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
+    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
+    assert BootstrapEstimate.of_runs(values, mean) == found
+
+
+def test_few_runs_have_no_interval() -> None:
+    assert math.isnan(BootstrapEstimate.of_runs([], mean).value)
+    one = BootstrapEstimate.of_runs([3.0], cvar)
+    assert (one.value, math.isnan(one.low)) == (3.0, True)
+    assert BootstrapEstimate.of_runs([3.0, 3.0], cvar) == BootstrapEstimate(3.0, 3.0, 3.0)

@@ -178,13 +178,6 @@ def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y:
         assert np.hypot(*(reached - carrot)) < 1e-6 or carrot[0] * v < 0
 
 
-def test_pursuit_looks_so_far_ahead_along_the_path() -> None:
-    law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=0.6, omega=0.0, duration=20.0)
-    law.start(arc)
-    seen = sight([1.2, 0.1, 0.0], [1.2, 0.0, 0.0], [0.6, 0.0])
-    assert law.carrot(seen) == pytest.approx([0.24, -0.1], abs=1e-9)
-
-
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_pursuit_thinks_a_path_that_ends_to_go_on(direction: float) -> None:
     law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=0.6 * direction, omega=0.0, duration=2.1)

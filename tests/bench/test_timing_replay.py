@@ -5,19 +5,19 @@ from __future__ import annotations
 import gc
 import os
 import time
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 from loop_parts import FeedForward, FixedStep
 
-from diffdrive_mpc.bench.controllers import run_case
-from diffdrive_mpc.bench.counters import Effort
-from diffdrive_mpc.bench.runner import NotReproducibleError, run_tasks
+from diffdrive_mpc.bench import turns
+from diffdrive_mpc.bench.counters import SLOWER, Effort, busy_time, watched
+from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
-from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes
+from diffdrive_mpc.bench.turns import AGAIN, BLOCK, COLD, TurnTimes, take_turns
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
 from diffdrive_mpc.sim import Run, simulate
 
@@ -55,15 +55,6 @@ def test_a_replay_measures_every_whole_step_itself() -> None:
     assert times.shape == (len(run.time), 2)
     assert (times[:, 0] >= 2e-3).all()
     assert np.isnan(times[:, 1]).all()
-
-
-def test_the_step_times_of_the_recording_are_replaced() -> None:
-    outcome = quick_outcome(controller="kanayama", model="none")
-    recorded = outcome.run.with_step_time(np.full(len(outcome.run.time), 9.0))
-    (timed,), _ = time_outcomes([replace(outcome, run=recorded)], lambda: None)
-    assert timed.case == outcome.case
-    assert not (timed.run.step_time == 9.0).any()
-    assert np.array_equal(timed.run.true_pose, outcome.run.true_pose)
 
 
 def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,13 +127,135 @@ def test_the_quiet_core_is_given_back() -> None:
         assert os.sched_getaffinity(0) == cores
 
 
-@pytest.mark.long
-def test_runs_do_not_depend_on_the_number_of_processes() -> None:
-    cases = [quick_outcome(controller="kanayama", model="none", trajectory=name).case for name in ("circle", "s")]
-    done: list[int] = []
-    tasks = [partial(run_case, case) for case in cases]
-    alone, together = (run_tasks(tasks, jobs, lambda: done.append(1)) for jobs in (1, 2))
-    assert len(done) == 4
-    for one, other in zip(alone, together, strict=True):
-        assert np.array_equal(one.true_pose, other.true_pose)
-        assert np.array_equal(one.command, other.command)
+QUIET = Effort(elapsed=1e-3, own=1e-3, switches=0, pace=1e-5)
+PUT_ASIDE = QUIET._replace(switches=1)
+
+
+@pytest.fixture(autouse=True)
+def a_clock_that_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here is out of patience, however busy the machine is."""
+    monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
+
+
+class Scripted:
+    """A replay whose blocks are disturbed as told; the time of a tick is the number of the pass that it is from."""
+
+    def __init__(
+        self, name: str, ticks: int, said: list[str], disturbed: dict[int, list[Effort]] | None = None
+    ) -> None:
+        self.name, self.ticks, self._said = name, ticks, said
+        self._efforts: dict[int, Iterator[Effort]] = {first: iter(told) for first, told in (disturbed or {}).items()}
+        self.passes = 0
+
+    def restart(self) -> None:
+        self.passes += 1
+        self._at = 0
+
+    def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
+        assert first == self._at, "a controller goes through its ticks in order"
+        self._at = last
+        self._said.append(f"{self.name}{first}")
+        effort = next(self._efforts.get(first, iter(())), QUIET)
+        return np.full((last - first, 2), float(self.passes)), effort
+
+
+def test_blocks_take_turns_and_each_is_the_first_once_in_a_while() -> None:
+    said: list[str] = []
+    take_turns([[Scripted("a", 6, said), Scripted("b", 4, said)], [Scripted("c", 2, said)]], block=2)
+    assert said == ["a0", "b0", "b2", "a2", "a4", "c0"]
+
+
+def test_a_disturbed_block_is_measured_again_and_the_others_keep_their_first_times() -> None:
+    a, b = Scripted("a", 6, said := [], {2: [PUT_ASIDE, PUT_ASIDE]}), Scripted("b", 6, said)
+    ((times, untouched),), best = take_turns([[a, b]], block=2)
+    assert times.times[0, 1::2, 0].tolist() == [1, 3, 1]
+    assert times.share == untouched.share == 1.0
+    assert (a.passes, b.passes) == (3, 1)
+    assert said[6:] == ["a0", "a2"] * 2, "as far as the disturbed block, and not further"
+    assert best == QUIET.pace
+
+
+def test_what_stays_disturbed_is_marked_and_left_out() -> None:
+    replay = Scripted("a", 4, [], {2: [PUT_ASIDE] * (AGAIN + 1)})
+    ((times,),), _ = take_turns([[replay]], block=2)
+    assert times.clean.tolist() == [[True, True, False, False]]
+    assert times.share == 0.5
+    assert np.isnan(times.kept[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
+    assert replay.passes == AGAIN + 1
+
+
+def test_where_nothing_is_clean_the_times_stand_as_they_are() -> None:
+    every = {first: [PUT_ASIDE] * (AGAIN + 1) for first in (0, 2)}
+    ((times,),), _ = take_turns([[Scripted("a", 4, [], every)]], block=2)
+    assert times.share == 0.0
+    assert np.isfinite(times.kept[0, 1::2]).all()
+
+
+def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
+    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, own=1.2 * turns.STRETCH)
+    efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
+    replay = Scripted("a", 4, said := [], efforts)
+    ((times,),), _ = take_turns([[replay]], block=2)
+    assert said == ["a0", "a2", "a3"] + ["a0", "a2", "a3"]
+    assert times.clean.all()
+    # The third tick is the first of a turn, so it is cold; the fourth is from the second pass.
+    assert times.times[0, :, 0].tolist() == pytest.approx([np.nan, 1, np.nan, 2], nan_ok=True)
+
+
+def test_so_many_undisturbed_repetitions_as_wanted_are_taken() -> None:
+    replay = Scripted("a", 4, [], {0: [QUIET, PUT_ASIDE]})
+    ((times,),), _ = take_turns([[replay]], block=2, repetitions=3)
+    assert times.times[:, 1, 0].tolist() == [1, 3, 4]
+    assert times.times[:, 3, 0].tolist() == [1, 2, 3]
+    assert times.clean.all()
+
+
+def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
+    """The first block looks well until the yardstick is seen to be shorter."""
+    slow = QUIET._replace(pace=1.01 * SLOWER * QUIET.pace)
+    ((times,),), best = take_turns([[Scripted("a", 4, [], {0: [slow]})]], block=2)
+    assert best == QUIET.pace
+    assert times.times[0, 1::2, 0].tolist() == [2, 1]
+
+
+def test_a_replay_that_fails_takes_no_more_turns() -> None:
+    class Failing(Scripted):
+        def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
+            return None if first else super().run(first, last)
+
+    a, b = Failing("a", 6, said := []), Scripted("b", 6, said)
+    ((times, whole),), _ = take_turns([[a, b]], block=2)
+    assert a.passes == 1
+    assert times.share == pytest.approx(1 / 3)
+    assert whole.share == 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "undisturbed"),
+    [
+        ({}, True),
+        ({"switches": 1}, False),
+        ({"own": 0.9e-3}, False),  # somebody else had the core, or the host took it
+        ({"own": 0.985e-3}, True),  # reading clocks
+        ({"pace": 1.2e-5}, False),  # a throttled core, or a neighbour on it
+    ],
+)
+def test_what_disturbs_a_block(changes: dict[str, float], undisturbed: bool) -> None:
+    assert QUIET._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed
+
+
+def test_an_idle_stretch_counts_as_time_without_the_core() -> None:
+    _, effort = watched(lambda: time.sleep(0.02))
+    assert effort.elapsed >= 0.02
+    assert effort.own < 0.5 * effort.elapsed
+    assert not effort.undisturbed(effort.pace)
+    result, effort = watched(lambda: sum(range(1000)))
+    assert result == 499500
+    assert 0 < effort.own <= effort.elapsed + 1e-5
+
+
+def test_busy_time_of_a_core_only_grows() -> None:
+    before = busy_time(0)
+    sum(range(200_000))
+    assert busy_time(0) >= before >= 0.0
+    assert busy_time(None) == 0.0

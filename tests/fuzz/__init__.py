@@ -1,6 +1,6 @@
-"""Fuzzers: what nobody would type, send or configure on purpose, drawn from seeds. See CONTRIBUTING.md.
+"""Fuzzers of the root package with odd input from seeds; see CONTRIBUTING.md.
 
-Each fuzzer draws cases, which are plain values that JSON can hold, from a seed and a number; looks whether the product
-keeps what it promises; and can make a case smaller. The runner bounds count, time and memory, minimises what was
-found, and keeps it as a file in `findings/`, which `test_findings.py` replays ever after.
+A fuzzer draws cases, plain values that JSON can hold, from a seed and a number, checks the promises of the product, and
+reduces a case. The runner limits count, time and memory, reduces findings and adds them to `findings/`, which
+`test_fuzzers.py` replays.
 """

@@ -42,10 +42,10 @@ def main() -> None:
         sys.exit(f"error: unknown fuzzer '{min(unknown)}': give short, long, or some of {', '.join(FUZZERS)}")
     pace = "long" if "long" in words.what else "short"
     names = [name for name in FUZZERS if name in words.what] or list(FUZZERS)
-    found = 0
+    findings = 0
     for name in names:
-        found += _fuzzed(name, pace, words)
-    sys.exit(1 if found else 0)
+        findings += _fuzzed(name, pace, words)
+    sys.exit(1 if findings else 0)
 
 
 def _fuzzed(name: str, pace: str, words: argparse.Namespace) -> int:
@@ -72,9 +72,9 @@ def _fuzzed(name: str, pace: str, words: argparse.Namespace) -> int:
 
 
 def _replayed(name: str, mark: str) -> int:
-    found = judged(FUZZERS[name], saved_findings()[name, mark])
-    print(found[0] if found else "nothing is wrong with it")
-    return 1 if found else 0
+    findings = judged(FUZZERS[name], saved_findings()[name, mark])
+    print(findings[0] if findings else "no fault")
+    return 1 if findings else 0
 
 
 def _words() -> argparse.Namespace:
@@ -85,7 +85,7 @@ def _words() -> argparse.Namespace:
     parser.add_argument("--count", type=int, help="so many cases of each fuzzer")
     parser.add_argument("--steps", type=int, help="of a controller, however many cases that takes")
     parser.add_argument("--seconds", type=float, help="at most so long for each fuzzer")
-    parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder for what is found")
+    parser.add_argument("--keep", type=Path, default=FINDINGS, help="folder for findings")
     parser.add_argument("--replay", nargs=2, metavar=("FUZZER", "MARK"), help="a kept finding, once more")
     parser.add_argument("--inside", nargs=3, help=argparse.SUPPRESS)
     return parser.parse_args()

@@ -1,4 +1,4 @@
-"""What a fuzzer is, what it finds, and the files that findings are kept in, one for each fuzzer."""
+"""Fuzzers, their findings, and the files of findings, one per fuzzer."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Case = Any
 
 
 class FaultError(AssertionError):
-    """The product broke a promise; the first word before the colon says which."""
+    """Broken promise of the product; the words before the colon name it."""
 
 
 class HangError(BaseException):
-    """A case takes too long. No Exception, so that nothing under test takes it for one of its own."""
+    """Time limit of a case; no Exception, so that the product does not catch it."""
 
 
 class Fuzzer(Protocol):
-    """One door of the product, and what may come through it.
+    """Input of the product and its odd cases.
 
     Attributes
     ----------
@@ -43,51 +43,51 @@ class Fuzzer(Protocol):
     count: int
 
     def draw(self, random: Random) -> Case:
-        """A case."""
+        """Draw a case."""
         ...
 
     def check(self, case: Case) -> None:
-        """Raise FaultError, or whatever the product lets out, where it breaks a promise."""
+        """Raise FaultError or an error of the product if a promise is broken."""
         ...
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Cases that are a little simpler, the boldest first."""
+        """Yield simpler cases, the simplest first."""
         ...
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that breaks a promise."""
+    """Case that breaks a promise."""
 
     fuzzer: str
-    what: str
+    description: str
     signature: str
     case: Case
 
     def save(self, folder: Path = FINDINGS) -> Path:
-        """Add it to the file of its fuzzer, under a mark that follows from its signature."""
+        """Add the case to the file of its fuzzer, under a mark that follows from its signature."""
         mark = hashlib.sha256(self.signature.encode()).hexdigest()[:8]
         path = folder / f"{self.fuzzer}.json"
-        kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-        kept[mark] = {"what": self.what, "case": self.case}
+        findings = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        findings[mark] = {"what": self.description, "case": self.case}
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(findings, indent=1, sort_keys=True) + "\n", encoding="utf-8")
         return path
 
 
 def saved_findings(folder: Path = FINDINGS) -> dict[tuple[str, str], Case]:
-    """Cases by fuzzer and mark."""
+    """Return the cases of a folder by fuzzer and mark."""
     files = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))}
-    return {(fuzzer, mark): entry["case"] for fuzzer, kept in files.items() for mark, entry in kept.items()}
+    return {(fuzzer, mark): entry["case"] for fuzzer, cases in files.items() for mark, entry in cases.items()}
 
 
 def draw(fuzzer: Fuzzer, seed: int, index: int) -> Case:
-    """Case number `index` of `seed`: the same on every machine, whatever was drawn before."""
+    """Draw case number `index` of `seed`, which is the same on every machine."""
     return fuzzer.draw(Random(f"{fuzzer.name}/{seed}/{index}"))
 
 
 def trouble(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:
-    """What is wrong with a case, and by what to recognise it: None where nothing is."""
+    """Check a case; return description and signature of a fault, or None."""
     try:
         fuzzer.check(case)
     except FaultError as error:
@@ -101,7 +101,7 @@ def trouble(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:
 
 
 def _innermost(error: BaseException) -> str:
-    """Function of the product that let it out; without its line, which moves with every change."""
+    """Return the innermost function of the product, without its line, which changes."""
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__) if "diffdrive_mpc" in frame.filename
     ] or traceback.extract_tb(error.__traceback__)

@@ -1,4 +1,4 @@
-"""Words on the command line: whatever is typed ends in 0, or in one line and 1 or 2, never in a traceback."""
+"""Fuzzer of the command line: commands end with 0, or with one line and 1 or 2, never with a traceback."""
 
 from __future__ import annotations
 
@@ -10,34 +10,24 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from diffdrive_mpc.models.plug_ins import plug_in_names
 from fuzz import odd, shrink
 from fuzz.case import Case, FaultError, HangError
 
-# They run for minutes, on processes of their own, or until interrupted: only their words are tried, with one too many.
-_LONG = {
-    "bench",
-    "campaign",
-    "doctor",
-    "export",
-    "node",
-    "prove",
-    "sim-robot",
-    "tune",
-    "twin",
-    "monitor",
-}
+# These run for minutes or until interrupted, or belong to packages: only their options are parsed, with an unknown one.
+_LONG = {"bench", "doctor", "node", "sim-robot", "tune", *plug_in_names("commands")}
 _CODES = {0, 1, 2}
 _FOR = 8.0
 FILES = ("own.csv", "mapped.csv", "mapping.yaml", "own.mcap", "bag", "short.yaml")
 
 
 class CommandLineFuzzer:
-    """Commands with options that are known, values that are not, and the other way round."""
+    """Known commands and options with odd values, and unknown options."""
 
     name, longest, count = "cli", 2 * _FOR, 100
 
     def draw(self, random: Random) -> Case:
-        """Words after the name of the program."""
+        """Draw the words after the name of the program."""
         path, options = random.choice(commands())
         words = list(path)
         for _ in range(random.choice((0, 1, 1, 2, 3))):
@@ -53,7 +43,7 @@ class CommandLineFuzzer:
         return {"words": [word.replace("\x00", "") for word in words], "long": _is_long(path)}
 
     def check(self, case: Case) -> None:
-        """Type it, in a folder of its own."""
+        """Invoke the command in a new folder."""
         from click.testing import CliRunner
 
         words = case["words"]
@@ -83,7 +73,7 @@ class CommandLineFuzzer:
                 raise FaultError(f"error line: cannot be shown: {lines[0][:300]!r}")
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Fewer words."""
+        """Yield commands of fewer words."""
         for words in shrink.fewer(case["words"]):
             if words:
                 yield {**case, "words": words}
@@ -104,21 +94,21 @@ def _command() -> Any:
 
 @cache
 def commands() -> list[tuple[tuple[str, ...], list[tuple[str, bool]]]]:
-    """Every command by its words, with its options and whether they take a value."""
-    found = []
+    """Return every command by its words, with its options and whether they take a value."""
+    listed = []
 
     def walk(command: Any, words: tuple[str, ...]) -> None:
         options = []
-        for one in command.params:
-            takes = not getattr(one, "is_flag", False)
-            options += [(name, takes) for name in (*one.opts, *one.secondary_opts) if name.startswith("-")]
+        for parameter in command.params:
+            takes = not getattr(parameter, "is_flag", False)
+            options += [(name, takes) for name in (*parameter.opts, *parameter.secondary_opts) if name.startswith("-")]
         for name, inner in getattr(command, "commands", {}).items():
             walk(inner, (*words, name))
         if words:
-            found.append((words, options))
+            listed.append((words, options))
 
     walk(_command(), ())
-    return found
+    return listed
 
 
 @cache
@@ -137,9 +127,7 @@ def _value(random: Random) -> str:
     if way == 2:
         return random.choice(FILES)
     if way == 3:
-        return random.choice(
-            ("ssm", "sm", "circle", "s", "mujoco", "model:ssm", "default", "none", "perfect", "ideal", "push")
-        )
+        return random.choice(("ssm", "sm", "circle", "s", "mujoco", "model:ssm", "default", "none", "ideal", "push"))
     return random.choice(
         (
             "horizon=5",

@@ -19,40 +19,40 @@ Overrides = dict[str, Any]
 
 
 def fields(schema: type[BaseModel], prefix: str = "") -> list[tuple[str, FieldInfo]]:
-    """All that is one value, by dotted key."""
-    found = []
+    """Return the fields with one value by dotted key."""
+    values = []
     for name, field in schema.model_fields.items():
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, BaseModel):
-            found += fields(kind, f"{prefix}{name}.")
+            values += fields(kind, f"{prefix}{name}.")
         elif get_origin(kind) not in (list, Mapping):
-            found.append((prefix + name, field))
-    return found
+            values.append((prefix + name, field))
+    return values
 
 
 FIELDS = [(key, field) for key, field in fields(ControllerConfig) if key not in ("model", "extra_dead_time.provenance")]
 _HEAVY = {"horizon": (1, 60)}
-"""What makes a case slow, and how far it mostly goes."""
+"""Usual range of fields that make a case slow."""
 
 
 def draw_overrides(random: Random, most: int = 12) -> Overrides:
-    """Some fields at values that the schema allows; few of them reasonable, most of them legal."""
+    """Draw values that the schema mostly allows for some fields."""
     chosen = random.sample(FIELDS, random.choice((0, 1, 2, 3, random.randint(0, most))))
-    found = {key: draw_value(random, field) for key, field in chosen}
-    if "horizon" in found or random.random() < 0.5:
-        found["horizon"] = random.choice((1, 2, 3, 5, 15, 30, 30, random.randint(*_HEAVY["horizon"])))
+    values = {key: draw_value(random, field) for key, field in chosen}
+    if "horizon" in values or random.random() < 0.5:
+        values["horizon"] = random.choice((1, 2, 3, 5, 15, 30, 30, random.randint(*_HEAVY["horizon"])))
         if random.random() < 0.02:
-            found["horizon"] = 200
+            values["horizon"] = 200
     if random.random() < 0.15:
-        found["solver.method"] = random.choice(("osqp", "daqp"))
+        values["solver.method"] = random.choice(("osqp", "daqp"))
     # As many iterations as can be asked for would only cost time.
-    if "solver.max_iterations" in found:
-        found["solver.max_iterations"] = min(found["solver.max_iterations"], 2000)
-    return found
+    if "solver.max_iterations" in values:
+        values["solver.max_iterations"] = min(values["solver.max_iterations"], 2000)
+    return values
 
 
 def draw_value(random: Random, field: FieldInfo) -> Any:
-    """A value that the field allows, most of the time."""
+    """Draw a value that the field mostly allows."""
     kinds = get_args(field.annotation) or (field.annotation,)
     if get_origin(field.annotation) is Literal:
         return random.choice(kinds)
@@ -73,17 +73,17 @@ def draw_value(random: Random, field: FieldInfo) -> Any:
 
 
 def _number(random: Random, low: float, high: float, default: object) -> float:
-    at = float(default) if isinstance(default, int | float) else 1.0
+    centre = float(default) if isinstance(default, int | float) else 1.0
     choices = [
-        lambda: at * 10.0 ** random.uniform(-3, 3),
-        lambda: at * 10.0 ** random.uniform(-1, 1),
+        lambda: centre * 10.0 ** random.uniform(-3, 3),
+        lambda: centre * 10.0 ** random.uniform(-1, 1),
         lambda: low if math.isfinite(low) else -1e9,
         lambda: high if math.isfinite(high) else 1e9,
         lambda: math.nextafter(low, math.inf) if math.isfinite(low) else 0.0,
         lambda: odd.number(random),
     ]
     value = random.choice(choices)()
-    return value if low <= value <= high else at
+    return value if low <= value <= high else centre
 
 
 def _is_bound(kind: object) -> bool:

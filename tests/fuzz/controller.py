@@ -1,4 +1,4 @@
-"""The controller, with whatever may happen to it in whatever order: the promises of docs/safety.md at every step."""
+"""Fuzzer of the controller: arbitrary events in any order, with the promises of docs/safety.md at every step."""
 
 from __future__ import annotations
 
@@ -37,18 +37,19 @@ from fuzz import odd, shrink
 from fuzz.case import Case, FaultError
 from fuzz.configs import Overrides, draw_overrides, draw_value, fields
 
-CONFIGS = (
-    *("ssm", "ssm", "sm", "mbm", "kinematic", "lstm", "p2_experimental", "p2_physical"),
-    *("hybrid", "nonlinear", "windowed"),
-)
-"""Shipped configurations, and the models of `own_model`."""
+CONFIGS = ("ssm", "ssm", "sm", "mbm", "kinematic", "nonlinear", "windowed")
+"""Shipped configurations, and models of `user_model`."""
 EXTRAS = (
     {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.0, "online_dead_time.min_rate_omega": 0.0},
     {"online_dead_time.enabled": True},
     {"fence.enabled": True},
 )
-"""What is off as shipped, and seldom drawn by chance."""
-_CHANGEABLE = [(key, one) for key, one in fields(type(load_config("ssm"))) if key.startswith(("weights.", "limits."))]
+"""Settings that are off by default and rarely drawn by chance."""
+_CHANGEABLE = [
+    (key, field_info) for key, field_info in fields(type(load_config("ssm"))) if key.startswith(("weights.", "limits."))
+]
+_KINDS_OF_EVENTS = (*4 * ("tick",), *2 * ("clock", "start", "update", "hold"), "reset", "overrule", "limit_speed")
+_KINDS_OF_EVENTS += ("carry", "foresee", "again", "parameters", "bound")
 _REFUSED = (ConfigError, ModelError, ValueError)
 
 _POSE, _POINT = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
@@ -76,18 +77,17 @@ TERMS = {
 
 
 @cache
-def own_model(name: str) -> NonlinearModel | None:
-    """A model that is no shipped one; None where `name` is that of a configuration."""
-    from hybrid_parts import random_hybrid
-    from nonlinear_parts import saturating, windowed
+def user_model(name: str) -> NonlinearModel | None:
+    """Return a model that is not shipped; None if `name` is that of a configuration."""
+    from nonlinear_program import saturating, windowed
 
-    own = {"hybrid": lambda: random_hybrid(size=0.005), "nonlinear": saturating, "windowed": windowed}
-    return own[name]() if name in own else None
+    models = {"nonlinear": saturating, "windowed": windowed}
+    return models[name]() if name in models else None
 
 
 @dataclass
-class OwnReference:
-    """A reference of the user's own class: it samples what it likes."""
+class UserReference:
+    """Reference of a class of the user, with poses that need not agree with its twist."""
 
     name: str = "own"
     duration: float = 5.0
@@ -97,7 +97,7 @@ class OwnReference:
     spoils: dict[int, float] = field(default_factory=dict)
 
     def sample(self, times: Any) -> ReferenceSample:
-        """Straight, whatever its twist says; after the n-th call its x is what `spoils` says."""
+        """Return samples on a straight line; `spoils` replaces x in calls by their number."""
         t = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
         pose = np.asarray(self.pose) + t[:, None] * np.asarray(self.velocity)
         twist = np.tile(np.asarray(self.twist, dtype=float), (len(t), 1))
@@ -114,10 +114,10 @@ class ControllerFuzzer:
     extras: Sequence[Overrides] = EXTRAS
     """Settings that are off by default and rarely drawn by chance."""
     steps = 0
-    """Of all cases that were checked so far."""
+    """Number of steps of all checked cases."""
 
     def draw(self, random: Random) -> Case:
-        """A configuration, some references, and what happens."""
+        """Draw a configuration, references and events."""
         overrides = draw_overrides(random)
         for extra in self.extras:
             if random.random() < 0.08:
@@ -146,9 +146,9 @@ class ControllerFuzzer:
         return Life(controller, references)
 
     def check(self, case: Case) -> None:
-        """Live through it."""
+        """Run the events of a case."""
         try:
-            model = own_model(case["config"])
+            model = user_model(case["config"])
             config = load_config("sm" if model else case["config"], case["overrides"])
             controller = Controller(config, model, [TERMS[name] for name in case["terms"]])
         except _REFUSED as error:
@@ -169,7 +169,7 @@ class ControllerFuzzer:
             self.steps += life.steps
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Fewer events, fewer changes of the configuration, plainer numbers."""
+        """Yield cases with fewer events and settings, and with plainer numbers."""
         for events in shrink.fewer(case["events"]):
             yield {**case, "events": events}
         for overrides in shrink.without_keys(case["overrides"]):
@@ -188,7 +188,7 @@ class ControllerFuzzer:
 
 
 class Life:
-    """A controller, a robot that does roughly what it is told, and what was promised of the commands."""
+    """Controller and robot of a case; each step is checked."""
 
     def __init__(self, controller: Controller, references: list[Any]) -> None:
         self.controller, self.references = controller, references
@@ -199,7 +199,7 @@ class Life:
         self.hold_now: Hold | None = None
 
     def start(self, index: int, t0: float) -> None:
-        """A reference, whose time 0 is `t0` [s] after the present."""
+        """Start a reference whose time 0 is `t0` [s] after the present."""
         try:
             self.controller.start(self.references[index % len(self.references)], self.t + t0)
             self.started = True
@@ -207,26 +207,26 @@ class Life:
             one_line(error)
 
     def reset(self) -> None:
-        """As new."""
+        """Reset the controller."""
         self.controller.reset()
         self.last = np.zeros(2)
 
     def update(self, weights: dict[str, Any], limits: dict[str, Any]) -> None:
-        """Other weights and limits."""
+        """Update weights and limits."""
         try:
             self.controller.update(weights, limits)
         except _REFUSED as error:
             one_line(error)
 
     def limit_speed(self, v: float | None) -> None:
-        """A limit from outside, as in a zone."""
+        """Limit the speed."""
         try:
             self.controller.limit_speed(v)
         except _REFUSED as error:
             one_line(error)
 
     def overrule(self, commands: list[list[float]]) -> None:
-        """Somebody else has driven."""
+        """Set the commands that another controller has sent."""
         try:
             self.controller.set_applied_commands(commands)
         except ValueError as error:
@@ -236,46 +236,46 @@ class Life:
             self.last = np.array(commands[-1], dtype=float)
 
     def parameters(self, values: dict[str, Any]) -> None:
-        """Other stage parameters of terms."""
+        """Set stage parameters of terms."""
         try:
             self.controller.set_parameters(**values)
         except _REFUSED as error:
             one_line(error)
 
     def hold(self, words: str | None, failure: bool = False) -> None:
-        """From the next step on somebody asks it to brake; None: nobody does."""
+        """Hold the robot from the next step on; None ends the hold."""
         self.hold_now = None if words is None else Hold(words, failure=failure)
 
     def bound(self, most_iterations: int | None, seconds: float | None) -> None:
-        """From the next step on it gets so many iterations, and so long."""
+        """Limit iterations and time from the next step on."""
         self.bounds = most_iterations, seconds
 
     def again(self) -> None:
-        """Through a pickle, as to another process."""
+        """Pickle and unpickle the controller."""
         self.controller = pickle.loads(pickle.dumps(self.controller))
         self.last = np.zeros(2)
 
     def foresee(self, count: int) -> None:
-        """What it believes, and will believe."""
+        """Predict the belief over `count` commands."""
         try:
             belief = self.controller.belief
         except RuntimeError:
             return
-        found = self.controller.predict_belief(belief, np.tile(self.last, (count, 1)))
-        if len(found.mean) != len(belief.mean):
+        predicted = self.controller.predict_belief(belief, np.tile(self.last, (count, 1)))
+        if len(predicted.mean) != len(belief.mean):
             raise FaultError("foreseen: of another size than the belief")
 
     def carry(self, x: float, y: float, theta: float) -> None:
-        """The robot is somewhere else."""
+        """Move the robot."""
         self.pose = self.pose + np.array([x, y, theta])
 
     def drive(self, count: int) -> None:
-        """Ordinary ticks."""
+        """Run ordinary ticks."""
         for _ in range(count):
             self.tick(self.controller.config.sample_time)
 
     def tick(self, dt: float, spoilt: dict[str, Any] | None = None) -> None:
-        """A tick `dt` [s] after the last, with a measurement that `spoilt` changes."""
+        """Run a tick `dt` [s] after the last one, with a measurement that `spoilt` changes."""
         if not self.started:
             return
         t = self.t + dt
@@ -309,77 +309,77 @@ class Life:
         self.last = np.array(result.command)
 
     def measured(self, spoilt: dict[str, Any]) -> Measurement:
-        """What the sensors say; with "repeat" the last message once more."""
+        """Return the measurement; with "repeat" the last one."""
         if "repeat" in spoilt:
             return self.measurement
         ordinary = {"pose": self.pose.copy(), "wheel_twist": self.twist.copy(), "yaw_rate": float(self.twist[1])}
-        found: dict[str, Any] = {name: Stamped(value, self.t) for name, value in ordinary.items()}
+        values: dict[str, Any] = {name: Stamped(value, self.t) for name, value in ordinary.items()}
         for name, change in spoilt.items():
             if name == "sent":
-                found["sent"] = tuple(change) if isinstance(change, list) else change
+                values["sent"] = tuple(change) if isinstance(change, list) else change
             elif change is None:
-                found[name] = None
+                values[name] = None
             else:
                 value = change["value"] if "value" in change else ordinary[name] + np.asarray(change.get("shift", 0.0))
-                found[name] = Stamped(value, stamp_of(change, self.t), change.get("covariance"))
-        self.measurement = Measurement(**found)
+                values[name] = Stamped(value, stamp_of(change, self.t), change.get("covariance"))
+        self.measurement = Measurement(**values)
         return self.measurement
 
 
 def stamp_of(change: dict[str, Any], t: float) -> Any:
-    """When a spoilt message says that it was measured."""
+    """Return the stamp of a spoilt message."""
     return change["stamp"] if "stamp" in change else t + change.get("later", 0.0)
 
 
 def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> None:
-    """What docs/safety.md promises of one step after the command `last` (2,)."""
+    """Raise FaultError if a step after the command `last` (2,) breaks a promise of docs/safety.md."""
     command, limits, dt = np.asarray(result.command), config.limits, config.sample_time
-    said = f"{command.tolist()} after {last.tolist()} in {result.mode} ({result.message[:200]})"
+    text = f"{command.tolist()} after {last.tolist()} in {result.mode} ({result.message[:200]})"
     if command.shape != (2,) or not np.isfinite(command).all():
-        raise FaultError(f"not finite: {said}")
+        raise FaultError(f"not finite: {text}")
     if not isinstance(result.message, str) or "\n" in result.message:
         raise FaultError(f"message: not one line: {result.message!r}")
     if not isinstance(result.solver.status, SolverStatus):
         raise FaultError(f"status: it is {result.solver.status!r}")
     if "its command is repeated" in result.message:
         if (command != (0.0 if result.mode == "STOPPED" else last)).any():
-            raise FaultError(f"repeated tick: changes the command: {said}")
+            raise FaultError(f"repeated tick: changes the command: {text}")
         return
     if result.mode == "STOPPED":
         if command.any():
-            raise FaultError(f"stopped: and moves: {said}")
+            raise FaultError(f"stopped: and moves: {text}")
         return
     brakes = result.mode in ("BRAKING", "FINISHED")
     if held and result.mode not in ("BRAKING", "FINISHED"):
-        raise FaultError(f"held: and drives: {said}")
+        raise FaultError(f"held: and drives: {text}")
     most = np.array([limits.v, limits.omega])
     rates = (limits.v_braking, limits.omega_braking) if brakes else (limits.v_slew, limits.omega_slew)
     step, rounding = np.array(rates) * dt, 1e-9 + 1e-9 * np.abs(last)
     if (np.abs(command) > np.maximum(most, np.abs(last) - step) + rounding).any():
-        raise FaultError(f"limits: outside {most.tolist()}: {said}")
+        raise FaultError(f"limits: outside {most.tolist()}: {text}")
     if (np.abs(command - last) > step + rounding).any():
-        raise FaultError(f"slew: more than {step.tolist()} in a tick: {said}")
+        raise FaultError(f"slew: more than {step.tolist()} in a tick: {text}")
     if brakes and (np.abs(command) > np.abs(last)).any():
-        raise FaultError(f"brakes: and speeds up: {said}")
+        raise FaultError(f"brakes: and speeds up: {text}")
     if result.mode == "TRACKING":
         if not result.solver.status.usable:
-            raise FaultError(f"status: tracks, and {result.solver.status}: {said}")
+            raise FaultError(f"status: tracks, and {result.solver.status}: {text}")
         for name, values in (("estimate", result.estimate.pose), ("plan", result.plan)):
             if values is not None and not np.isfinite(values).all():
-                raise FaultError(f"{name}: tracks, and it is not finite: {said}")
+                raise FaultError(f"{name}: tracks, and it is not finite: {text}")
     if not 0.0 <= result.progress <= 2.0 + 1e-9:
-        raise FaultError(f"progress: {result.progress}: {said}")
+        raise FaultError(f"progress: {result.progress}: {text}")
 
 
 def one_line(error: BaseException) -> None:
-    """What refuses something is one line that can be shown."""
+    """Raise FaultError unless the message of an error is one line."""
     text = str(error)
     if not text.strip() or "\n" in text:
         raise FaultError(f"message: not one line: {text[:300]!r}")
 
 
 def draw_reference(random: Random) -> Case:
-    """What to make a reference of."""
+    """Draw the description of a reference."""
     kind = random.choice(("named", "segments", "segments", "waypoints", "spline", "own", "own"))
     if kind == "named":
         return {
@@ -409,14 +409,14 @@ def draw_reference(random: Random) -> Case:
 
 
 def draw_speed(random: Random, scale: float) -> float:
-    """Mostly an ordinary number of this scale."""
+    """Draw a number of this scale, sometimes an odd one."""
     if random.random() < 0.08:
         return odd.number(random)
     return random.choice((0.0, scale, -scale, random.gauss(0.0, scale), random.gauss(0.0, 1e-3 * scale)))
 
 
 def make_reference(spec: Case) -> Any:
-    """The reference of a case; raises ValueError where it is refused."""
+    """Make the reference of a case; raises ValueError if it is refused."""
     limits = TrajectoryLimits.of_robot()
     if spec["kind"] == "named":
         return load_trajectory(spec["name"])
@@ -434,7 +434,7 @@ def make_reference(spec: Case) -> Any:
         if not all(abs(value) <= 1e6 for point in points for value in point):
             raise ValueError("what the schema of the file refuses")
         return checked_reference(lay_waypoints(points, limits, name="waypoints", timing=spec["way"]), limits)
-    return OwnReference(
+    return UserReference(
         duration=spec["duration"],
         pose=tuple(spec["pose"]),
         velocity=tuple(spec["velocity"]),
@@ -444,7 +444,7 @@ def make_reference(spec: Case) -> Any:
 
 
 def checked_reference(reference: Any, limits: TrajectoryLimits) -> Any:
-    """A reference that was accepted is finite, keeps to the limits, and its poses go as its twist says."""
+    """Return an accepted reference; raise FaultError unless it is finite, continuous and within the limits."""
     if not (math.isfinite(reference.duration) and reference.duration >= 0.0):
         raise FaultError(f"duration: {reference.duration}")
     longest = min(reference.duration, 3600.0)
@@ -465,31 +465,8 @@ def checked_reference(reference: Any, limits: TrajectoryLimits) -> Any:
 
 
 def draw_event(random: Random, references: int, terms: list[str]) -> Case:
-    """Something that happens between ticks, or one odd tick."""
-    kind = random.choice(
-        (
-            "tick",
-            "tick",
-            "tick",
-            "tick",
-            "clock",
-            "clock",
-            "start",
-            "start",
-            "reset",
-            "update",
-            "update",
-            "overrule",
-            "limit_speed",
-            "hold",
-            "hold",
-            "carry",
-            "foresee",
-            "again",
-            "parameters",
-            "bound",
-        )
-    )
+    """Draw an event between ticks, or an odd tick."""
+    kind = random.choice(_KINDS_OF_EVENTS)
     if kind == "tick":
         return ["tick", 0.0202, draw_spoilt(random)]
     if kind == "clock":
@@ -506,9 +483,9 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
     if kind == "update":
         chosen = random.sample(_CHANGEABLE, random.choice((1, 1, 2, 5)))
         groups: dict[str, dict[str, Any]] = {"weights": {}, "limits": {}}
-        for key, one in chosen:
+        for key, field_info in chosen:
             group, _, name = key.partition(".")
-            groups[group][name] = draw_value(random, one)
+            groups[group][name] = draw_value(random, field_info)
         return ["update", groups["weights"], groups["limits"]]
     if kind == "overrule":
         count = random.choice((0, 1, 1, 2, 5, 60))
@@ -534,7 +511,7 @@ def draw_event(random: Random, references: int, terms: list[str]) -> Case:
 
 
 def draw_spoilt(random: Random) -> dict[str, Any]:
-    """What is odd about a measurement."""
+    """Draw changes of a measurement."""
     spoilt: dict[str, Any] = {"repeat": True} if random.random() < 0.05 else {}
     for name, size in (("pose", 3), ("wheel_twist", 2), ("yaw_rate", 1)):
         if random.random() < 0.4:
@@ -547,7 +524,7 @@ def draw_spoilt(random: Random) -> dict[str, Any]:
 
 
 def draw_message(random: Random, size: int) -> Any:
-    """A message that is odd in its value, stamp or covariance; None: none came."""
+    """Draw a message with an odd value, stamp or covariance; None for a missing message."""
     way = random.randrange(8)
     if way == 0:
         return None

@@ -53,11 +53,11 @@ class CoreFuzzer:
     name, longest, count = "core", 300.0, 1
 
     def draw(self, random: Random) -> Case:
-        """A seed of its own."""
+        """Draw the seed of the program."""
         return random.randrange(2**31)
 
     def check(self, case: Case) -> None:
-        """Run it; it aborts where something is wrong. The sanitizer needs more addresses than the runner allows."""
+        """Run the program, which aborts on a fault; the sanitizer needs more addresses than the runner allows."""
         program = _built()
         done = subprocess.run(
             [str(program), str(case)],
@@ -71,7 +71,7 @@ class CoreFuzzer:
             raise FaultError(f"core: {done.stderr[-1500:]}")
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """A seed has no parts."""
+        """Yield nothing: a seed has no parts."""
         yield from ()
 
 

@@ -5,7 +5,6 @@ from fuzz.command_line import CommandLineFuzzer
 from fuzz.controller import ControllerFuzzer
 from fuzz.core import CoreFuzzer
 from fuzz.logs import LogFuzzer, ReplayFuzzer
-from fuzz.monitor import MonitorFuzzer
 from fuzz.references import ReferenceFuzzer
 from fuzz.yaml_files import YamlFuzzer
 
@@ -14,7 +13,6 @@ FUZZERS: dict[str, Fuzzer] = {
     for fuzzer in (
         ControllerFuzzer(),
         CoreFuzzer(),
-        MonitorFuzzer(),
         ReferenceFuzzer(),
         YamlFuzzer(),
         LogFuzzer(),

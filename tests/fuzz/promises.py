@@ -1,4 +1,4 @@
-"""What is promised of input that cannot be used: it is refused by the product itself, in one line that can be shown."""
+"""Promise for unusable input: the product itself refuses it with one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TESTS = str(Path(__file__).parents[1])
 
 
 def refused_or(read: Callable[[], Found]) -> Found | None:
-    """What `read` returns; None where it refuses in the way that is promised. Anything else comes out."""
+    """Return the result of `read`; None if it refuses as promised. Other errors pass."""
     try:
         return read()
     except (DiffdriveMpcError, ValueError, OSError) as error:
@@ -25,7 +25,7 @@ def refused_or(read: Callable[[], Found]) -> Found | None:
 
 
 def check_refusal(error: Exception) -> None:
-    """Raise FaultError where it is no sentence for people, or the error itself where nobody meant to raise it."""
+    """Raise FaultError if the message is not a short line, or the error itself if a library raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     innermost = frames[-1].filename
     ours = "diffdrive_mpc" in innermost or (

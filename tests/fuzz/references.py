@@ -17,12 +17,12 @@ from fuzz.promises import refused_or
 
 
 class ReferenceFuzzer:
-    """What is accepted is finite, keeps to the limits, and its poses do not jump."""
+    """Files of references: accepted ones are finite, continuous and within the limits."""
 
     name, longest, count = "references", 20.0, 300
 
     def draw(self, random: Random) -> Case:
-        """The content of a file."""
+        """Draw the content of a file."""
         kind = random.choice(("segments", "waypoints", "poses"))
         if kind == "segments":
             rows = [
@@ -59,7 +59,7 @@ class ReferenceFuzzer:
         return {"kind": kind, "rows": rows, "more": {}}
 
     def check(self, case: Case) -> None:
-        """Read it from a file."""
+        """Load the reference from a file."""
         with tempfile.TemporaryDirectory() as folder:
             if case["kind"] == "poses":
                 path = Path(folder, "reference.csv")
@@ -70,12 +70,12 @@ class ReferenceFuzzer:
                 path = Path(folder, "reference.yaml")
                 text = json.dumps({case["kind"]: case["rows"], **case["more"]})
                 path.write_text(text.replace("-Infinity", "-.inf").replace("Infinity", ".inf").replace("NaN", ".nan"))
-            found = refused_or(lambda: load_trajectory(path))
-            if found is not None:
-                checked_reference(found, TrajectoryLimits.of_robot())
+            reference = refused_or(lambda: load_trajectory(path))
+            if reference is not None:
+                checked_reference(reference, TrajectoryLimits.of_robot())
 
     def simpler(self, case: Case) -> Iterator[Case]:
-        """Fewer rows, plainer numbers."""
+        """Yield cases with fewer rows and plainer numbers."""
         for rows in shrink.fewer(case["rows"]):
             yield {**case, "rows": rows}
         for more in shrink.without_keys(case["more"]):

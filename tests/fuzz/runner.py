@@ -1,7 +1,6 @@
-"""Runs a fuzzer in a process of its own: bounds of count, time and memory, what it finds made small and kept.
+"""Run a fuzzer in a process with limits of count, time and memory; reduce and save its findings.
 
-The process may die or hang in compiled code; then its parent knows by the number that it had written down which case
-it was, keeps that, and goes on with the next.
+The process may die or hang in compiled code. Its report names the case, which the parent saves before the next one.
 """
 
 from __future__ import annotations
@@ -27,26 +26,26 @@ from types import FrameType
 from fuzz.case import FINDINGS, Case, Finding, Fuzzer, HangError, draw, trouble
 
 _MOST_MEMORY = 8_000_000_000
-"""Of addresses, in a whole process: libraries alone reserve 2 GB [byte]."""
+"""Address space of a process; libraries alone reserve 2 GB [byte]."""
 _MOST_MORE = 600_000
-"""By how much a case may raise the most memory that was ever used [kB]."""
+"""Growth of the peak memory that a case may cause [kB]."""
 _SMALLER_FOR = 20.0
-"""How long a finding is made smaller [s]."""
+"""Time limit for the reduction of a finding [s]."""
 _KINDS_OF_FINDINGS = 20
-"""So many different ones end a run."""
+"""Number of different findings that ends a run."""
 _CASES_OF_A_PROCESS = 1000
 
 
 def environment() -> dict[str, str]:
-    """Of a process that imports the fuzzers, and what they import of other tests."""
+    """Return the environment of a process that imports the fuzzers and helpers of other tests."""
     tests = Path(__file__).parents[1]
-    paths = [str(tests), str(tests / "models"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(tests), str(tests / "models"), str(tests / "mpc"), os.environ.get("PYTHONPATH", "")]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
 @dataclass(frozen=True)
 class Order:
-    """What to run: cases `first` to `first + count` of `seed`, for at most `seconds`, and `steps` of the controller."""
+    """Cases to run: `first` to `first + count` of `seed`, for at most `seconds`, and `steps` of the controller."""
 
     fuzzer: str
     seed: int
@@ -56,13 +55,13 @@ class Order:
     steps: float = math.inf
 
     def words(self) -> str:
-        """What to type to repeat the first of them."""
+        """Return the command that repeats the first case."""
         return f'make fuzz FUZZ="{self.fuzzer} --seed {self.seed} --only {self.first}"'
 
 
 @dataclass
 class Ran:
-    """What came of an order: cases begun, what was found in a line or two each, steps of the controller."""
+    """Result of an order: started cases, findings of a line or two each, and steps of the controller."""
 
     cases: int = 0
     lines: list[str] = field(default_factory=list)
@@ -84,26 +83,29 @@ def run(order: Order, folder: Path = FINDINGS, on_part: Callable[[Ran], None] = 
         part, died = _in_process(rest, folder)
         ran = Ran(ran.cases + part.cases, ran.lines + part.lines, ran.steps + part.steps)
         if died:
-            at = Order(order.fuzzer, order.seed, rest.first + part.cases - 1, 1, 600.0)
-            ran.lines.append(_kept_death(at, died, folder))
+            single = Order(order.fuzzer, order.seed, rest.first + part.cases - 1, 1, 600.0)
+            ran.lines.append(_kept_death(single, died, folder))
         on_part(ran)
     return ran
 
 
-def _kept_death(at: Order, died: str, folder: Path) -> str:
+def _kept_death(order: Order, died: str, folder: Path) -> str:
     from fuzz.fuzzers import FUZZERS
 
     finding = Finding(
-        at.fuzzer, died, f"{at.fuzzer}: {died.partition(chr(10))[0]}", draw(FUZZERS[at.fuzzer], at.seed, at.first)
+        order.fuzzer,
+        died,
+        f"{order.fuzzer}: {died.partition(chr(10))[0]}",
+        draw(FUZZERS[order.fuzzer], order.seed, order.first),
     )
-    return f"{died}\n    {at.words()}\n    {finding.save(folder)}"
+    return f"{died}\n    {order.words()}\n    {finding.save(folder)}"
 
 
 def _in_process(order: Order, folder: Path) -> tuple[Ran, str]:
-    """What came of it, and how the process died; empty where it did not."""
+    """Run an order in a process; return its result and its end, which is empty for a normal one."""
     with tempfile.TemporaryDirectory() as scratch:
-        report, said = Path(scratch, "report"), Path(scratch, "said")
-        with said.open("w") as output:
+        report, output_file = Path(scratch, "report"), Path(scratch, "output_file")
+        with output_file.open("w") as output:
             words = [sys.executable, "-m", "fuzz", "--inside", json.dumps(asdict(order)), str(report), str(folder)]
             process = subprocess.Popen(
                 words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, cwd=scratch, env=environment()
@@ -115,7 +117,7 @@ def _in_process(order: Order, folder: Path) -> tuple[Ran, str]:
                 process.kill()
                 code = process.wait()
         lines = [json.loads(line) for line in report.read_text().splitlines()] if report.exists() else []
-        text = said.read_text(errors="replace")
+        text = output_file.read_text(errors="replace")
     steps = max((line["steps"] for line in lines if "steps" in line), default=0)
     ran = Ran(
         max((line.get("begun", 0) for line in lines), default=0),
@@ -129,7 +131,7 @@ def _in_process(order: Order, folder: Path) -> tuple[Ran, str]:
 
 
 def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
-    """The process itself: writes lines of what it does to `report`."""
+    """Run an order inside the process; write a line per event to `report`."""
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, hard))
     warnings.simplefilter("ignore")
@@ -141,44 +143,46 @@ def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
                 break
             out.write(json.dumps({"begun": begun + 1}) + "\n")
             case = draw(fuzzer, order.seed, order.first + begun)
-            found = judged(fuzzer, case)
-            if found is None or found[1] in known:
+            fault = judged(fuzzer, case)
+            if fault is None or fault[1] in known:
                 continue
-            known.add(found[1])
-            case, what = smaller(fuzzer, case, *found)
-            path = Finding(fuzzer.name, what, found[1], case).save(folder)
-            at = Order(order.fuzzer, order.seed, order.first + begun, 1, 0.0)
-            out.write(json.dumps({"begun": begun + 1, "found": f"{what}\n    {at.words()}\n    {path}"}) + "\n")
+            known.add(fault[1])
+            case, description = smaller(fuzzer, case, *fault)
+            path = Finding(fuzzer.name, description, fault[1], case).save(folder)
+            single = Order(order.fuzzer, order.seed, order.first + begun, 1, 0.0)
+            out.write(
+                json.dumps({"begun": begun + 1, "found": f"{description}\n    {single.words()}\n    {path}"}) + "\n"
+            )
         out.write(json.dumps({"steps": getattr(fuzzer, "steps", 0)}) + "\n")
 
 
 def judged(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:
-    """What is wrong with a case, time and memory included."""
+    """Check a case, its time and its memory; return description and signature of a fault."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         with _bounded(fuzzer.longest):
-            found = trouble(fuzzer, case)
+            fault = trouble(fuzzer, case)
     except HangError:
         return f"hangs: it takes longer than {fuzzer.longest:g} s", f"{fuzzer.name}: hangs"
     more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    if found is None and more > _MOST_MORE:
+    if fault is None and more > _MOST_MORE:
         return f"memory: it takes {more // 1000} MB", f"{fuzzer.name}: memory"
-    return found
+    return fault
 
 
-def smaller(fuzzer: Fuzzer, case: Case, what: str, signature: str) -> tuple[Case, str]:
-    """The smallest case that was found to show the same, and what it shows."""
+def smaller(fuzzer: Fuzzer, case: Case, description: str, signature: str) -> tuple[Case, str]:
+    """Reduce a case as long as its fault stays the same; return it and its description."""
     end, again = time.monotonic() + _SMALLER_FOR, True
     while again:
         again = False
         for simpler in fuzzer.simpler(case):
             if time.monotonic() > end:
-                return case, what
-            found = judged(fuzzer, simpler)
-            if found is not None and found[1] == signature:
-                case, what, again = simpler, found[0], True
+                return case, description
+            fault = judged(fuzzer, simpler)
+            if fault is not None and fault[1] == signature:
+                case, description, again = simpler, fault[0], True
                 break
-    return case, what
+    return case, description
 
 
 @contextlib.contextmanager

@@ -1,61 +1,40 @@
-"""Drawn logs in which a command is clipped at a known level, or nothing is; what the linear fits find of it.
-
-`python tests/models/limit_population.py --seed 11 --count 60` prints how many limits are found, how many of them within
-5 %, and how many are found where there is none; it ends with 1 where these are too few or too many. Real logs lie where
-DIFFDRIVE_MPC_DATA says; without it only drawn robots take part.
-"""
+"""Drawn robots whose command is clipped at a known level, or that have another defect."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 
 import numpy as np
-from real_log_files import FOLDERS, log_path
 from scipy import signal
 
-from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.validation import simulate_records
-from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-OWN = {"warthog_asphalt": (3.7, 4.4), "warthog_gravel": (3.7, 4.4)}
-"""Limits of v that the robots themselves have [m/s]: found there, one is not false."""
 TOLERANCE = 0.05
-FEWEST, MOST_FALSE = 0.8, 0.05
-"""Share of the drawn limits that has to be found within the tolerance, and most false finds in a log."""
-_ROWS = 4000
 _SHARES = (0.6, 0.9)
 _ODD = ("nothing", "slew", "compressed gain", "dead band", "sagging gain", "gain of the other channel")
 
 
 @dataclass(frozen=True)
 class LimitCase:
-    """A log, and what limits its commands.
+    """A log and the limit of its commands.
 
     Attributes
     ----------
     name
-        For tables.
+        Name of the robot and its defect.
     records
         The log.
     channel
-        Whose command is clipped; None where none is.
+        Channel whose command is clipped, or None.
     level
-        At which it is [m/s, rad/s].
-    known
-        Range of a limit of v that is no false find [m/s].
+        Level of the limit [m/s, rad/s].
     """
 
     name: str
     records: tuple[Record, ...]
     channel: str | None
     level: float
-    known: tuple[float, float] = (np.inf, -np.inf)
 
 
 def drawn_case(seed: int) -> LimitCase:
@@ -123,89 +102,8 @@ def _slewed(values, most):
     return result
 
 
-@cache
-def _real(name):
-    return read_log(log_path(name), name).records
-
-
-def real_case(name: str, seed: int) -> LimitCase:
-    """A stretch of a real log: what a limit of a command would change by a model of it is added to the readings."""
-    rng = np.random.default_rng(seed)
-    records = _stretch(_real(name), rng)
-    own = OWN.get(name, LimitCase.known)
-    limited = rng.random() < 0.6
-    if not limited:
-        return LimitCase(f"{name} {seed}", records, None, np.inf, own)
-    row = 1 if name in OWN else int(rng.integers(2))
-    model = identify_sm(records, limits=False).system
-    plain = simulate_records(model, records)
-    gain = abs(float((model.C @ np.linalg.solve(-model.A, model.B))[row, row]))
-    level = rng.uniform(*_SHARES) * np.quantile(np.abs(np.concatenate(plain)[:, row]), 0.995) / gain
-    limit = np.full(2, np.inf)
-    limit[row] = level
-    clipped = simulate_records(model._replace(limit=limit), records)
-    changed = []
-    for record, before, after in zip(records, plain, clipped, strict=True):
-        change = after - before
-        twist, yaw_rate = record.twist.copy(), record.yaw_rate + change[:, 1]
-        twist[:, 0] += change[:, 0]
-        changed.append(replace(record, twist=twist, yaw_rate=yaw_rate))
-    return LimitCase(f"{name} {seed}", tuple(changed), CHANNELS[row], level, own)
-
-
-def _stretch(records, rng):
-    """About `_ROWS` rows in one go."""
-    left, parts = int(rng.integers(sum(len(record.command) for record in records) - _ROWS)), []
-    right = left + _ROWS
-    for record in records:
-        count = len(record.command)
-        first, last = max(left, 0), min(right, count)
-        if last - first > 40:
-            parts.append(record.part(first, last))
-        left, right = left - count, right - count
-    return tuple(parts)
-
-
-def population(seed: int, count: int) -> list[LimitCase]:
-    """`count` drawn robots, and a third as many stretches of real logs where these are at hand."""
-    cases = [drawn_case(1000 * seed + i) for i in range(count)]
-    if "DIFFDRIVE_MPC_DATA" in os.environ:
-        cases += [real_case(list(FOLDERS)[i % len(FOLDERS)], 1000 * seed + i) for i in range(count // 3)]
-    return cases
-
-
 def judged(case: LimitCase, limits) -> tuple[bool, bool, int]:
-    """Whether the limit was found, whether within the tolerance, and how many were found where there are none."""
+    """Return whether the limit is found, whether it is within the tolerance, and the number of false limits."""
     is_found = case.channel in limits
     close = is_found and abs(limits[case.channel] / case.level - 1) <= TOLERANCE
-    low, high = case.known
-    false = [name for name in limits if name != case.channel and not (name == "v" and low < limits[name] < high)]
-    return is_found, close, len(false)
-
-
-def main():
-    """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=int, default=60)
-    words = parser.parse_args()
-    totals = {"drawn robots": np.zeros(5, dtype=int), "real logs": np.zeros(5, dtype=int)}
-    for case in population(words.seed, words.count):
-        limits = identify_sm(case.records).limits
-        found, close, false = judged(case, limits)
-        group = "drawn robots" if case.name.startswith("robot") else "real logs"
-        totals[group] += [1, case.channel is not None, found, close, false]
-        if (case.channel is not None and not close) or false:
-            sys.stdout.write(f"{case.name}: {case.channel} {case.level:.3g}, found {dict(limits)}\n")
-            sys.stdout.flush()
-    for group, (cases, there, found, close, false) in totals.items():
-        sys.stdout.write(
-            f"{group}: {found} of {there} limits found, {close} within {TOLERANCE:.0%}; {false} false in {cases} logs\n"
-        )
-    cases, there, _, close, _ = totals["drawn robots"]
-    false = sum(total[4] for total in totals.values())
-    sys.exit(bool(close < FEWEST * there or false > MOST_FALSE * cases))
-
-
-if __name__ == "__main__":
-    main()
+    return is_found, close, len(set(limits) - {case.channel})

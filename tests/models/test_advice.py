@@ -4,9 +4,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from degraded_bases import REAL_BASES, SIMULATED, robot
-from degraded_changes import Case, held, put, replaced, rounded, scaled, shifted, swapped
-from degraded_logs import CASES, FIRST_TEN, logs_of, verdict
+from degraded_logs import (
+    CASES,
+    DEGREES,
+    FIRST_TEN,
+    REAL_BASES,
+    RPM,
+    SIMULATED,
+    Case,
+    held,
+    logs_of,
+    put,
+    replaced,
+    robot,
+    rounded,
+    scaled,
+    shifted,
+    swapped,
+    verdict,
+)
 from scipy.signal import lfilter
 
 from diffdrive_mpc import ConfigError
@@ -17,7 +33,6 @@ from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
 
-RPM, DEGREES = 60 / (2 * np.pi), 180 / np.pi
 SKIDS = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
 SLOW = {"seed": 62, "seconds": 60.0, "lag": 0.4, "gain": (0.8, 1.2), "dead_time": 0.2}
 QUICK = {"seed": 63, "seconds": 60.0, "lag": 0.05, "dead_time": 0.02}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+import yaml
 from base_effect_parts import DT, ENCODER_TRACK, linear_model, record_of, step_commands
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -20,12 +21,14 @@ from diffdrive_mpc.models.base_effects import (
     YawRelaxation,
     respond,
 )
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
-from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed, smoothed, two_lags
+from diffdrive_mpc.models.identification.effects.free_run import free_run, smoothed, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.load import PARAMETERS, load_base_effects, load_model
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.held_out import blocks
@@ -43,14 +46,6 @@ def test_slew_is_bounded_and_never_overshoots(start, command, dt):
     reached = slew.step(start, command, dt)
     assert (np.abs(reached - start) <= np.array([1.0, 3.0]) * dt + 1e-12).all()
     assert (np.abs(command - reached) <= np.abs(command - start) + 1e-12).all()
-
-
-def test_slew_takes_the_time_of_its_slope():
-    """A step of omega by 1.5 rad/s at 3 rad/s^2 takes half a second, and v is not held back by it."""
-    path = TwistSlew(v=1.0, omega=3.0).follow(np.tile([0.05, 1.5], (30, 1)), 0.02, (0.0, 0.0))
-    np.testing.assert_allclose(path[:25, 1], 0.06 * np.arange(1, 26))
-    assert (path[25:, 1] == 1.5).all()
-    assert (path[2:, 0] == 0.05).all()
 
 
 @given(TWISTS)
@@ -100,12 +95,6 @@ def test_slope_is_the_derivative_of_the_map_without_steps(twist):
     np.testing.assert_allclose(smooth.slope(twist), np.column_stack(columns), atol=1e-6)
 
 
-def test_slope_of_a_coasting_side_follows_the_other():
-    slow, fast = (STEPS.twist(np.array([0.0, right])) for right in (0.055, 1.0))
-    np.testing.assert_allclose(STEPS.slope(slow), [[1.0, 0.25], [0.0, 0.0]], atol=1e-12)
-    np.testing.assert_allclose(STEPS.slope(fast), [[0.5, 0.125], [2.0, 0.5]], atol=1e-12)
-
-
 @given(st.floats(-1, 1), st.floats(-3, 3), st.floats(0.001, 1.0), st.floats(0.005, 0.5))
 def test_strain_stays_bounded_and_the_heading_adds_up(strain, rate, dt, angle):
     end, body = YawRelaxation(angle=angle).advance(strain, rate, dt)
@@ -149,16 +138,6 @@ def test_pose_mount_inverts_and_is_rigid(pose, ahead, left, heading):
     centre = mount.centre(pose)
     np.testing.assert_allclose(mount.sensor(centre), pose, atol=1e-12)
     assert np.hypot(*(centre - pose)[:2]) == pytest.approx(np.hypot(ahead, left), abs=1e-12)
-
-
-def test_a_sensor_ahead_of_the_centre_draws_a_circle_when_the_robot_turns_on_the_spot():
-    mount = PoseMount(ahead=0.15, left=0.04, heading=0.1)
-    turning = np.column_stack([np.full(7, 2.0), np.full(7, -1.0), np.linspace(0.0, 6.0, 7)])
-    seen = mount.sensor(turning)
-    np.testing.assert_allclose(np.hypot(seen[:, 0] - 2.0, seen[:, 1] + 1.0), np.hypot(0.15, 0.04))
-    np.testing.assert_allclose(
-        seen[0], [2 + 0.15 * np.cos(0.1) + 0.04 * np.sin(0.1), -1 + 0.04 * np.cos(0.1) - 0.15 * np.sin(0.1), -0.1]
-    )
 
 
 TRUE = BaseEffects.model_validate(
@@ -326,14 +305,6 @@ def bare(record):
     return replace(record, wheels=None)
 
 
-@pytest.mark.long
-def test_the_same_records_give_the_same_numbers():
-    record = bare(record_of(TRUE, 5, 30.0))
-    first, second = (identify_with_effects([record]) for _ in range(2))
-    assert first.point == second.point
-    np.testing.assert_array_equal(first.identified.parameters.covariance, second.identified.parameters.covariance)
-
-
 def test_the_place_and_delay_of_a_pose_sensor_are_found():
     record = record_of(BaseEffects(), 11, 120.0, noise=0.1, delay=0.0)
     mount, travel, late = PoseMount(ahead=0.2, left=-0.05, heading=0.03), 0.93, 3
@@ -360,10 +331,6 @@ def test_the_place_and_delay_of_a_pose_sensor_are_found():
     assert estimate.value("pose.delay") == pytest.approx(late * DT, abs=0.2 * DT)
 
 
-def test_records_without_a_pose_tell_nothing_of_its_sensor():
-    assert pose_sensor([record_of(BaseEffects(), 5, 60.0)], POINT) is None
-
-
 def test_without_a_track_steps_of_wheels_are_not_tried_and_that_is_said():
     found = identify_with_effects([bare(record_of(BaseEffects(), 5, 60.0))])
     assert not any("steps" in trial.effect for trial in found.trials)
@@ -372,12 +339,6 @@ def test_without_a_track_steps_of_wheels_are_not_tried_and_that_is_said():
 
 def without_gyro(record):
     return replace(record, yaw_rate=None, fresh_yaw_rate=None)
-
-
-def test_a_record_without_gyro_is_refused_in_one_line_where_a_gyro_was_said():
-    with pytest.raises(ValueError, match="no yaw_rate") as error:
-        sensed([without_gyro(record_of(BaseEffects(), 5, 60.0))])
-    assert "\n" not in str(error.value)
 
 
 FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_speed": 0.7}})
@@ -421,3 +382,99 @@ def test_where_effects_cannot_be_looked_for_the_plain_model_says_so():
     assert any(
         "effects were not looked for: the records are too short" in doubt.words for doubt in found.identified.warnings
     )
+
+
+EFFECTS = {
+    "twist_slew": {"v": 2.0, "omega": 2.0},
+    "wheel_command": {"track": 0.512, "resolution": 0.01, "coasting_speed": 0.08},
+    "yaw_relaxation": {"angle": 0.035},
+    "veer": {"yaw_per_metre": -0.05},
+    "pose_mount": {"ahead": 0.146, "left": 0.041, "heading": 0.025},
+}
+
+
+@pytest.fixture
+def with_effects(tmp_path):
+    def write(effects):
+        data = yaml.safe_load((PARAMETERS / "sm.yaml").read_text())
+        path = tmp_path / "base.yaml"
+        path.write_text(yaml.safe_dump({**data, "base_effects": effects}))
+        return path
+
+    return write
+
+
+def test_file_carries_effects_beside_an_unchanged_linear_model(with_effects):
+    path = with_effects(EFFECTS)
+    assert load_base_effects(path).model_dump() == EFFECTS | {
+        "wheel_command": EFFECTS["wheel_command"] | {"top_speed": None}
+    }
+    np.testing.assert_array_equal(load_model(path).A, load_model("sm").A)
+
+
+@pytest.mark.parametrize(
+    ("effects", "words"),
+    [
+        ({"twist_slew": {"v": 0.0, "omega": 2.0}}, "base_effects.twist_slew.v"),
+        ({"twist_slew": {"v": 1.0}}, "base_effects.twist_slew.omega' is missing"),
+        ({"yaw_relaxatoin": {"angle": 0.03}}, "did you mean 'base_effects.yaw_relaxation'"),
+        ({"wheel_command": {"track": 0.5, "resolution": 0.1, "top_speed": 0.05}}, "less than one step"),
+        ({"yaw_relaxation": {"angle": float("inf")}}, "base_effects.yaw_relaxation.angle"),
+    ],
+)
+def test_mistakes_are_named_in_one_line(with_effects, effects, words):
+    with pytest.raises(ConfigError, match=words) as error:
+        load_base_effects(with_effects(effects))
+    assert "\n" not in str(error.value)
+
+
+def random_steps(seed, steps=12, length=40):
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform([-0.8, -1.5], [0.8, 1.5], (steps, 2)), length, axis=0)
+
+
+def test_without_effects_it_is_the_linear_model():
+    model, commands = load_model("sm"), random_steps(1)
+    response = respond(model, BaseEffects(), commands, DT)
+    np.testing.assert_allclose(response.wheels, model.discretise(DT).simulate(commands), atol=1e-9)
+    np.testing.assert_array_equal(response.wheels, response.body)
+
+
+def test_a_settled_start_stays_settled():
+    model, command = load_model("sm"), np.array([0.4, -0.7])
+    effects = BaseEffects(twist_slew=TwistSlew(v=1, omega=1), yaw_relaxation=YawRelaxation(angle=0.03))
+    response = respond(model, effects, np.tile(command, (50, 1)), DT, start=command)
+    np.testing.assert_allclose(response.body, np.tile(model.dc_gain @ command, (50, 1)), atol=1e-9)
+
+
+def test_effects_leave_the_settled_twist_alone_but_for_steps_and_veer():
+    """Slew and relaxation pass; what is asked for in whole steps arrives, and the body veers."""
+    model, effects = load_model("sm"), BaseEffects.model_validate(EFFECTS)
+    assert effects.wheel_command is not None
+    command = np.array([0.5, -0.9])
+    settled = respond(model, effects, np.tile(command, (400, 1)), DT)
+    expected = model.dc_gain @ effects.wheel_command.apply(command)
+    np.testing.assert_allclose(settled.wheels[-1], expected, atol=1e-6)
+    np.testing.assert_allclose(settled.body[-1], [expected[0], expected[1] - 0.05 * expected[0]], atol=1e-6)
+
+
+def test_commands_within_the_slew_limit_pass_unchanged():
+    """Why the controller can leave the limit out of its model once its own limit is no wider."""
+    model = load_model("sm")
+    slow = np.column_stack([0.4 * np.sin(0.5 * DT * np.arange(200)), 0.8 * np.sin(0.7 * DT * np.arange(200))])
+    limited = respond(model, BaseEffects(twist_slew=TwistSlew(v=1.0, omega=2.5)), slow, DT)
+    np.testing.assert_allclose(limited.wheels, respond(model, BaseEffects(), slow, DT).wheels, atol=1e-12)
+
+
+@pytest.mark.parametrize("commands", [np.zeros(4), np.full((3, 2), np.nan)])
+def test_bad_commands_are_named(commands):
+    with pytest.raises(ValueError, match="expected K rows"):
+        respond(load_model("sm"), BaseEffects(), commands, DT)
+
+
+def test_top_speed_takes_from_both_channels():
+    """A wheel that saturates drives the body slower and turns it less, as on a fast turn."""
+    effects = BaseEffects(wheel_command=WheelCommand(track=0.5, top_speed=1.0), veer=Veer(yaw_per_metre=0.0))
+    model = load_model("sm")
+    settled = respond(model, effects, np.tile([0.9, 1.0], (200, 1)), DT).body[-1]
+    np.testing.assert_allclose(settled, model.dc_gain @ [0.825, 0.7], rtol=1e-4)

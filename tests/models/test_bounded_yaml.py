@@ -1,16 +1,27 @@
-"""Hostile and broken YAML: one line and nothing built, whatever it is."""
+"""Hostile YAML, names and paths of files: one line, and nothing built or run."""
+
+from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from diffdrive_mpc import load_model, load_trajectory
 from diffdrive_mpc.models.checked_yaml import DEEPEST, ConfigError, parse_yaml, read_yaml
+from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
+from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.typed_settings import parse_setting
+from diffdrive_mpc.sim.disturbances.scenario import load_scenario
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 BOMB = "\n".join(["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)])
 UNFIT = [
@@ -114,3 +125,72 @@ def test_a_message_repeats_no_more_of_a_value_or_a_key_than_shows_what_it_is(tmp
             load_config(str(file))
         assert len(str(caught.value)) < 600
         assert "\x1b" not in str(caught.value)
+
+
+HOSTILE = "a\nlimits: {max_position_error: 99}\r\x1b[2J\u202e\x85\u2028b"
+
+
+@given(st.text())
+def test_any_text_becomes_one_line_that_can_be_printed(text):
+    line = plain_line(text, longest=60)
+    assert line.isprintable()
+    assert len(line) <= 60
+    assert len(line.splitlines()) <= 1
+
+
+@given(st.text(st.characters(categories=["L", "N", "P", "S"]), max_size=60))
+def test_what_is_harmless_stays(text):
+    assert plain_line(text) == text
+
+
+def test_what_is_cut_says_so():
+    assert plain_line("x" * 100, longest=10) == "xxxxxxx..."
+    assert plain_line("\n" * 10**7, longest=10) == "..."
+
+
+@given(st.text())
+def test_no_name_puts_keys_into_a_configuration(name):
+    found = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
+    assert set(yaml.safe_load(found.text())) == {"sample_time", "limits"}
+
+
+def test_a_name_with_lines_puts_nothing_into_a_configuration():
+    found = IdentifiedConfiguration(HOSTILE, (Setting("sample_time", 0.02, HOSTILE),), (), ())
+    assert yaml.safe_load(found.text()) == {"sample_time": 0.02, "limits": None}
+
+
+@pytest.mark.parametrize(
+    ("load", "kind", "near"),
+    [
+        (load_model, "model", "ssm"),
+        (load_config, "configuration", "ssm"),
+        (load_trajectory, "trajectory", "circle"),
+        (load_scenario, "scenario", "push"),
+        (load_surface, "surface", "slippery"),
+        (load_sensor_set, "sensor set", "slam"),
+    ],
+)
+def test_every_loader_refuses_in_the_same_words(load: Callable[[str], object], kind: str, near: str) -> None:
+    wrong = near + near[-1]
+    with pytest.raises(ConfigError) as caught:
+        load(wrong)
+    said = str(caught.value)
+    assert said.startswith(f"unknown {kind} '{wrong}': give one of ")
+    assert said.endswith(f" or the path of a {kind} file; did you mean '{near}'?")
+    assert "\n" not in said
+
+
+def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped, own = tmp_path / "shipped", tmp_path / "own"
+    for folder in (shipped, own):
+        folder.mkdir()
+    for name in ("wet", "dry", "notes"):
+        (shipped / f"{name}.yaml").touch()
+    (own / "wet").touch()
+    (own / "mud").touch()
+    monkeypatch.chdir(own)
+    assert shipped_names(shipped) == ("dry", "notes", "wet")
+    assert named_file("floor", shipped, "wet") == shipped / "wet.yaml"
+    assert named_file("floor", shipped, "mud") == Path("mud")
+    with pytest.raises(ConfigError, match=r"unknown floor 'notes': give one of dry, wet or the path of a floor file$"):
+        named_file("floor", shipped, "notes", ("dry", "wet"))

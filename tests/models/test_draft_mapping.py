@@ -79,17 +79,6 @@ def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
     assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
 
 
-def test_a_column_that_rises_steadily_is_the_time_whatever_it_is_called(tmp_path):
-    columns = {"distance": COLUMNS["t"] ** 2} | {
-        {"t": "Zeit [ms]"}.get(name, name): values * (1e3 if name == "t" else 1.0) for name, values in COLUMNS.items()
-    }
-    log = write_csv(tmp_path / "log.csv", columns)
-    assert "time: {column: 'Zeit [ms]', unit: ms}    # not named as a time, but it rises by steps" in draft_mapping(log)
-    (guessed,) = read_log(log, draft_of(log, tmp_path)).records
-    (right,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
-    np.testing.assert_allclose(guessed.command, right.command, atol=1e-9)
-
-
 def test_a_row_counter_is_no_time(tmp_path):
     columns = {name: values for name, values in COLUMNS.items() if name != "t"}
     log = write_csv(tmp_path / "log.csv", {"seq": np.arange(len(COLUMNS["t"]))} | columns)

@@ -1,11 +1,28 @@
-"""Logs of real robots, read whole through the shipped mappings."""
+"""Logs of real robots: read whole, cut, and fitted with the effects of their bases."""
+
+import os
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from real_log_files import log_path
+from real_log_files import FOLDERS, log_path
 
+from diffdrive_mpc.models.identification.effects.fitting import fit_effects, weighted
+from diffdrive_mpc.models.identification.effects.free_run import base_track, sensed
+from diffdrive_mpc.models.identification.effects.selection import EFFECTS, LINEAR
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
+from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.log_data import divide, read_data
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.mapping import MAPPINGS, load_mapping
+from diffdrive_mpc.models.output_error.experiment import joined, twist_experiments
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, validate
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.structures.sm import identify_sm
+from oracle.second_order import fit_second_order, response
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted(MAPPINGS.glob("*.yaml"))])
@@ -54,3 +71,134 @@ def test_the_warthog_logs_are_read_step_by_step(terrain):
 def test_the_gyro_on_gravel_is_upside_down_and_that_is_found():
     log = read_log(log_path("warthog_gravel"), "warthog_asphalt")
     assert [finding.kind for finding in log.findings] == ["wrong sign"]
+
+
+FEWEST = identification_settings().fewest_readings
+CUTS = ("at the step", "60 rows before", "anywhere")
+# Each log, and each way to cut, once; DIFFDRIVE_MPC_ALL=1 takes every log in every way.
+EACH_ONCE = tuple(zip(FOLDERS, CUTS, strict=True))
+CUT_CASES = tuple(product(FOLDERS, CUTS)) if "DIFFDRIVE_MPC_ALL" in os.environ else EACH_ONCE
+
+
+def stretches(records, cut, past):
+    """The records in pieces; what is too short for one is left out. Without a `past`, none follows the other."""
+    pieces = []
+    for record in records:
+        count = len(record.command)
+        steps = np.flatnonzero(np.any(np.diff(record.command, axis=0) != 0, axis=1)) + 1
+        edges = {
+            "at the step": steps,
+            "60 rows before": steps - 60,
+            "anywhere": np.random.default_rng(count).choice(count, count // 120, replace=False),
+        }[cut]
+        edges = np.unique([0, *edges[(edges > 0) & (edges < count)], count]).tolist()
+        pieces += [record.part(a, b) for a, b in pairwise(edges) if past or b - a > 30]
+    # As `identify` does.
+    pieces = [p for p in pieces if min(p.fresh_twist.sum(), p.fresh_yaw_rate.sum()) >= FEWEST]
+    return pieces if past else [replace(piece, start=3600.0 * i) for i, piece in enumerate(pieces)]
+
+
+@cache
+def halves(log):
+    """Records to identify from and records held out, divided as `identify` does."""
+    records = read_log(log_path(log), log).records
+    if len(records) < 10:  # seven minutes in one piece says it as well as all of it
+        records = (records[0].part(0, 8400),)
+    return divide(records, 0.6)
+
+
+@cache
+def as_shipped(log):
+    train, held_out = halves(log)
+    return validate(identify_sm(train, limits=False).system, held_out).fit_percent
+
+
+@pytest.mark.real_logs
+@pytest.mark.parametrize(("log", "cut"), CUT_CASES)
+def test_a_cut_costs_less_than_three_points(log, cut):
+    train, held_out = halves(log)
+    found = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
+    assert (found > as_shipped(log) - 3.0).all(), found
+
+
+@pytest.mark.real_logs
+@pytest.mark.parametrize("log", FOLDERS)
+def test_a_plain_fit_is_no_better(log):
+    assert (as_shipped(log) > baseline_fit(*halves(log)) - 0.5).all()
+
+
+@pytest.mark.real_logs
+@pytest.mark.parametrize(("log", "cut"), CUT_CASES)
+def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
+    train, held_out = halves(log)
+    train = stretches(train, cut, past=False)
+    found = validate(identify_sm(train, limits=False).system, held_out).fit_percent
+    assert (found > baseline_fit(train, held_out) - 0.5).all(), found
+
+
+ENCODER_TRACK = 0.480865
+
+
+@pytest.fixture(scope="module")
+def husky():
+    """Five minutes to fit, and the two after them."""
+    record = read_log(log_path("husky_tile"), "husky_tile").records[0]
+    parts = [record.part(0, 6000), record.part(6000, 8400)]
+    train, held_out = (weighted(sensed([part])) for part in parts)
+    guess = {name: low_high_guess[2] for name, low_high_guess in effect_settings().parameters.items()}
+    linear = fit_effects({name: guess[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
+    more = [name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]]
+    start = {**linear.point, **{name: guess[name] for name in more}}
+    return linear, fit_effects(start, [*LINEAR, *more], train), held_out
+
+
+@pytest.mark.real_logs
+def test_the_husky_slews_as_its_configuration_says(husky):
+    """max_acceleration 2.0 rad/s^2 of the base's controller (husky_control/config/control.yaml)."""
+    assert husky[1].point["slew.omega"] == pytest.approx(2.0, abs=0.06)
+
+
+@pytest.mark.real_logs
+def test_the_huskys_gains_give_the_track_of_its_configuration(husky):
+    """wheel_separation 0.512 m, in the same file."""
+    assert base_track(husky[1].point) == pytest.approx(0.512, abs=0.015)
+
+
+@pytest.mark.real_logs
+def test_effects_halve_the_error_power_of_omega_on_rows_held_out(husky):
+    linear, effects, held_out = husky
+    power = [np.nansum(np.concatenate(held_out.errors(fit.point)) ** 2, axis=0) for fit in (linear, effects)]
+    assert (power[1][1:] < 0.5 * power[0][1:]).all(), power
+
+
+# Twenty minutes: DIFFDRIVE_MPC_ALL=1 pytest tests/models/test_base_effects_real.py
+if "DIFFDRIVE_MPC_ALL" in os.environ:
+
+    @pytest.mark.real_logs
+    @pytest.mark.parametrize("track", [True, False], ids=["track", "no track"])
+    @pytest.mark.parametrize("gyro", [True, False], ids=["gyro", "no gyro"])
+    @pytest.mark.parametrize("log", FOLDERS)
+    def test_with_effects_no_row_held_out_is_predicted_worse(log, gyro, track):
+        data = read_data([log_path(log)], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
+        gone = {} if track else {"wheels": None, "wheel_speeds": None}
+        gone |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
+        halves = [tuple(replace(record, **gone) for record in half) for half in (data.train, data.validation)]
+        data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
+        plain, found = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
+        fits = [one.validation.fit_percent for one in (plain, found)]
+        assert (fits[1] > fits[0] - 1.0).all(), fits
+
+
+def baseline_fit(train, held_out, clip=False):
+    """(2,) FIT [%] of the baseline, identified from `train`, on the records held out."""
+    fits = []
+    for row in (0, 1):
+        one, other = ([s.channel(row, row) for s in joined(twist_experiments(part))] for part in (train, held_out))
+        u, y, c = zip(*((s.inputs[:, 0], s.outputs[:, 0], s.counts[:, 0]) for s in one), strict=True)
+        baseline = fit_second_order(u, y, c, one[0].dt, clip)
+        firsts = [s.outputs[np.argmax(s.counts), 0] for s in other]
+        runs = [response(baseline, s.inputs[:, 0], f, s.dt) for s, f in zip(other, firsts, strict=True)]
+        keep = [s.counts[:, 0] for s in other]
+        measured = [s.outputs[k, 0] for s, k in zip(other, keep, strict=True)]
+        fits.append(pooled_fit_percent(measured, [r[k] for r, k in zip(runs, keep, strict=True)]))
+    return np.array(fits)

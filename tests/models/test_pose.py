@@ -18,10 +18,11 @@ from diffdrive_mpc.models.identification.fit.pose_calibration import (
     displacement,
 )
 from diffdrive_mpc.models.identification.fit.poses import rotation_centre
+from diffdrive_mpc.models.identification.fit.slip import lateral_slip
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.pose import arc_displacement, wrap_angle
 from diffdrive_mpc.models.slip_laws import virtual_track_yaw_rate
-from oracle.arc import linearised_arc
+from oracle.motion import linearised_arc
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
 speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)
@@ -93,12 +94,6 @@ def test_an_arc_in_two_parts_is_the_same_arc(pose, v, omega, dt, share, slip):
 @given(poses, speeds, rates, times)
 def test_going_back_returns(pose, v, omega, dt):
     assert integrate_pose(integrate_pose(pose, v, omega, dt), v, omega, -dt) == pytest.approx(pose, abs=1e-12)
-
-
-def test_arrays_broadcast():
-    moved = integrate_pose(np.zeros(3), np.linspace(0, 1, 4), 0.0, 2.0)
-    assert moved == pytest.approx(np.column_stack([2 * np.linspace(0, 1, 4), np.zeros(4), np.zeros(4)]))
-    assert integrate_pose(np.zeros((5, 3)), 1.0, np.ones(5), 0.1).shape == (5, 3)
 
 
 def test_a_left_turn_goes_left():
@@ -177,12 +172,6 @@ def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, 
     assert virtual_track_yaw_rate(-one, 0.5, p1) == -virtual_track_yaw_rate(one, 0.5, p1)
 
 
-def test_without_growth_the_virtual_track_is_constant():
-    wheels = set_points(1, 50, (10.0, 10.0), hold=1)
-    virtual = GrowingTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.0, 0.1]), wheels)
-    assert virtual == pytest.approx(ConstantTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, 0.1]), wheels))
-
-
 def test_the_gyro_scale_is_found_behind_a_late_pose():
     late = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
     found = calibrate_gyro([late], pose_lag=5 * DT)
@@ -216,3 +205,44 @@ def test_missing_signals_and_short_logs_are_refused():
         calibrate_wheels([mute], LAWS[0][0])
     with pytest.raises(ValueError, match="needs pose and yaw_rate"):
         calibrate_gyro([mute])
+
+
+SAMPLES = 3000
+
+
+def slipping(side_slip, load_shift, noise, seed=0):
+    """A minute of driving in which the lateral speed is what the two terms say."""
+    stream, times = np.random.default_rng(seed), DT * np.arange(SAMPLES)
+    v = 0.5 + 0.4 * np.sin(0.9 * times)
+    omega = np.sin(0.5 * times) + 0.5 * np.sin(1.7 * times)
+    lateral = -side_slip * v * omega + load_shift * np.gradient(v, DT) * omega
+    theta = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1])) * DT])
+    rate = np.column_stack([v * np.cos(theta) - lateral * np.sin(theta), v * np.sin(theta) + lateral * np.cos(theta)])
+    way = np.vstack([np.zeros(2), np.cumsum(0.5 * (rate[1:] + rate[:-1]), axis=0) * DT])
+    pose = np.column_stack([way, theta]) + noise * stream.standard_normal((SAMPLES, 3))
+    twist = np.column_stack([v, omega])
+    return Record("drive", 0.0, DT, twist, twist=twist, yaw_rate=omega, pose=pose)
+
+
+@settings(deadline=None, max_examples=20)
+@given(side_slip=st.floats(-0.05, 0.15), load_shift=st.floats(-0.05, 0.1))
+def test_lateral_slip_is_identified(side_slip, load_shift):
+    found = lateral_slip([slipping(side_slip, load_shift, 0.0)])
+    # Windows of a second turn by up to a radian and a half: to the left is not one direction in them.
+    assert found.values == pytest.approx([side_slip, load_shift], abs=3e-3)
+
+
+def test_deviation_of_lateral_slip_covers_its_error():
+    errors = []
+    for seed in range(20):
+        found = lateral_slip([slipping(0.08, 0.03, 0.005, seed)])
+        errors.append((found.values - [0.08, 0.03]) / found.standard_deviation)
+    size = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (size > 0.5).all(), size
+    assert (size < 2.0).all(), size
+
+
+def test_record_without_poses_has_no_lateral_slip():
+    whole = slipping(0.1, 0.0, 0.0)
+    assert lateral_slip([Record("drive", 0.0, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)]) is None
+    assert lateral_slip([]) is None

@@ -5,9 +5,10 @@ import yaml
 from log_parts import bag_topics, drive, write_bag
 
 from diffdrive_mpc import ConfigError, identify, load_config
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.plug_ins import plug_in_names
-from diffdrive_mpc.models.stated_robot import FOLDER, load_stated_robot, stated_robots
+from diffdrive_mpc.models.stated_robot import STATED_ROBOTS, load_stated_robot, stated_robots
 
 CLEARPATH = {"odom": "platform/odom", "imu": "platform/sensors/imu_0/data", "cmd_vel": "cmd_vel"}
 
@@ -26,16 +27,12 @@ def identified(husky_bag):
     return identify(husky_bag, robot="husky")
 
 
-def test_the_named_robots_are_there():
-    assert {"husky", "jackal", "warthog", "dingo_d", "turtlebot4"} <= set(stated_robots())
-
-
 @pytest.mark.parametrize("name", stated_robots())
 def test_every_value_is_stated_and_has_a_source_with_its_revision(name):
     robot = load_stated_robot(name)
     assert robot.provenance == "stated"
     assert all("commit" in source or "read 20" in source for source in robot.sources.values())
-    assert "identified" not in yaml.safe_dump(yaml.safe_load((FOLDER / f"{name}.yaml").read_text()))
+    assert "identified" not in yaml.safe_dump(STATED_ROBOTS.read(name)[0])
     words = "\n".join(robot.lines())
     assert "dead time" in words
     assert all(source in words for source in robot.sources.values())
@@ -66,7 +63,7 @@ def test_an_unknown_name_is_one_line_with_the_names():
 
 
 def test_a_source_that_is_not_listed_is_refused(tmp_path):
-    text = (FOLDER / "husky.yaml").read_text().replace("stated: 4, source: control", "stated: 4, source: memory")
+    text = KINDS["stated-robot"].texts["husky"].replace("stated: 4, source: control", "stated: 4, source: memory")
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(ConfigError, match="memory"):
         load_stated_robot(tmp_path / "mine.yaml")

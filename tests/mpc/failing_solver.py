@@ -35,7 +35,7 @@ class FailingSolver:
         monkeypatch.setattr(daqp, "Model", type("Model", (daqp.Model,), {"solve": solve}))
 
     def during(self, ticks, change=lambda k, m: m):
-        """For `ideal_robot.drive`: fail at these ticks."""
+        """Return a change for `ideal_robot.drive` that makes these ticks fail."""
 
         def at(k, measurement):
             self.failing = k in ticks

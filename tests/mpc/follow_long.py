@@ -1,10 +1,8 @@
 """Many random goals in a row, from a client in another process to a node in a third: nothing may be left behind.
 
     python tests/mpc/follow_long.py --goals 100
-    python tests/mpc/follow_long.py --gaps
 
-The first needs some ten minutes: it drives in lock step, faster than the clock. Memory and threads are the node's. The
-second drives in real time, and says how regular the node's commands are while paths of many poses arrive.
+A hundred goals take some ten minutes in lock step, faster than the clock. Memory and threads are those of the node.
 """
 
 import argparse
@@ -24,7 +22,7 @@ NODE = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", 
 
 
 def random_path(rng, start):
-    """From the robot on: one or two arcs, of which one in four is driven backwards; a goal that looks anywhere."""
+    """Return one or two arcs from the robot on, one in four driven backwards, with any goal heading."""
     pose, poses = np.array(start, dtype=float), [np.array(start, dtype=float)]
     for _ in range(rng.integers(1, 3)):
         sense, length, bend = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
@@ -38,7 +36,7 @@ def random_path(rng, start):
 
 
 def resources(process):
-    """Memory [MB] and threads of a process."""
+    """Return memory [MB] and threads of a process."""
     lines = dict(line.split(":", 1) for line in Path(f"/proc/{process.pid}/status").read_text().splitlines())
     return int(lines["VmRSS"].split()[0]) / 1024.0, int(lines["Threads"])
 
@@ -116,62 +114,13 @@ def run(goals, seed):
         sys.exit("; ".join(filter(None, faults)))
 
 
-def gaps():
-    from follow_parts import Client
-    from ros_parts import DT, WallClockBase
-
-    process = subprocess.Popen([*NODE, "-p", "start_at_robot:=false", "--log-level", "warn"])
-    base, client = WallClockBase(lambda: None), Client()
-
-    def drive(seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            if base.commands:
-                base.drive()
-            else:
-                base.publish_sensors()
-                base.plant.advance((0.0, 0.0))
-                time.sleep(DT)
-                base.spin()
-
-    def said(what):
-        since = len(base.times)
-        yield
-        gap = np.diff(np.array(base.times[since - 1 :])) / 1e6
-        most = f"99 % below {np.percentile(gap, 99):.1f} ms, most {gap.max():.1f} ms"
-        print(f"{what:>28}: {len(gap)} ticks, median {np.median(gap):.1f} ms, {most}", flush=True)
-
-    try:
-        while not base.commands or not client.events:
-            drive(0.5)
-        drive(5.0)
-        for what, count in (("no goal", 0), ("200 poses", 200), ("1000 poses", 1000), ("5000 poses", 5000)):
-            for _ in said(what):
-                for number in range(5):
-                    if count:
-                        start = np.asarray(base.plant.true_pose)
-                        s = np.linspace(0.0, 0.004 * count, count)[:, None]
-                        ahead = np.array([math.cos(start[2]), math.sin(start[2]), 0.0])
-                        client.send(f"{what} {number}", start + s * ahead)
-                    drive(2.0)
-            if count:
-                client.tell(cancel=f"{what} 4")
-                drive(2.0)
-    finally:
-        client.close()
-        process.terminate()
-        process.wait(20)
-        base.close()
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--gaps", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
     from ros_types.build import add_types
 
     add_types()
-    gaps() if given.gaps else run(given.goals, given.seed)
+    run(options.goals, options.seed)

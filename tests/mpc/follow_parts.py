@@ -1,4 +1,4 @@
-"""What tests of follow_path share: the node and its base in lock step, and an independent client process."""
+"""Helpers for tests of follow_path: the node and its base in lock step, and an independent client process."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""How long a step takes where limits press everywhere, and what a stopped solve costs.
+"""Duration of a step with limits active everywhere, and cost of a stopped solve.
 
     python tests/mpc/hard_ticks.py [DRIVE...] [--horizons N,..] [--methods auto,osqp,daqp] [--bounds SHARE,..]
 
@@ -29,7 +29,7 @@ DRIVES: dict[str, tuple[str, str, dict[str, Any]]] = {
 }
 """Model, trajectory and changes of the configuration of each."""
 MOST = "return MOST_WORK * (p.start + p.factor);"
-"""Where the core says after how many operations no further system is begun."""
+"""Line of the core that bounds the operations of a solve."""
 HEAD = ("drive", "N", "method", "bound", "ticks", "p50 [ms]", "p99 [ms]", "worst [ms]", "systems", "of bound")
 HEAD += ("stopped", "RMSE [m]", "by")
 
@@ -47,7 +47,7 @@ class Timed(Controller):
 
 
 def lower_bound(share: float) -> None:
-    """Have controllers from now on use a core that stops a solve after this share of its operations."""
+    """Let new controllers use a core that stops a solve after this share of its operations."""
     texts, origin = CORE_TEXTS(), CORE_ORIGIN()
     if texts["active_set.c"].count(MOST) != 1:
         raise SystemExit("mpc/core/active_set.c states its bound otherwise now")

@@ -10,18 +10,25 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
 import rclpy
-from command_gaps import PERIOD, Robot, say
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.ros.conversions import pose_message, time_message
 from fuzz.live.node_process import NodeProcess
 
+PERIOD = 0.02
 EVERY, SILENT = 15.0, 2.0
 # Odometry is silent from 0.2 s on, half a second of braking follows; the rest is for a machine that is busy [s].
 STOPPED_WITHIN = 1.2
@@ -29,15 +36,25 @@ STOPPED_WITHIN = 1.2
 GROWTH = 5.0
 
 
-class DrivenRobot(Robot):
-    """Does what it is told; its odometry falls silent from time to time."""
+class DrivenRobot:
+    """Obeys its commands; its odometry falls silent from time to time."""
 
     def __init__(self):
         self.pose, self.twist, self.silent_since = np.zeros(3), [0.0, 0.0], None
-        self.intervals, self.stops = [], []
+        self.times, self.intervals, self.stops = [], [], []
         self.began = time.monotonic()
-        super().__init__()
+        self.node = rclpy.create_node("loaded_robot")
+        self.node.create_subscription(TwistStamped, "cmd_vel", self.note, QoSProfile(depth=50))
+        self.odom = self.node.create_publisher(Odometry, "odom", qos_profile_sensor_data)
         self.start = self.node.create_client(Trigger, "diffdrive_mpc/start")
+        self.node.create_timer(PERIOD, self.publish)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        threading.Thread(target=self.spin, daemon=True).start()
+
+    def spin(self):
+        with suppress(ExternalShutdownException):
+            self.executor.spin()
 
     def note(self, message):
         now = time.perf_counter()
@@ -62,6 +79,11 @@ class DrivenRobot(Robot):
         odometry.pose.pose = pose_message(tuple(self.pose))
         odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = v, omega
         self.odom.publish(odometry)
+
+
+def say(line):
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
 
 
 def main(minutes):

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
-from diffdrive_mpc import Controller, Measurement, NonlinearModel, Term
+from diffdrive_mpc import Controller, Measurement, NonlinearModel, Term, load_config
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.step_result import StepResult
 
@@ -22,12 +22,12 @@ NO_SLIP = {"compensation.v_offset": False, "compensation.yaw_gain": False, "comp
 EXACT = {"solver.tolerance": 1e-8, "solver.max_iterations": 50000}
 
 EachTick = Callable[[Controller, float], None]
-"""What is told to the controller before the tick at that time, such as parameters."""
+"""Callback that sets inputs of the controller before a tick, such as parameters."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a controller was given tick by tick, so that it can be given it again."""
+    """Inputs of a controller tick by tick, for repetition."""
 
     times: list[float]
     measurements: list[Measurement]
@@ -50,7 +50,7 @@ def record(controller: Controller, robot: Any, reference: Reference, ticks: int,
 
 
 def converged(make: Callable[[], Controller], drive: Drive, reference: Reference, each_tick: EachTick) -> StepResult:
-    """The last tick of `drive` with its own plan as the guess, again and again until that changes by less than 1e-9."""
+    """Repeat the last tick of `drive` with its plan as the guess until the plan changes by less than 1e-9."""
     guess = None
     for _ in range(200):
         controller = make()
@@ -68,7 +68,7 @@ def converged(make: Callable[[], Controller], drive: Drive, reference: Reference
 
 
 def guess_of(controller: Controller) -> FloatArray:
-    """(2 N,) the plan along which the next tick is linearised, in place."""
+    """Return the plan (2 N,) along which the next tick is linearised, in place."""
     tick = controller._tick
     return tick.view(tick.lib.ddmpc_program_of(tick.c).guess, (2 * controller.config.horizon,))
 
@@ -78,7 +78,7 @@ Outputs = Callable[[FloatArray, list[Any], int], list[Any]]
 
 
 def linear_outputs(model: Any) -> Outputs:
-    """Prediction of a `DiscreteModel`."""
+    """Return the prediction of a `DiscreteModel`."""
 
     def outputs(state: FloatArray, line: list[Any], steps: int) -> list[Any]:
         x = ca.SX(state)
@@ -93,7 +93,7 @@ def linear_outputs(model: Any) -> Outputs:
 
 
 def nonlinear_outputs(model: Any) -> Outputs:
-    """Prediction of a `NonlinearModel`."""
+    """Return the prediction of a `NonlinearModel`."""
 
     def outputs(state: FloatArray, line: list[Any], steps: int) -> list[Any]:
         x = ca.SX(state)
@@ -107,7 +107,7 @@ def nonlinear_outputs(model: Any) -> Outputs:
 
 
 def feed_forward(controller: Controller, reference: Reference, t: float) -> FloatArray:
-    """(N, 2) the commands that the reference's twist asks for one lag later, on straight lines between the samples."""
+    """Return the commands (N, 2) for the reference's twist one lag later, interpolated between the samples."""
     dt, model = controller.config.sample_time, controller.model
     wanted = np.empty((controller.config.horizon, 2))
     for channel, lag in enumerate(model.lag):
@@ -122,7 +122,7 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
 
 
 def _settled_command(model: NonlinearModel, wanted: FloatArray) -> FloatArray:
-    """(2,) the command held for long under which the model's output is `wanted`."""
+    """Return the constant command (2,) that settles the model's output at `wanted`."""
 
     def missing(command: FloatArray) -> FloatArray:
         return np.asarray(model.simulate(np.tile(command, (200, 1)))[-1] - wanted)
@@ -157,7 +157,7 @@ class NonlinearProgram:
             self._add_errors(k)
 
     def _roll_out(self, start: FloatArray) -> list[Any]:
-        """Integrals of v (cos, sin) over the turn from one heading to the next, with the mean of the twists."""
+        """Integrate v (cos, sin) over the turn from one heading to the next, with the mean of the twists."""
         poses = [ca.SX(start)]
         for before, after in zip(self.twists[:-1], self.twists[1:], strict=True):
             v, omega = ca.vertsplit(0.5 * (before + after))
@@ -210,7 +210,7 @@ class NonlinearProgram:
         self._bound_softly(ca.vertcat(v, omega, v + rim, v - rim, across), [-limit for limit in most], most)
 
     def add(self, term: Term, parameters: FloatArray) -> None:
-        """A term with its stage parameters (N + 1, p)."""
+        """Add a term with its stage parameters (N + 1, p)."""
         for k in range(1, self.steps + 1):
             given = {
                 "pose": self.poses[k],
@@ -226,7 +226,7 @@ class NonlinearProgram:
                 self.cost += 0.5 * ca.sumsqr(value)
 
     def solve(self) -> FloatArray:
-        """(N, 2) IPOPT's plan."""
+        """Return the plan (N, 2) of IPOPT."""
         problem = {"x": ca.vertcat(*self.plan, *self.slacks), "f": self.cost, "g": ca.vertcat(*self.rows)}
         options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-11}
         solver = ca.nlpsol("reference", "ipopt", problem, options)
@@ -235,3 +235,34 @@ class NonlinearProgram:
         solution = solver(x0=start, lbx=least, lbg=self.lower, ubg=self.upper)
         assert solver.stats()["success"], solver.stats()["return_status"]
         return np.asarray(solution["x"].full().ravel()[: 2 * self.steps].reshape(self.steps, 2))
+
+
+DT = load_config("ssm").sample_time
+LAG = np.array([0.12, 0.09])
+
+
+def saturating(most=(0.9, 1.8), delay=2, dt=DT):
+    """Return a model of v' = most tanh((v_ref - v) / (lag most)), `delay` samples late, by Runge and Kutta."""
+    x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 2 * (delay + 1))
+    most = np.array(most)
+
+    def rate(state):
+        return most * ca.tanh((window[:2] - state) / (LAG * most))
+
+    a = rate(x)
+    b = rate(x + dt / 2 * a)
+    c = rate(x + dt / 2 * b)
+    d = rate(x + dt * c)
+    step = ca.Function("step", [x, window], [x + dt / 6 * (a + 2 * b + 2 * c + d)], ["x", "window"], ["after"])
+    return NonlinearModel("saturating", step, ca.Function("output", [x], [x], ["x"], ["y"]), dt, memory=delay)
+
+
+def windowed(taps=6):
+    """Return a model without states: the next twist is a saturated function of the last commands."""
+    x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 2 * (taps + 1))
+    weights = np.exp(-0.5 * np.arange(taps)[::-1])
+    weights /= weights.sum()
+    commands = ca.reshape(window[: 2 * taps], 2, taps)
+    after = 1.5 * ca.tanh(commands @ weights / 1.5)
+    step = ca.Function("step", [x, window], [after], ["x", "window"], ["after"])
+    return NonlinearModel("window", step, ca.Function("output", [x], [x], ["x"], ["y"]), DT, memory=taps)

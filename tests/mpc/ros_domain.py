@@ -12,7 +12,7 @@ _DOMAINS = 101
 
 @cache
 def own_domain() -> str:
-    """Its number; it belongs to this process until that ends."""
+    """Return the number of a domain that belongs to this process until it ends."""
     folder = Path(tempfile.gettempdir(), f"diffdrive-mpc-ros-domains-{os.getuid()}")
     folder.mkdir(exist_ok=True)
     for number in range(_DOMAINS):

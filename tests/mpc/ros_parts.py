@@ -73,7 +73,7 @@ node_module.SideProcess = KeptProcess
 
 
 def in_name_space(name):
-    """Arguments for ROS of a robot in the name space `name`, with a clock of its own; none without a name."""
+    """Return ROS arguments of a robot in the name space `name` with its clock; none without a name."""
     return ["--ros-args", "-r", f"__ns:=/{name}", "-r", f"/clock:=/{name}/clock"] if name else []
 
 
@@ -148,13 +148,13 @@ class FakeBase:
         self.imu.publish(imu)
 
     def advance_clock(self):
-        """Sensors and clock of the next tick."""
+        """Publish sensors and clock of the next tick."""
         self.tick += 1
         self.publish_sensors()
         self.clock.publish(Clock(clock=time_message(self.now)))
 
     def step(self):
-        """One tick in lock step: sensors, clock, command, motion."""
+        """Run one tick in lock step: sensors, clock, command, motion."""
         count = len(self.commands)
         self.advance_clock()
         self.until(lambda: len(self.commands) > count and self.times[-1] == self.now, f"command of tick {self.tick}")
@@ -162,11 +162,11 @@ class FakeBase:
         return np.array(self.commands[-1])
 
     def run(self, ticks):
-        """Several ticks; returns the commands (ticks, 2)."""
+        """Run several ticks; return the commands (ticks, 2)."""
         return np.array([self.step() for _ in range(ticks)])
 
     def silent(self, ticks):
-        """Ticks to which the node must not answer."""
+        """Run ticks that the node must not answer; return the number of commands."""
         count = len(self.commands)
         for _ in range(ticks):
             self.advance_clock()
@@ -193,7 +193,7 @@ class WallClockBase(FakeBase):
         time.sleep(DT)
 
     def drive(self):
-        """A sample: sensors, whatever commands come, motion."""
+        """Run one sample: sensors, arriving commands, motion."""
         self.advance_clock()
         for _ in range(10):
             self.spin()
@@ -250,7 +250,7 @@ class Stack:
         return self.node.get_clock().now().nanoseconds == START
 
     def hears(self):
-        """Whether everything has arrived once: before that, messages may be lost to discovery."""
+        """Return True if everything has arrived once; discovery may lose earlier messages."""
         self.base.silent(1)
         inbox = self.node._inbox
         topics = [inbox.odometry, inbox.imu, inbox.pose] if self.base.pose_topic else [inbox.odometry, inbox.imu]
@@ -283,7 +283,7 @@ class Stack:
         raise AssertionError(f"waited in vain: {name}")
 
     def comes(self, condition, patience):
-        """Whether a condition comes true within `patience` [s]."""
+        """Wait for a condition; return False after `patience` [s]."""
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
@@ -293,7 +293,7 @@ class Stack:
 
     @contextmanager
     def new_participant(self):
-        """A node in a context of its own, which the base's loop spins, too."""
+        """Yield a node in a new context, which the base's loop spins, too."""
         context = Context()
         rclpy.init(context=context, args=[])
         node = rclpy.create_node("second_caller", context=context)
@@ -310,11 +310,11 @@ class Stack:
             rclpy.shutdown(context=context)
 
     def trigger(self, name):
-        """The answer of one of the node's own services that take nothing."""
+        """Call a service of the node without arguments; return its response."""
         return self.call(Trigger, f"{self.name_space}/diffdrive_mpc/{name}", Trigger.Request())
 
     def change(self, number):
-        """Ask for a transition of the lifecycle; whether it was made."""
+        """Request a transition of the lifecycle; return True if it was made."""
         before = self.state
         request = ChangeState.Request(transition=Transition(id=number))
         made = self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
@@ -326,13 +326,13 @@ class Stack:
         return self.node._state_machine.current_state
 
     def listen(self, kind, topic, qos=10):
-        """All messages of a topic that the base hears from now on."""
+        """Return a list that collects the messages of a topic from now on."""
         heard = []
         self.base.node.create_subscription(kind, topic, heard.append, qos)
         return heard
 
     def publisher(self, kind, topic):
-        """One of the base, which the node hears."""
+        """Create a publisher of the base and wait until the node is connected."""
         made = self.base.node.create_publisher(kind, topic, 1)
         self.base.until(lambda: made.get_subscription_count() == 1, "the node's subscription")
         self.base.until(lambda: self.node.count_publishers(topic) == 1, "the publisher")

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import cache
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller, Measurement
+from diffdrive_mpc import Controller, Measurement, load_config
+from diffdrive_mpc.mpc.core import library
+from diffdrive_mpc.mpc.core.sources import CORE, declarations
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from oracle.controller import OracleController
 
 EXACT = 1e-9
-"""What rounding may leave between two exact ways through the same formulas [m/s, rad/s, m, rad]."""
+"""Rounding error between two exact evaluations of the same formulas [m/s, rad/s, m, rad]."""
 
 # A solver whose answers are exact where it ends: nothing but rounding is left between it and the oracle.
 # The oracle has no monitor of its own; that one that accuses nobody changes nothing is held in test_monitor.py.
@@ -34,7 +39,7 @@ def assert_same(got, expected, accuracy=EXACT):
 
 
 def assert_close(value, wanted, accuracy=EXACT, name=""):
-    """Within `accuracy`, or that of rounding where it is more; much quicker than pytest's own for arrays."""
+    """Compare arrays within `accuracy` or rounding, the larger of the two; much quicker than pytest's approx."""
     value, wanted = np.asarray(value), np.asarray(wanted)
     assert value.shape == wanted.shape, name
     # Not the other way round: NaN must not pass.
@@ -43,7 +48,7 @@ def assert_close(value, wanted, accuracy=EXACT, name=""):
 
 
 def numbers(estimate):
-    """All that an estimate says, in one row; -1 for an innovation that there is not."""
+    """Return all numbers of an estimate in one row; -1 for a missing innovation."""
     innovations = [estimate.innovations.get(sensor, -1.0) for sensor in SENSORS]
     parts = (estimate.mean, estimate.deviation, estimate.twist, estimate.twist_deviation, innovations)
     return np.concatenate([[estimate.time, estimate.pose_age], *parts])
@@ -105,6 +110,26 @@ class Pair:
 
 
 def changed(m, **parts):
-    """The measurement with some of its parts replaced."""
+    """Return the measurement with some of its parts replaced."""
     fields = ("pose", "wheel_twist", "yaw_rate", "wheel_speeds", "sent")
     return Measurement(**{name: parts.get(name, getattr(m, name)) for name in fields})
+
+
+@cache
+def inner_core():
+    """Return cffi's declarations and the library that the product loads."""
+    text = "\n".join((CORE / name).read_text(encoding="utf-8") for name in ("core.h", "active_set.h", "internal.h"))
+    with patch.object(library, "core_declarations", lambda: declarations(text)):
+        return library.load_core.__wrapped__()
+
+
+class InnerController:
+    """A controller of the product, its `ddmpc_controller` as `c` and its constants, which may be changed, as `k`."""
+
+    def __init__(self, name="ssm", **changes):
+        self.ffi, self.lib = inner_core()
+        self.controller = Controller(load_config(name, changes))
+        tick = self.controller._tick
+        self.c = self.ffi.cast("ddmpc_controller *", int(tick.ffi.cast("uintptr_t", tick.c)))
+        assert self.ffi.sizeof("ddmpc_controller") == self.lib.ddmpc_controller_bytes()
+        self.k = self.ffi.cast("ddmpc_constants *", self.c.constants)

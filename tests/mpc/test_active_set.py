@@ -77,7 +77,7 @@ ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, con
 
 @cache
 def library(number="double"):
-    """The C functions and the NumPy type of their numbers."""
+    """Return the C functions and the NumPy type of their numbers."""
     folder = Path(mkdtemp())
     (folder / "ddmpc_sizes.h").write_text("#define DDMPC_FLOAT\n" if number == "float" else "")
     (folder / "dense.c").write_text(DENSE)
@@ -151,7 +151,7 @@ def cost(p, plan):
 
 
 def assert_optimal(p, found, tolerance=1e-6):
-    """All conditions under which a convex program is solved."""
+    """Check all optimality conditions of a convex program."""
     values, pressing = p.A @ found.plan, found.multipliers
     beyond = excess(p, found.plan)
     # Hard limits are kept, rows press at their bounds only, and on the right side.
@@ -172,7 +172,7 @@ def assert_optimal(p, found, tolerance=1e-6):
 
 
 def random_problem(rng, n, m, hard_share=0.5, tight=1.0):
-    """Rows in any direction; a point keeps the hard ones."""
+    """Return a problem with rows in any direction and a point that satisfies the hard ones."""
     root = rng.normal(size=(n, n))
     H = root @ root.T / n + rng.uniform(0.01, 1) * np.eye(n)
     A = rng.normal(size=(m, n)) * rng.integers(0, 2, (m, n))
@@ -186,7 +186,7 @@ def random_problem(rng, n, m, hard_share=0.5, tight=1.0):
 
 
 def robot_problem(rng, steps, extra=0, tight=1.0):
-    """Boxes on two inputs, their increments, and soft limits on what lagging outputs do with them, as in the tick.
+    """Return boxes on two inputs and their increments, and soft limits on lagging outputs, as in the tick.
 
     A box on u[k], one on u[k + 1] and one on their difference depend on each other.
     """
@@ -257,7 +257,7 @@ def test_problems_like_a_robot_s_are_solved(seed, steps, extra, tight):
 
 
 def pressing_problem(seed, steps=20):
-    """A robot's problem on which many rows press, and its solution from a cold start."""
+    """Return a problem of a robot with many active rows, and its solution from a cold start."""
     p = robot_problem(np.random.default_rng(seed), steps)
     return p, solve(p)
 
@@ -274,7 +274,7 @@ def test_a_start_at_the_solution_ends_there_at_once(seed):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_neighbour_s_multipliers_save_iterations(seed):
-    """As from tick to tick: the cost's gradient moves a little."""
+    """The gradient of the cost changes a little, as from tick to tick."""
     p, cold = pressing_problem(seed)
     p.g = p.g + 0.002 * np.abs(p.g).max() * np.random.default_rng(seed).normal(size=p.g.shape)
     anew, warm = solve(p), solve(p, cold.multipliers)

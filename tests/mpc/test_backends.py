@@ -1,16 +1,23 @@
 """Every backend of the registry, against conditions of optimality that do not care how a solution was found."""
 
+import time
 from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory
+from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.app.replay.node_log import LoggedConfigs, recorded_drive
+from diffdrive_mpc.app.replay.replay import replay
+from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
+from diffdrive_mpc.mpc.ros.recording import TickRecords
 from diffdrive_mpc.mpc.solver.backend import BACKENDS, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc.sim import make_plant, simulate
 
 STEPS, HARD, KINDS = 6, 4, 9
 # Cheap enough that some soft limits are exceeded, dear enough that others are kept.
@@ -51,7 +58,7 @@ class PlainProgram:
 
 
 def random_program(seed, tightness=0.5, softness=1.0):
-    """Strictly convex; about `tightness` of the limits matter."""
+    """Return a strictly convex program; about `tightness` of its limits matter."""
     rng = np.random.default_rng(seed)
     n = 2 * STEPS
     root = rng.normal(size=(n, n))
@@ -82,7 +89,7 @@ def solver_settings(backend, tolerance=1e-8, max_iterations=100_000, check_every
 
 
 def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
-    """From nothing, or from a solution that is near."""
+    """Solve from a cold start, or from a solution `near` it."""
     chosen = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
     return chosen.solve(program, kinds, *((program.guess, program.multipliers) if near is None else near))
 
@@ -106,7 +113,7 @@ def assert_optimal(program, plan, pressing, within):
 
 @settings(max_examples=40)
 @given(st.integers(0, 10_000), st.floats(0.2, 2.0))
-def test_daqps_solution_is_optimal(seed, tightness):
+def test_solution_of_daqp_is_optimal(seed, tightness):
     program = random_program(seed, tightness)
     found = solve(program, "daqp")
     assert found.status is SolverStatus.SOLVED
@@ -115,14 +122,14 @@ def test_daqps_solution_is_optimal(seed, tightness):
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
-def test_osqps_solution_is_optimal(seed):
+def test_solution_of_osqp_is_optimal(seed):
     program = random_program(seed)
     found = solve(program, "osqp")
     assume(found.status is SolverStatus.SOLVED)
     assert_optimal(program, found.plan, found.multipliers, 1e-5)
 
 
-def test_the_random_programs_have_limits_of_all_sorts():
+def test_random_programs_exercise_all_limits():
     """Else the conditions above would hold of problems without limits only."""
     programs = [random_program(seed) for seed in range(40)]
     found = [solve(program, "daqp") for program in programs]
@@ -135,7 +142,7 @@ def test_the_random_programs_have_limits_of_all_sorts():
 @every_backend
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), tightness=st.floats(0.02, 0.6))
-def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(backend, seed, tightness):
+def test_adding_violated_limits_gives_the_full_solution(backend, seed, tightness):
     program = random_program(seed, tightness, softness=0.3)
     whole = solve(program, "daqp")
     asked, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
@@ -145,14 +152,14 @@ def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(ba
 
 
 @every_backend
-def test_numbers_that_are_none_are_reported(backend):
+def test_nan_in_a_program_is_reported(backend):
     program = random_program(0)
     program.g = np.full_like(program.g, np.nan)
     _, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assert not report.status.usable
 
 
-def test_osqp_ends_at_its_tolerance():
+def test_osqp_stops_at_its_tolerance():
     for seed in range(5):
         program = random_program(seed)
         exact = solve(program, "daqp").plan
@@ -164,7 +171,7 @@ def test_osqp_ends_at_its_tolerance():
         assert errors[0] > 10 * errors[1] > 100 * errors[2]
 
 
-def test_osqp_starts_from_the_plan_and_the_multipliers_that_it_is_given():
+def test_osqp_uses_the_warm_start():
     for seed in range(5):
         program = random_program(seed)
         cold = solve(program, "osqp", check_every=1)
@@ -174,8 +181,8 @@ def test_osqp_starts_from_the_plan_and_the_multipliers_that_it_is_given():
 
 
 @every_backend
-def test_the_iteration_limit_is_kept(backend):
-    """Of 10 iterations OSQP needs more to any tolerance worth the name; DAQP where enough limits press."""
+def test_backend_stops_at_its_iteration_limit(backend):
+    """OSQP needs more than 10 iterations to any useful tolerance; DAQP does if enough limits are active."""
     program = random_program(0, tightness=2.0)
     assert solve(program, backend).status is SolverStatus.SOLVED
     stopped = solve(program, backend, max_iterations=10)
@@ -183,7 +190,7 @@ def test_the_iteration_limit_is_kept(backend):
     assert stopped.iterations <= 11  # DAQP counts the one that it did not begin
 
 
-def test_without_iterations_the_active_set_leaves_it_to_the_backend():
+def test_backend_solves_if_the_active_set_has_no_iterations():
     tight = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     config = load_config("ssm", {"horizon": 15, **tight})
     drives = {}
@@ -204,7 +211,7 @@ def test_without_iterations_the_active_set_leaves_it_to_the_backend():
 
 
 @every_backend
-def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
+def test_backend_plan_equals_the_active_set_with_active_limits(backend):
     """On the problems of a drive, solved again from the core's memory."""
     limits = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     controller = Controller(load_config("ssm", limits | {"horizon": 15}))
@@ -224,7 +231,7 @@ def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
     assert compared > 20
 
 
-def test_a_limit_broken_at_one_step_is_named_whichever_step_it_is():
+def test_violated_limit_is_detected_at_every_step():
     """Above and below, by more than the margin, and of the other command nothing."""
     reference = load_trajectory("s")
     controller = Controller(load_config("ssm", {"limits.v": 0.6, "limits.omega": 1.0}))
@@ -237,3 +244,141 @@ def test_a_limit_broken_at_one_step_is_named_whichever_step_it_is():
             plan[2 * row + channel] = bounds[channel, row] + beyond
             assert [kind for kind in program.broken(plan, 0.005) if kind < 2] == [channel]
             assert [kind for kind in program.broken(plan, 0.02) if kind < 2] == []
+
+
+# Solves that are stopped.
+
+# A robot that can by no means follow: its wheels are too slow, and its corridor is narrow.
+HARD = {"horizon": 40, "limits.wheel_speed": 0.1, "limits.corridor": 0.01}
+
+
+def controller(**overrides):
+    return Controller(load_config("ssm", HARD | overrides))
+
+
+def plant():
+    made = make_plant("model:ssm", "ideal", "perfect")
+    made.reset(load_trajectory("s").sample([0.0]).pose[0])
+    return made
+
+
+def drive(driven, robot, ticks, **bounds):
+    """Return the results of some steps; `bounds` maps step numbers to the arguments that bound each step."""
+    driven.start(load_trajectory("s"), robot.time)
+    results = []
+    for number in range(ticks):
+        measured = robot.measure()
+        results.append(driven.step(robot.time, measured, **{name: of(number) for name, of in bounds.items()}))
+        robot.advance(results[-1].command)
+    return results
+
+
+def priced(program, plan):
+    """Return the cost of a plan, soft limits included, from the matrices of the program."""
+    cost = 0.5 * plan @ program.H @ plan + program.g @ plan
+    weights = load_config("ssm").weights
+    for kind in range(4, len(program.lower)):
+        values = program.rows(kind) @ plan
+        beyond = np.maximum(np.maximum(values - program.upper[kind], program.lower[kind] - values), 0.0)
+        cost += weights.soft * beyond.sum() + 0.5 * weights.soft_quadratic * (beyond**2).sum()
+    return cost
+
+
+def inside(limits, dt, plan, last):
+    """Return the plan (2 N,) clipped to ranges and slew, command by command."""
+    kept = plan.reshape(-1, 2).copy()
+    before = np.array(last)
+    for command in kept:
+        most, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
+        command[:] = np.clip(command, np.maximum(-most, before - slew), np.minimum(most, before + slew))
+        before = command
+    return kept.reshape(-1)
+
+
+def test_stopped_plan_is_feasible_and_no_worse_than_the_previous_plan():
+    driven, robot = controller(**{"solver.active_set_iterations": 3}), plant()
+    driven.start(load_trajectory("s"), robot.time)
+    limits, dt = driven.config.limits, driven.sample_time
+    most, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
+    stopped, last = 0, np.zeros(2)
+    for _ in range(150):
+        rest = driven.program.guess.copy()
+        result = driven.step(robot.time, robot.measure())
+        assert result.mode is Mode.TRACKING
+        robot.advance(result.command)
+        before, last = last, result.command
+        if result.solver.status is not SolverStatus.STOPPED:
+            continue
+        stopped += 1
+        assert result.solver.primal_residual == 0.0 and np.isnan(result.solver.dual_residual)
+        plan = result.planned_commands
+        moves = np.diff(np.vstack([before, plan]), axis=0)
+        assert (np.abs(plan) <= most + 1e-12).all()
+        assert (np.abs(moves) <= slew + 1e-12).all()
+        if rest.any():  # at the first tick there is no plan before it
+            cost = priced(driven.program, plan.reshape(-1))
+            assert cost <= priced(driven.program, inside(limits, dt, rest, before)) + 1e-9 * abs(cost)
+    assert stopped > 50
+
+
+def test_tick_stopped_by_the_clock_is_reproduced_exactly():
+    by_clock = drive(controller(), plant(), 60, deadline=lambda k: time.monotonic() + 2e-4 if k % 3 else 1e-9)
+    assert SolverStatus.STOPPED_IN_TIME in {result.solver.status for result in by_clock}
+    stops = [r.solver.iterations if r.solver.status is SolverStatus.STOPPED_IN_TIME else None for r in by_clock]
+    again = drive(controller(), plant(), 60, most_iterations=lambda k: stops[k])
+    assert [tuple(r.command) for r in again] == [tuple(r.command) for r in by_clock]
+    assert [r.solver.iterations for r in again] == [r.solver.iterations for r in by_clock]
+
+
+@pytest.mark.parametrize("time_limit", [None, 1e-6])
+def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_path):
+    driven, robot = controller(**({} if time_limit is None else {"solver.time_limit": time_limit})), plant()
+    fresh = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
+    inbox = SimpleNamespace(now=0.0, odometry=fresh, newest_pose=None, look_up_pose=lambda: None)
+    settings = SimpleNamespace(
+        statistics_window=10, drive_on_activate=True, start_at_robot=False, poses_from="odometry", odom_timeout=1.0,
+        blocked_timeout=9.0,
+    )  # fmt: skip
+    deadlines, inner = [], driven.step
+
+    def step(*given, deadline):
+        deadlines.append(deadline - time.monotonic())
+        return inner(*given, deadline=deadline)
+
+    driven.step = step
+    reference = load_trajectory("s")
+    loop, records = ControlLoop(driven, settings, inbox, reference, in_sim_time=False), TickRecords(driven)
+    lines, results = [], []
+    for _ in range(50):
+        inbox.now, measured = robot.time, robot.measure()
+        inbox.measurement, inbox.newest_pose = lambda kept=measured: kept, measured.pose
+        tick = loop.tick()
+        if tick.result is not None:
+            lines += records.lines(loop.begun, tick)
+            results.append(tick.result)
+        robot.advance(tick.command)
+    limit = time_limit or 0.5 * driven.sample_time
+    assert limit - 1e-3 < max(deadlines) <= limit
+    late = sum(result.solver.status is SolverStatus.STOPPED_IN_TIME for result in results)
+    assert late > 20 if time_limit else late < len(results)
+    ticks, drives = ([line for topic, line in lines if topic.endswith(kind)] for kind in ("tick", "drive"))
+    log = Path("drive.bag")
+    recording = recorded_drive(log, ticks, drives, LoggedConfigs(log, tmp_path))
+    again = replay(recording, driven.config, (reference,), as_recorded=True)
+    assert [tuple(command) for command in again.command] == [tuple(result.command) for result in results]
+
+
+@pytest.mark.parametrize("backend", ["osqp", "daqp"])
+def test_clock_stops_a_backend(backend):
+    by_backend = controller(**{"solver.method": backend})
+    results = drive(by_backend, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
+    late = results[20]
+    assert late.solver.status is not SolverStatus.SOLVED or late.solver.iterations <= 50
+    assert np.isfinite(late.command).all()
+    assert results[25].mode is Mode.TRACKING
+
+
+def test_active_set_needs_no_backend_with_limits_active_everywhere():
+    run = simulate(controller(), make_plant("model:ssm", seed=1), load_trajectory("s"))
+    assert set(run.solver_methods) <= {"none", "unlimited", "active_set"}
+    assert {status for status in run.solver_statuses if status} <= {"solved"}

@@ -1,4 +1,4 @@
-"""What the filter believes as a whole, and what it foresees of where the robot will be."""
+"""The belief of the filter as a whole, and its prediction of the pose."""
 
 from dataclasses import astuple
 
@@ -14,7 +14,7 @@ CURVED = {"estimator.crab_uncertainty": 0.03, "estimator.yaw_coupling_uncertaint
 
 
 def driven(settings=None, ticks=120, model="ssm"):
-    """A controller after some ticks on a floor, and its last step."""
+    """Return a controller after some ticks on a floor, its plant, and its last step."""
     controller, plant = Controller(load_config(model, settings or {})), make_plant("model:ssm", "p4_grass", seed=5)
     controller.start(load_trajectory("s"), 0.0)
     for _ in range(ticks):

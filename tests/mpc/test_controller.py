@@ -39,7 +39,7 @@ def rmse(poses, times, reference):
 
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
-def test_without_noise_the_model_is_tracked_closely(name):
+def test_exact_model_is_tracked_within_millimetres(name):
     reference = load_trajectory(name)
     results, poses, times = drive(controller(), robot_for(reference), reference, reference.duration)
     position, heading = rmse(poses, times, reference)
@@ -49,7 +49,7 @@ def test_without_noise_the_model_is_tracked_closely(name):
     assert heading < 0.05
 
 
-def test_slip_leaves_no_lasting_error_beside_the_path():
+def test_constant_slip_leaves_no_steady_error():
     reference = load_trajectory("circle")
     slip = Slip(v_offset=-0.03, longitudinal_gain=0.98, yaw_gain=0.8, side_slip=0.06)
     robot = robot_for(reference, slip=slip)
@@ -64,14 +64,14 @@ def test_slip_leaves_no_lasting_error_beside_the_path():
 
 
 def hurried():
-    """Curves to both sides, each at two speeds."""
+    """Return curves to both sides, each at two speeds."""
     twists = [(0.8, 0.8), (0.3, 0.8), (0.9, -0.8), (0.3, -0.8)] * 4
     segments = [Segment(v=v, omega=omega, duration=1.2) for v, omega in twists]
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
 def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
-    """Position errors after a share `begin` of the drive, by whether slip is compensated, and the estimate with it."""
+    """Return position errors after a share `begin` of the drive, by compensation of slip, and the estimate with it."""
     reference, errors, estimates = hurried(), {}, {}
     for on in (True, False):
         driver = controller(**{"compensation.side_slip": on} | settings)
@@ -89,7 +89,7 @@ def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
     [(Slip(turn_ahead=0.05), 4), (Slip(turn_left=0.05), 3.5), (Slip(side_slip=0.06, load_shift=0.05), 3.5)],
     ids=["ahead", "left", "dips"],
 )
-def test_a_robot_that_turns_about_another_point_is_tracked_too(slip, worse_without, noise):
+def test_robot_with_a_displaced_turning_point_is_tracked(slip, worse_without, noise):
     """Within millimetres once it has been learned; and each number of its slip within three of its deviations."""
     errors, estimate = with_and_without_side_slip(slip=slip, noise=noise)
     error = np.abs(np.subtract(astuple(estimate.slip), astuple(slip)))
@@ -99,7 +99,7 @@ def test_a_robot_that_turns_about_another_point_is_tracked_too(slip, worse_witho
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_a_robot_that_slides_down_a_slope_while_it_turns_is_tracked_too(noise):
+def test_robot_that_slides_while_turning_is_tracked(noise):
     slip = Slip(slide_x=0.1, slide_y=-0.05)
     errors, estimate = with_and_without_side_slip(slip=slip, noise=noise)
     for name in ("slide_x", "slide_y"):
@@ -109,7 +109,7 @@ def test_a_robot_that_slides_down_a_slope_while_it_turns_is_tracked_too(noise):
 
 
 @pytest.mark.parametrize("prior", [0.0, 0.06])
-def test_a_robot_without_slip_is_not_made_worse_by_looking_for_it(prior):
+def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
     """With a prior that is wrong for it, once it has been learned."""
     priors = {"estimator.side_slip": prior, "estimator.load_shift": prior}
     errors, _ = with_and_without_side_slip(begin=0.5 if prior else 0.0, **priors)
@@ -117,7 +117,7 @@ def test_a_robot_without_slip_is_not_made_worse_by_looking_for_it(prior):
 
 
 @pytest.mark.parametrize("turns", [-2, 1, 3])
-def test_the_turn_a_heading_is_counted_on_does_not_matter(turns):
+def test_full_turns_of_the_heading_do_not_change_commands(turns):
     reference = load_trajectory("circle")
     plain, _, _ = drive(controller(), robot_for(reference), reference, 3.0)
     robot = IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0] + [0, 0, 2 * np.pi * turns])
@@ -125,18 +125,7 @@ def test_the_turn_a_heading_is_counted_on_does_not_matter(turns):
     assert np.array([r.command for r in turned]) == pytest.approx(np.array([r.command for r in plain]), abs=1e-6)
 
 
-def test_headings_pass_through_pi(tmp_path):
-    path = tmp_path / "round_and_round.yaml"
-    path.write_text("start: [0.0, 0.0, 3.0]\nsegments:\n- {v: 0.4, omega: 0.8, duration: 12.0}\n")
-    reference = load_trajectory(path)
-    _, poses, times = drive(controller(), robot_for(reference, noise=1.0), reference, reference.duration)
-    assert reference.sample([reference.duration]).pose[0, 2] > 3 * np.pi
-    position, heading = rmse(poses, times, reference)
-    assert position < 0.01
-    assert heading < 0.05
-
-
-def test_the_clock_may_start_anywhere():
+def test_start_time_of_the_clock_does_not_change_commands():
     reference = load_trajectory("cane")
     at_zero, _, _ = drive(controller(), robot_for(reference), reference, 2.0)
     robot = robot_for(reference)
@@ -146,7 +135,7 @@ def test_the_clock_may_start_anywhere():
     assert np.array([r.command for r in later]) == pytest.approx(np.array([r.command for r in at_zero]), abs=1e-7)
 
 
-def test_two_runs_are_equal_bit_for_bit_and_a_reset_makes_it_as_new():
+def test_runs_and_runs_after_reset_are_bit_identical():
     reference, once, runs = load_trajectory("s"), controller(), []
     for driver in (once, controller(), once):
         driver.reset()
@@ -155,7 +144,7 @@ def test_two_runs_are_equal_bit_for_bit_and_a_reset_makes_it_as_new():
         assert all((a.command == b.command).all() for a, b in zip(runs[0], again, strict=True))
 
 
-def test_dead_time_is_made_up_for():
+def test_configured_dead_time_is_compensated():
     """A robot with 150 ms more dead time is tracked as closely once the configuration says so."""
     reference, late = load_trajectory("s"), MODEL.with_extra_dead_time([0.15, 0.15])
     errors = {}
@@ -169,7 +158,7 @@ def test_dead_time_is_made_up_for():
     assert errors[0.15] < 0.6 * errors[0.0]
 
 
-def test_it_finishes_at_rest_at_the_end():
+def test_drive_finishes_at_rest_at_the_end():
     reference = load_trajectory("cane")
     results, poses, _ = drive(controller(), robot_for(reference, noise=1.0), reference, reference.duration + 3.0)
     assert results[-1].mode is Mode.FINISHED
@@ -177,7 +166,7 @@ def test_it_finishes_at_rest_at_the_end():
     assert np.hypot(*(poses[-1] - reference.sample([reference.duration]).pose[0])[:2]) < 0.03
 
 
-def test_starting_again_while_driving_keeps_the_slew_limit_and_knows_the_motion():
+def test_restart_while_driving_keeps_slew_limit_and_twist_estimate():
     circle, robot, driver = load_trajectory("circle"), robot_for(load_trajectory("circle")), controller()
     before, _, _ = drive(driver, robot, circle, 2.0)
     driver.start(circle, robot.time - 2.0)
@@ -186,31 +175,20 @@ def test_starting_again_while_driving_keeps_the_slew_limit_and_knows_the_motion(
     assert after.estimate.twist == pytest.approx(robot.twist, abs=1e-3)
 
 
-def test_a_reference_beyond_the_configured_limits_is_refused():
+def test_reference_beyond_the_limits_raises_error():
     with pytest.raises(ValueError, match=r"v = 0.5 at .* limits.v = 0.3"):
         controller(**{"limits.v": 0.3}).start(load_trajectory("circle"), 0.0)
     with pytest.raises(ValueError, match=r"limits.omega"):
         controller(**{"limits.omega": 0.4}).start(load_trajectory("circle"), 0.0)
 
 
-def test_a_horizon_of_one_step_is_possible():
+def test_horizon_of_one_step_drives():
     reference = load_trajectory("circle")
     results, _, _ = drive(controller(horizon=1), robot_for(reference), reference, 0.5)
     assert {result.mode for result in results} == {Mode.TRACKING}
 
 
-def test_the_robot_that_cannot_reach_the_end_is_told_so():
-    reference = load_trajectory("cane")
-    robot = robot_for(reference)
-    far = IdealRobot(MODEL.discretise(DT), robot.pose + [0.0, 40.0, 0.0])
-    unlimited = controller(**{"failure.max_position_error": 100.0, "reentry.enabled": False})
-    results, _, _ = drive(unlimited, far, reference, reference.duration + 3.5)
-    finished = [r for r in results if r.mode is Mode.FINISHED]
-    assert "m from the end" in finished[0].message
-    assert (results[-1].command == 0).all()
-
-
-def test_the_result_carries_plan_and_estimate():
+def test_step_result_contains_plan_and_estimate():
     reference = load_trajectory("circle")
     results, _, _ = drive(controller(horizon=12), robot_for(reference), reference, 2.0)
     last = results[-1]
@@ -221,7 +199,7 @@ def test_the_result_carries_plan_and_estimate():
     assert last.step_time > 0
 
 
-def test_what_the_robot_really_got_is_believed():
+def test_reported_command_replaces_the_sent_one_in_the_estimate():
     """A base that halves every command: told so, the estimator needs no offset to explain it."""
     reference, offsets = load_trajectory("circle"), {}
     for told in (False, True):
@@ -239,7 +217,7 @@ def test_what_the_robot_really_got_is_believed():
     assert offsets[False] > 0.01
 
 
-def test_its_own_commands_said_again_change_nothing():
+def test_repeating_sent_commands_as_applied_changes_nothing():
     reference = load_trajectory("s")
     alone, _, _ = drive(controller(), robot_for(reference, noise=1.0), reference, 3.0)
     told = controller()
@@ -256,7 +234,7 @@ def test_its_own_commands_said_again_change_nothing():
     assert all(np.array_equal(a.command, b.command) for a, b in zip(alone, again, strict=True))
 
 
-def test_while_another_one_drives_it_knows_how_the_robot_moves():
+def test_estimate_follows_commands_of_another_controller():
     """A robot that is driven at 0.3 m/s with poses alone: the estimate follows the commands of the other one."""
     robot, watching = robot_for(load_trajectory("circle")), controller()
     watching.start(load_trajectory("circle"), robot.time)
@@ -272,7 +250,7 @@ def test_while_another_one_drives_it_knows_how_the_robot_moves():
 
 
 @pytest.mark.parametrize("commands", [[0.1, 0.2], [[np.nan, 0.0]], [[0.1, 0.2, 0.3]], [[0.0, 1e160]]])
-def test_commands_that_are_none_are_refused(commands):
+def test_invalid_applied_commands_raise_error(commands):
     with pytest.raises(ValueError, match="give finite pairs"):
         controller().set_applied_commands(commands)
 
@@ -303,7 +281,7 @@ def test_updates_take_effect_between_two_ticks():
 @pytest.mark.parametrize(
     "change", [{"limits": {"v": -1.0}}, {"limits": {"speed": 1.0}}, {"weights": {"across": float("nan")}}]
 )
-def test_a_bad_update_changes_nothing(change):
+def test_rejected_update_changes_nothing(change):
     driver = controller()
     before = driver.config
     with pytest.raises(ConfigError):
@@ -311,17 +289,17 @@ def test_a_bad_update_changes_nothing(change):
     assert driver.config is before
 
 
-def test_step_before_start_is_an_error():
+def test_step_before_start_raises_error():
     with pytest.raises(RuntimeError, match="call start"):
         controller().step(0.0, robot_for(load_trajectory("circle")).measure())
 
 
-def test_a_start_time_that_is_none_is_refused():
+def test_start_time_that_is_not_finite_raises_error():
     with pytest.raises(ValueError, match="t0"):
         controller().start(load_trajectory("circle"), float("nan"))
 
 
-def test_construction_refuses_what_cannot_work(tmp_path):
+def test_unusable_models_and_horizons_raise_error(tmp_path):
     with pytest.raises(ConfigError, match="unknown model"):
         Controller(load_config("ssm"), "no_such_model")
     with pytest.raises(ValueError, match="horizon"):
@@ -357,7 +335,7 @@ for order in range(2, 10):
 """
 
 
-def test_models_of_every_order_are_driven_by_the_core_as_it_is_compiled_for_this_machine():
+def test_compiled_core_drives_models_of_every_order():
     """In a process of its own, which a compiler that takes a row for aligned would end at some sizes of the belief.
 
     Two channels have two states at least.

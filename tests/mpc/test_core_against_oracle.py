@@ -101,7 +101,7 @@ class Late:
 
 
 def obeys_by_half(k, t, m, both):
-    """The robot says that it got something else than it was asked for, or nonsense."""
+    """Report applied commands that differ from the sent ones, or nonsense."""
     if k < 2:
         return t, m, None
     v, omega = 0.5 * both.results[-1].command
@@ -109,7 +109,7 @@ def obeys_by_half(k, t, m, both):
 
 
 def overruled(k, t, m, both):
-    """Somebody else drives, at times beyond the limits; at first it has been driven for longer than is remembered."""
+    """Apply foreign commands, at times beyond the limits, first for longer than the memory."""
     if k == 0:
         both.overrule(np.tile([0.3, -0.2], (700, 1)))
     elif k % 3:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from inner_core import InnerController
+from side_by_side import InnerController
 
 from diffdrive_mpc import Measurement, Stamped, load_trajectory
 
@@ -12,7 +12,7 @@ STEPS = 8
 
 
 def kept_to_radius(wanted, last, step, most, radius):
-    """The command (2,) nearest to `wanted` within range and slew, its turn taken back as far as slew allows."""
+    """Return the command (2,) nearest to `wanted` within range and slew, its turn reduced as far as slew allows."""
     most = np.maximum(most, np.abs(last) - step)
     v, omega = np.clip(wanted, np.maximum(last - step, -most), np.minimum(last + step, most))
     if radius * abs(omega) <= abs(v):
@@ -53,7 +53,7 @@ def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
 
 
 def direction(v, at, end):
-    """1 or -1: where the reference stands at a sample, as it moves next up to `end`, else as it moved last."""
+    """Return 1 or -1: the direction at a sample, as the reference moves next up to `end`, else as it moved last."""
     moving = [x for x in [*v[at : end + 1], *v[: at + 1][::-1], v[0]] if abs(x) > 1.0]
     return -1.0 if (moving[0] if moving else v[0]) < 0 else 1.0
 

@@ -44,7 +44,7 @@ def in_config(values):
 
 
 def bent_model(curves):
-    """The linear model whose output is the body's twist, as a function."""
+    """Return the linear model whose output is the twist of the body, as a function."""
     model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(DT)
     x, window = ca.SX.sym("x", model.order), ca.SX.sym("window", 4)
     slip = Slip(**curves)
@@ -60,7 +60,7 @@ def bent_model(curves):
 
 
 def drive(controller, ticks, name="s"):
-    """Commands and plans on a robot without slip: poses alone are measured, so both estimate the same."""
+    """Return commands and plans on a robot without slip; poses alone are measured, so both estimates are equal."""
     robot = IdealRobot(load_model("ssm").discretise(DT), np.array([0.02, -0.03, 0.05]))
     controller.start(load_trajectory(name), 0.0)
     commands, plans = [], []

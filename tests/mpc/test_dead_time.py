@@ -10,7 +10,6 @@ from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.config.schema import OnlineDeadTime
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTimeEstimator
 from diffdrive_mpc.mpc.step_result import Mode
@@ -48,7 +47,7 @@ def commands(results):
 
 
 @pytest.mark.parametrize("shift", [(0.06, 0.06), (0.033, -0.02), (-0.04, 0.0), (0.0, 0.0)])
-def test_a_known_dead_time_is_found_and_used(shift):
+def test_known_dead_time_is_estimated_and_used(shift):
     found = driven(controller(), shift)[0][-1].dead_time
     truth = SM.dead_time + shift
     np.testing.assert_allclose(found.value, truth, atol=0.010)
@@ -57,8 +56,8 @@ def test_a_known_dead_time_is_found_and_used(shift):
     np.testing.assert_allclose(found.used, truth, atol=0.015)
 
 
-def test_wheels_that_are_read_late_are_no_dead_time():
-    """What counts is the stamp."""
+def test_late_wheel_readings_do_not_change_the_dead_time():
+    """The stamp counts, not the time of receipt."""
     kept = []
 
     def late(_, measurement):
@@ -69,7 +68,7 @@ def test_wheels_that_are_read_late_are_no_dead_time():
     np.testing.assert_allclose(found.value, SM.dead_time + 0.03, atol=0.010)
 
 
-def test_without_wheels_the_gyro_tells_that_of_omega():
+def test_gyro_alone_gives_the_dead_time_of_omega():
     def blind(_, measurement):
         return replace(measurement, wheel_twist=None)
 
@@ -78,7 +77,7 @@ def test_without_wheels_the_gyro_tells_that_of_omega():
     assert found.value[1] == pytest.approx(SM.dead_time[1] + 0.04, abs=0.010)
 
 
-def test_once_right_the_error_is_that_of_the_right_dead_time():
+def test_learned_dead_time_gives_the_error_of_the_true_one():
     shift = np.array([0.06, 0.06])
     right = replace(SM, dead_time=SM.dead_time + shift)
     by = {
@@ -94,7 +93,7 @@ def test_once_right_the_error_is_that_of_the_right_dead_time():
     assert error["online"] < 1.3 * error["right"]
 
 
-def test_without_excitation_it_is_frozen():
+def test_estimate_is_frozen_without_excitation():
     results, _ = driven(controller(), (0.06, 0.06), reference=STRAIGHT, seconds=10.0)
     at_speed, later = results[round(3.0 / DT)].dead_time, results[-1].dead_time
     assert at_speed.value[0] == pytest.approx(SM.dead_time[0] + 0.06, abs=0.010)
@@ -105,7 +104,7 @@ def test_without_excitation_it_is_frozen():
 
 
 @pytest.mark.parametrize(("shift", "bounds"), [((0.15, 0.15), (0.06, 0.05)), ((-0.04, -0.04), (0.01, 0.05))])
-def test_it_stays_within_its_bounds(shift, bounds):
+def test_used_dead_time_stays_within_its_bounds(shift, bounds):
     results, _ = driven(controller(shorter=bounds[0], longer=bounds[1]), shift)
     wanted = SM.dead_time + np.clip(shift, -bounds[0], bounds[1])
     for result in results:
@@ -114,17 +113,15 @@ def test_it_stays_within_its_bounds(shift, bounds):
     np.testing.assert_allclose(results[-1].dead_time.used, wanted, atol=0.011)
 
 
-def test_it_never_falls_below_zero():
+def test_used_dead_time_is_never_negative():
     slow = load_model("ssm").with_extra_dead_time([0.02, 0.02])
     found = driven(controller(given=slow, longer=0.0), (-0.02, -0.02), robot=slow)[0][-1].dead_time
     assert np.all(found.used >= 0.0)
     assert np.all(found.used < 0.012)
 
 
-def test_it_changes_in_steps_and_the_command_does_not_jump(monkeypatch):
-    monkeypatch.setattr(OnlineDeadTime, "step", 0.015)
-    monkeypatch.setattr(OnlineDeadTime, "pause", 0.5)
-    by = controller()
+def test_dead_time_changes_in_steps_without_jumps_of_the_command():
+    by = controller(step=0.015, pause=0.5)
     results, _ = driven(by, (0.06, 0.06))
     used = np.array([result.dead_time.used for result in results])
     changed = np.flatnonzero(np.diff(used, axis=0).any(axis=1))
@@ -138,7 +135,7 @@ def test_it_changes_in_steps_and_the_command_does_not_jump(monkeypatch):
     assert np.all(moves[changed].max(axis=0) <= np.quantile(moves, 0.99, axis=0) + 1e-9)
 
 
-def test_off_is_the_default_and_what_is_not_applied_changes_nothing():
+def test_estimate_that_is_not_applied_changes_no_command():
     plain = driven(Controller(load_config("sm")), (0.06, 0.06))[0]
     assert plain[-1].dead_time is None
     told = driven(controller(apply=False), (0.06, 0.06))[0]
@@ -150,12 +147,7 @@ def test_off_is_the_default_and_what_is_not_applied_changes_nothing():
     assert not any("looks" in result.message for result in right)
 
 
-def test_drives_repeat_bit_for_bit():
-    one, two = (driven(controller(), (0.06, 0.02))[0] for _ in range(2))
-    assert np.array_equal(commands(one), commands(two))
-
-
-def test_a_copy_for_another_process_begins_as_configured():
+def test_pickled_copy_starts_as_configured():
     by = controller()
     driven(by, (0.06, 0.06), seconds=4.0)
     copy = pickle.loads(pickle.dumps(by))
@@ -165,22 +157,8 @@ def test_a_copy_for_another_process_begins_as_configured():
     assert np.array_equal(commands(driven(copy, (0.06, 0.06), seconds=2.0)[0]), commands(fresh))
 
 
-def test_weights_that_change_meanwhile_and_the_dead_time_both_arrive():
-    by = controller()
-
-    def often(k, measurement):
-        if k % 3 == 0 and k < 200:
-            by.update(weights={"across": 400.0 + k})
-        return measurement
-
-    results, _ = driven(by, (0.06, 0.06), change=often)
-    assert by.config.weights.across == 598.0
-    np.testing.assert_allclose(results[-1].dead_time.used, SM.dead_time + 0.06, atol=0.015)
-    np.testing.assert_array_equal(by.model.dead_time, results[-1].dead_time.used)
-
-
 def learner(seconds=6.0, **said):
-    """Give one that learns a robot's exact answers, with results that say what is in `said`."""
+    """Return an estimate from a robot's exact responses, with results that contain `said`."""
     by, robot = DeadTimeEstimator(controller().config, SM), SM.with_extra_dead_time([0.05, 0.05]).discretise(DT)
     given = 0.4 * np.sin(np.arange(round(seconds / DT))[:, None] * DT * [2.0, 3.0])
     for k, (command, twist) in enumerate(zip(given, robot.simulate(given), strict=True)):
@@ -190,7 +168,7 @@ def learner(seconds=6.0, **said):
     return by.found
 
 
-def test_exact_answers_leave_little_doubt():
+def test_exact_responses_give_a_small_deviation():
     found = learner()
     np.testing.assert_allclose(found.value, SM.dead_time + 0.05, atol=0.001)
     assert np.all(found.deviation < 0.002)
@@ -201,12 +179,12 @@ def test_exact_answers_leave_little_doubt():
     [{"mode": Mode.BRAKING}, {"mode": Mode.STOPPED}, {"blocked_for": 0.2}, {"unused_sensors": ("wheel speed",)}],
     ids=str,
 )
-def test_nothing_is_learned_from_a_robot_that_is_held_or_sensors_that_are_accused(said):
+def test_held_robot_and_accused_sensors_do_not_change_the_estimate(said):
     assert np.isnan(learner(**said).value).all()
 
 
 @pytest.mark.parametrize("sent", [(1e300, -1e300), (np.inf, 0.0), (np.nan, 0.0)])
-def test_a_base_that_reports_what_no_robot_gets_teaches_nothing_and_overflows_nothing(sent):
+def test_impossible_reported_commands_do_not_change_the_estimate(sent):
     """Warnings are errors here."""
 
     def spoil(k, m):
@@ -216,7 +194,7 @@ def test_a_base_that_reports_what_no_robot_gets_teaches_nothing_and_overflows_no
     assert spoilt[-1].dead_time.value == pytest.approx(plain[-1].dead_time.value, abs=0.005)
 
 
-def test_a_pause_is_no_dead_time():
+def test_pause_does_not_change_the_estimate():
     by = controller()
     driven(by, (0.04, 0.04), seconds=6.0)
     before = by.step(6.0, Measurement(), Hold("pause")).dead_time
@@ -225,12 +203,12 @@ def test_a_pause_is_no_dead_time():
     np.testing.assert_allclose(before.value, results[-1].dead_time.value, atol=0.005)
 
 
-def test_without_a_dead_time_to_change_it_is_refused():
+def test_estimation_without_compensation_raises_error():
     with pytest.raises(ValueError, match="compensation.dead_time"):
         Controller(load_config("sm", {"online_dead_time.enabled": True, "compensation.dead_time": False}))
 
 
-def test_memory_bounds_delays():
+def test_delay_beyond_the_memory_raises_error():
     by = Controller(load_config("sm"))
     tick, problem = by._tick, by._problem(by.config, by._predicted)
     prepared = tick.prepare(problem.constants())

@@ -1,16 +1,20 @@
 """Features attach to a controller through entry points, with a configuration group of their own."""
 
 import pickle
+from dataclasses import replace
 
 import pytest
 import yaml
-from feature_parts import LunchFeature, register
+from pydantic import Field
 
 from diffdrive_mpc import ConfigError, Controller, ControllerConfig, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models import plug_ins
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, feature_rows
+from diffdrive_mpc.mpc.config.group import FeatureGroup, Positive
 from diffdrive_mpc.mpc.features import registry
+from diffdrive_mpc.mpc.features.feature import Feature
+from diffdrive_mpc.mpc.hold import Hold
 
 ON = {"expert.lunch.enabled": True}
 
@@ -129,3 +133,55 @@ def test_mistake_in_a_feature_is_one_line_with_place_and_remedy(overrides, messa
 )
 def test_group_that_asks_for_nothing_needs_no_package(group):
     assert load_config({"model": "sm", **group}) == load_config({"model": "sm"})
+
+
+class Lunch(FeatureGroup):
+    """Group `expert.lunch`."""
+
+    enabled: bool = Field(False, description="stand for lunch [-]")
+    end: Positive = Field(3.0, description="end of lunch [s]")
+    menu: str = Field("", description="file of the menu [-]")
+
+    def relative_to(self, folder):
+        """Return the group with the menu in `folder`."""
+        return self.model_copy(update={"menu": str(folder / self.menu)}) if self.menu else self
+
+
+class LunchFeature(Feature):
+    """Holds the robot from 1 s to the end of lunch, and counts its steps."""
+
+    schema = Lunch
+
+    def attach(self, host):
+        super().attach(host)
+        self.steps = 0
+
+    def before_step(self, t):
+        self.steps += 1
+        return Hold("lunch") if 1.0 <= t < self.host.config.features["lunch"].end else None
+
+    def after_step(self, t, measurement, result):
+        return replace(result, message=f"{result.message}; step {self.steps}".removeprefix("; "))
+
+    def state(self):
+        return self.steps
+
+    def restore(self, state):
+        self.steps = state
+
+
+class Entry:
+    """Entry point of a part."""
+
+    def __init__(self, part):
+        self.part = part
+
+    def load(self):
+        return self.part
+
+
+def register(monkeypatch, **features):
+    """Let `features` be the features of installed packages."""
+    groups = {"features": {name: Entry(part) for name, part in sorted(features.items())}}
+    monkeypatch.setattr(plug_ins, "_entries", lambda group: groups.get(group, {}))
+    plug_ins.plug_in.cache_clear()

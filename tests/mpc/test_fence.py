@@ -22,7 +22,7 @@ def way_out(v=0.6, omega=0.2, heading=0.0):
 
 
 def outside(poses, middle=(0.0, 0.0, 0.0), size=SIZE):
-    """How far outside a rectangle poses (n, 3) lie [m]; negative inside."""
+    """Return the distance of poses (n, 3) outside a rectangle [m]; negative inside."""
     x, y, turn = middle
     place = (poses[:, 0] - x + 1j * (poses[:, 1] - y)) * np.exp(-1j * turn)
     return np.maximum(np.abs(place.real) - size[0] / 2, np.abs(place.imag) - size[1] / 2)

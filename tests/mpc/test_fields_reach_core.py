@@ -69,7 +69,7 @@ ELSEWHERE = Slip(
 
 
 def numeric_fields():
-    """Keys and defaults of all numbers in the groups."""
+    """Yield keys and defaults of all numbers in the groups."""
     for group in GROUPS:
         for name, field in type(getattr(ControllerConfig(), group)).model_fields.items():
             # Curved slip, a least turn radius and dead reckoning are not the oracle's: they have tests of their own.
@@ -79,7 +79,7 @@ def numeric_fields():
 
 
 def distinct(seed):
-    """A configuration whose numbers all differ from their defaults and from each other."""
+    """Return a configuration whose numbers all differ from their defaults and from each other."""
     rng, values = np.random.default_rng(seed), {}
     for key, default in numeric_fields():
         low, high = RANGES.get(key, (0.6 * default, 1.7 * default))
@@ -120,7 +120,7 @@ class Recorder(Pair):
 
 
 def replay(calls, config, model):
-    """What another configuration says to the same."""
+    """Return the results of another configuration for the same calls."""
     controller, said, reference = Controller(config, model), [], None
     for kind, *rest in calls:
         if kind == "step":
@@ -150,11 +150,11 @@ class Troubles:
         return self.rng.uniform() < share
 
     def stamp(self, time):
-        """Sometimes an older one, even older than the history."""
+        """Return the stamp or sometimes an older one, even beyond the history."""
         return time - self.rng.uniform(0, 1.5 * self.settings.history) if self.often(0.08) else time
 
     def twist(self, value, largest, jump):
-        """Sometimes with a spike around the limits, in one number."""
+        """Return the value, sometimes with a spike around the limits in one number."""
         value = np.array(value, dtype=float)
         if self.often(0.12):
             at, most = self.rng.integers(value.size), np.array([jump, largest])[int(self.often(0.3))]
@@ -190,7 +190,7 @@ class Troubles:
         return Measurement(self.pose(k, m), *both, sent=tuple(sent))
 
     def happen(self, k):
-        """The robot is pushed, carried far away and back, stuck, and comes to another floor."""
+        """Push the robot, carry it far away and back, block it, and change its floor."""
         push = {40: [0.0, 0.06, 0.2], 100: [0.2, 0.1, -0.3], 150: [0.0, 1.0, 0.0], 225: [0.0, -1.0, 0.0]}
         if k in push:
             self.robot.poses[-1] = self.robot.pose + push[k]
@@ -207,7 +207,7 @@ class Troubles:
 
 @cache
 def driven(name, seed):
-    """All that a pair of controllers was given on its drives, on which they agreed."""
+    """Return a pair of controllers after its drives, on which the two agreed."""
     config, model = distinct(seed), load_model(name).with_extra_dead_time(MODELS[name])
     both, reference = Recorder(config, model, accuracy=BY_DAQP), SpoiltReference(route())
     troubles, command = Troubles(config, model, seed), np.zeros(2)

@@ -41,7 +41,7 @@ class Loop:
 
 
 class Beside:
-    """What is asked of the process beside the loop, to be answered by the test."""
+    """Requests to the side process, which the test answers."""
 
     def __init__(self):
         self.asked = []

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from diffdrive_mpc import Controller, Stamped, Trajectory, load_config, load_mod
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.config.schema import Wheels
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference
-from imports import imported
 
 DT = 0.0202
 FAULT = 150
@@ -77,7 +73,7 @@ class PushedRobot(IdealRobot):
 
 
 def stuck(field):
-    """The sensor repeats what it said at the fault."""
+    """Return a change after which the sensor repeats its value at the fault."""
     last = {}
 
     def change(k, m):
@@ -90,7 +86,7 @@ def stuck(field):
 
 
 def spoilt(field, value):
-    """From the fault on the sensor says value(what it should, seconds since then)."""
+    """Return a change after which the sensor reads value(correct reading, seconds since the fault)."""
 
     def change(k, m):
         if k < FAULT:
@@ -102,13 +98,13 @@ def spoilt(field, value):
 
 
 def dead_encoder(wheels, _):
-    """One of the two wheels on the left reads zero, so the left side reads half its speed."""
+    """Return the twist with one of the two left wheels at zero, so the left side reads half its speed."""
     right, left = wheels[0] + 0.5 * TRACK * wheels[1], wheels[0] - 0.5 * TRACK * wheels[1]
     return np.array([0.5 * (right + 0.5 * left), (right - 0.5 * left) / TRACK])
 
 
 def run(change=None, trajectory="s", model="ssm", robot=IdealRobot, seconds=9.0, **settings):
-    """Results, and distances to the path at each tick."""
+    """Return results, and distances to the path at each tick."""
     straight = trajectory == "straight"
     reference = Trajectory.from_waypoints([[0, 0], [7, 0]], speed=0.5) if straight else load_trajectory(trajectory)
     base = robot(load_model(model).discretise(DT), reference.sample([0.0]).pose[0], noise=1.0, seed=1)
@@ -123,7 +119,7 @@ def accused(results):
 
 
 def first(results, name):
-    """Seconds from the fault until the sensor was no longer used."""
+    """Return the seconds from the fault until the sensor was no longer used."""
     return next(k - FAULT for k, result in enumerate(results) if name in result.unused_sensors) * DT
 
 
@@ -140,7 +136,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_sensor_that_two_others_contradict_is_not_used(fault, model):
+def test_sensor_contradicted_by_two_others_is_not_used(fault, model):
     """The robot goes on: the others are enough."""
     change, trajectory, name, soon = FAULTS[fault]
     results, apart = run(change, trajectory, model)
@@ -161,7 +157,7 @@ POSE_FAULTS = {
 
 @pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
 @pytest.mark.parametrize("fault", POSE_FAULTS)
-def test_without_poses_to_believe_it_brakes(fault, model):
+def test_robot_brakes_if_poses_are_faulty(fault, model):
     change, trajectory, soon = POSE_FAULTS[fault]
     results, apart = run(change, trajectory, model)
     assert first(results, "pose") < soon
@@ -171,7 +167,7 @@ def test_without_poses_to_believe_it_brakes(fault, model):
     assert apart.max() < 0.3
 
 
-def test_a_gyro_with_a_bias_is_not_at_fault():
+def test_biased_gyro_is_not_accused():
     """The bias is learned, as slip is."""
     results, apart = run(spoilt("yaw_rate", lambda rate, _: rate + 0.05))
     assert accused(results) == set()
@@ -189,14 +185,14 @@ class SlidingRobot(IdealRobot):
 
 
 @pytest.mark.parametrize("trajectory", ["circle", "square", "s", "cane"])
-def test_a_robot_that_slides_down_a_slope_is_not_stopped(trajectory):
+def test_robot_sliding_down_a_slope_is_not_stopped(trajectory):
     results, _ = run(trajectory=trajectory, robot=SlidingRobot, seconds=12.0)
     assert accused(results) == set()
     assert {result.mode for result in results} <= {Mode.TRACKING, Mode.FINISHED}
 
 
 @pytest.mark.parametrize("every", [1, 5, 10])
-def test_a_held_robot_with_quiet_encoders_is_not_asked_for_more_and_more(every):
+def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
     """Zeros are right there, and poses say so, however seldom they come."""
 
     def seldom(k, m):
@@ -210,13 +206,13 @@ def test_a_held_robot_with_quiet_encoders_is_not_asked_for_more_and_more(every):
 
 
 @pytest.mark.parametrize("path", ["s", "circle"])
-def test_poses_that_turn_are_found_without_wheels(path):
+def test_turning_poses_are_detected_without_wheels(path):
     turning = spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t])
     results, _ = run(lambda k, m: replace(turning(k, m), wheel_twist=None), path)
     assert first(results, "pose") < 5.0
 
 
-def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
+def test_repeated_readings_against_the_commands_are_not_used():
     """A gyro that is stuck before a curve is left out before poses have told whose fault it is."""
     results, apart = run(stuck("yaw_rate"), "cane", seconds=6.0)
     assert accused(results) <= {"yaw rate"}
@@ -224,7 +220,7 @@ def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
 
 
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
-def test_zeros_against_the_commands_fool_the_estimate_for_less_than_a_fifth_of_a_second(field, name, channel):
+def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
     """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""
     results, _ = run(spoilt(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
     twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
@@ -235,12 +231,12 @@ def test_zeros_against_the_commands_fool_the_estimate_for_less_than_a_fifth_of_a
 
 @pytest.mark.parametrize("robot", [IdealRobot, HeldRobot, SpinningRobot, PushedRobot])
 @pytest.mark.parametrize("trajectory", ["circle", "cane", "square"])
-def test_what_happens_to_the_robot_is_no_fault_of_a_sensor(robot, trajectory):
+def test_disturbed_robot_accuses_no_sensor(robot, trajectory):
     results, _ = run(trajectory=trajectory, robot=robot)
     assert accused(results) == set()
 
 
-def test_a_monitor_that_finds_nothing_changes_nothing():
+def test_monitor_without_findings_changes_no_command():
     watched, blind = (run(seconds=5.0, **{"monitor.enabled": on})[0] for on in (True, False))
     assert all((a.command == b.command).all() for a, b in zip(watched, blind, strict=True))
     assert {result.message for result in watched} == {""}
@@ -249,7 +245,7 @@ def test_a_monitor_that_finds_nothing_changes_nothing():
 @pytest.mark.parametrize(
     ("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")]
 )
-def test_a_sensor_that_agrees_again_is_used_again(name, field):
+def test_recovered_sensor_is_used_again(name, field):
     broken = stuck(field) if field == "pose" else spoilt(field, lambda value, _: 0.0 * value)
     # Long enough to be found, and for the robot to stop.
     results, apart = run(lambda k, m: broken(k, m) if k < FAULT + 75 else m, "circle")
@@ -261,23 +257,8 @@ def test_a_sensor_that_agrees_again_is_used_again(name, field):
     assert apart.max() < 0.1
 
 
-def test_poses_noisier_than_stated_count_for_less():
-    rng = np.random.default_rng(0)
-
-    def noisy(k, m):
-        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * [0.03, 0.03, 0.0]))
-
-    deviations, messages = {}, ""
-    for on in (True, False):
-        results, _ = run(noisy, **{"monitor.enabled": on})
-        deviations[on] = results[-1].estimate.pose_deviation[0]
-        messages = messages or results[-1].message
-    assert "poses scatter" in messages
-    assert deviations[True] > 1.2 * deviations[False]
-
-
 @pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.0312]], ids=["position", "heading"])
-def test_poses_are_told_to_scatter_as_far_as_they_do(scale):
+def test_reported_scatter_of_poses_equals_the_noise_ratio(scale):
     """Noise of six stated deviations beside the stated one: the root of 37 times as far, on average."""
     rng = np.random.default_rng(0)
 
@@ -290,8 +271,8 @@ def test_poses_are_told_to_scatter_as_far_as_they_do(scale):
 
 
 @pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
-def test_what_was_known_from_noisy_poses_is_known_less_at_once(scale):
-    """Of position or heading alone, whichever scatters."""
+def test_detected_pose_noise_raises_the_deviation_at_once(scale):
+    """Noise of position or of heading alone raises its deviation only."""
     rng = np.random.default_rng(0)
 
     def noisy(k, m):
@@ -305,7 +286,7 @@ def test_what_was_known_from_noisy_poses_is_known_less_at_once(scale):
     assert (rises[~is_noisy] < 1.1).all()
 
 
-def test_poses_later_than_stamped_are_told_and_not_accused():
+def test_poses_later_than_their_stamps_are_reported_but_not_accused():
     late = []
 
     def change(k, m):
@@ -346,7 +327,7 @@ SYMMETRIC = {
 
 
 @pytest.mark.parametrize("fault", SYMMETRIC)
-def test_neither_a_side_nor_a_direction_is_preferred(fault):
+def test_verdicts_are_invariant_under_reflection_and_rotation(fault):
     """Mirrored measurements give mirrored commands, those in another frame the same, and both the same verdicts.
 
     The other frame is turned by a right angle: a surprise widens the belief along the axes of the poses.
@@ -381,14 +362,14 @@ def test_neither_a_side_nor_a_direction_is_preferred(fault):
 
 
 @pytest.mark.parametrize(("track", "told"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])
-def test_a_wrong_track_is_told_within_ten_seconds_of_turning(track, told):
+def test_wrong_track_is_reported_within_ten_seconds_of_turning(track, told):
     results, _ = run(None, "circle", seconds=10.0, **{"wheels.encoder_track": track})
     assert accused(results) == set()
     assert ("wrong wheels.track" in results[-1].message) == told
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_false_report_of_the_base_lets_a_command_leap(seed):
+def test_false_reports_of_the_base_keep_the_slew_limit(seed):
     """Slew counts from the controller's own last command, whatever the base says it got."""
     rng, limits = np.random.default_rng(seed), load_config("ssm").limits
 
@@ -401,83 +382,4 @@ def test_no_false_report_of_the_base_lets_a_command_leap(seed):
     assert any("beyond the limits" in result.message for result in results)
 
 
-ROOT = Path(__file__).parents[2]
-ROOM = ROOT / "mpc" / "monitor"
-HELPERS = {
-    "models.checked_yaml",
-    "models.compiled",
-    "models.errors",
-    "models.file_limits",
-    "models.input_file",
-    "models.lazy_names",
-    "models.named_file",
-    "models.table",
-    "models.suggestions",
-    "models.trust",
-}
 """What it has of `models`: readers of files, what loads C, and names on first use. Nothing here moves a robot."""
-HEAVY = ("casadi", "mujoco", "osqp", "daqp", "scipy", "control", "matplotlib", "pandas")
-
-
-def ours(name):
-    """Name within our package, or None."""
-    return name.removeprefix("diffdrive_mpc.") if name.startswith("diffdrive_mpc.") else None
-
-
-def allowed(name):
-    return name.startswith(("mpc.monitor",)) or any(name == one or name.startswith(f"{one}.") for one in HELPERS)
-
-
-def test_its_python_imports_nothing_of_the_controller():
-    looked_at = 0
-    for path in ROOM.rglob("*.py"):
-        modules = {module for module, _ in imported(path)}
-        assert not any(module.startswith(".") for module in modules), path
-        names = [ours(module) for module in modules if module.startswith("diffdrive_mpc")]
-        assert all(name and allowed(name) for name in names), (path, names)
-        looked_at += len(names)
-    assert looked_at > 10
-
-
-def test_its_c_includes_nothing_of_the_controller():
-    # board.h: registers and serial line of the microcontroller, which every program for it has.
-    standard = {"math.h", "string.h", "stdio.h", "stdint.h", "board.h"}
-    found = set()
-    for path in [*ROOM.rglob("*.c"), *ROOM.rglob("*.h")]:
-        found |= set(re.findall(r'#\s*include\s*[<"]([^>"]+)', path.read_text(encoding="utf-8")))
-    assert found - standard == {"judge.h", "rules.h"}
-    assert "ddmpc_" not in (ROOM / "core" / "judge.c").read_text(encoding="utf-8")
-
-
-def test_the_controller_knows_nothing_of_it():
-    for path in (ROOT / "mpc").rglob("*"):
-        if path.suffix in (".py", ".c", ".h") and not path.is_relative_to(ROOM):
-            text = path.read_text(encoding="utf-8")
-            assert "mpc.monitor." not in text and "judge.h" not in text, path
-
-
-@pytest.mark.parametrize("what", ["judge", "process"])
-def test_what_runs_has_none_of_it_loaded(what):
-    """The whole command, up to where it would wait for messages."""
-    code = {
-        "judge": "from diffdrive_mpc_monitor.judge import Judge\n"
-        "from diffdrive_mpc_monitor.rules import load_rules\n"
-        "Judge(load_rules()).command(0.0, 0.0, 1.0, 0.0)\n",
-        "process": "import sys\n"
-        "from rclpy.executors import SingleThreadedExecutor\n"
-        "def end(self, timeout_sec=None): raise KeyboardInterrupt\n"
-        "SingleThreadedExecutor.spin_once = end\n"
-        "from diffdrive_mpc.app.cli import main\n"
-        "sys.argv = ['diffdrive-mpc', 'monitor']\n"
-        "try: main()\n"
-        "except (SystemExit, KeyboardInterrupt): pass\n",
-    }[what]
-    code += "import sys\nprint(*sorted(sys.modules), sep='\\n')\n"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    loaded = set(result.stdout.split())
-    assert "diffdrive_mpc_monitor.judge" in loaded
-    if what == "process":
-        assert "diffdrive_mpc_monitor.ros.node" in loaded, result.stderr
-    found = {name for name in map(ours, loaded) if name and name.startswith(("mpc.", "models.", "sim."))}
-    assert {name for name in found if not allowed(name)} == set()
-    assert {name for name in HEAVY if name in loaded} == set()

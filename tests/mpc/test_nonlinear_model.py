@@ -3,8 +3,18 @@
 import casadi as ca
 import numpy as np
 import pytest
-from nonlinear_parts import DT, LAG, saturating, windowed
-from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, nonlinear_outputs, record
+from nonlinear_program import (
+    DT,
+    EXACT,
+    LAG,
+    NO_SLIP,
+    NonlinearProgram,
+    converged,
+    nonlinear_outputs,
+    record,
+    saturating,
+    windowed,
+)
 from scipy.integrate import solve_ivp
 
 from diffdrive_mpc import (

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from ideal_robot import IdealRobot
-from noisy_robot import NoisyRobot
+from ideal_robot import IdealRobot, NoisyRobot
 from scipy.stats import chi2
 
 from diffdrive_mpc import Measurement, Stamped, integrate_pose, load_model
@@ -22,14 +21,15 @@ DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
 
 
-def with_constants(**constants):
-    """Return the estimator's group with other values of its constants."""
-    annotations = dict.fromkeys(constants, ClassVar[float])
-    return type("Changed", (Estimator,), {"__annotations__": annotations, **constants})()
+class TextbookEstimator(Estimator):
+    """Settings without thresholds of surprise and speed."""
+
+    surprise: ClassVar[float] = 1e9
+    min_yaw_rate: ClassVar[float] = 1e-9
+    min_speed: ClassVar[float] = 1e-9
 
 
-# Nothing surprises it, and nothing is too slow: its corrections are those of the textbook.
-SETTINGS = with_constants(surprise=1e9, min_yaw_rate=1e-9, min_speed=1e-9)
+SETTINGS = TextbookEstimator()
 FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
 N = MODEL.order
 SIZE = N + 14
@@ -59,7 +59,7 @@ def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, recen
     assert np.linalg.eigvalsh(noise).min() > -1e-15
 
 
-def test_the_noise_of_the_model_comes_in_through_its_inputs():
+def test_process_noise_enters_through_the_inputs():
     noise = FILTER.predict(Belief(NEUTRAL, NONE), np.zeros(2), np.zeros(2)).covariance
     settings, drive = Estimator(), MODEL.B0 + MODEL.B1
     expected = drive @ np.diag(np.square([settings.v_input_noise, settings.omega_input_noise])) @ drive.T
@@ -67,7 +67,7 @@ def test_the_noise_of_the_model_comes_in_through_its_inputs():
 
 
 @given(means, commands)
-def test_prediction_moves_the_turning_point_by_the_mean_of_the_twists(mean, command):
+def test_prediction_moves_the_turning_point_along_the_mean_twist(mean, command):
     """Without side-slip and slide it moves straight on, on a circle of its own about which the origin is carried."""
     mean[[N + 4, N + 8, N + 9]] = 0.0
     after = FILTER.predict(Belief(mean, NONE), command, command).mean
@@ -83,7 +83,7 @@ def test_prediction_moves_the_turning_point_by_the_mean_of_the_twists(mean, comm
     assert point(after[-3:]) == pytest.approx(moved, abs=1e-12)
 
 
-def test_a_robot_that_turns_slides_across_its_heading_and_half_as_far_along():
+def test_slide_along_the_heading_is_half_of_that_across():
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.0, 0.5])
     for slide, heading, share in ((0.1, 0.0, 0.5), (0.1, np.pi / 2, 1.0)):
@@ -95,7 +95,7 @@ def test_a_robot_that_turns_slides_across_its_heading_and_half_as_far_along():
         assert after[0] - level[0] == pytest.approx(share * slide * (np.hypot(omega, 0.05) - 0.05) * DT, rel=1e-4)
 
 
-def test_a_robot_at_rest_learns_nothing_of_its_gains_and_forgets_nothing():
+def test_gains_and_their_variances_stay_constant_at_rest():
     before = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
     settled = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(before, np.zeros(2), np.zeros(2))
     growth = np.diag(settled.covariance - before.covariance)[N : N + 11]
@@ -104,7 +104,7 @@ def test_a_robot_at_rest_learns_nothing_of_its_gains_and_forgets_nothing():
 
 
 @given(means, st.floats(0, 0.9 * DT))
-def test_a_pose_corrects_as_the_textbook_says(mean, ahead):
+def test_pose_correction_equals_the_textbook_filter(mean, ahead):
     """Mean and covariance of an extended Kalman filter whose gradient comes from finite differences."""
     assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(1)
@@ -137,7 +137,7 @@ def gyro(z):
     ("sensor", "expected"), [("wheel_speed", wheel_speed), ("wheel_yaw_rate", wheel_yaw_rate), ("yaw_rate", gyro)]
 )
 @given(mean=means)
-def test_twists_correct_as_the_textbook_says(sensor, expected, mean):
+def test_twist_correction_equals_the_textbook_filter(sensor, expected, mean):
     assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(2)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
@@ -150,7 +150,7 @@ def test_twists_correct_as_the_textbook_says(sensor, expected, mean):
     assert normalised == pytest.approx(0.05**2 / S, rel=1e-4)
 
 
-def test_a_surprise_moves_the_robot_and_not_its_slip():
+def test_surprising_measurement_corrects_the_state_but_not_slip():
     wary = SlipFilter(MODEL, Estimator(), Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
@@ -163,41 +163,15 @@ def test_a_surprise_moves_the_robot_and_not_its_slip():
     assert moved.mean[-2] == pytest.approx(0.2, abs=0.01)
 
 
-def test_a_surprise_that_lasts_is_learned_from_and_a_new_one_is_not():
-    wary = SlipFilter(MODEL, Estimator(lasting_surprise=10 * DT, omega_input_noise=0.01), Compensation(), 1.1)
-    mean = NEUTRAL.copy()
-    mean[:N] = MODEL.settled_state([0.5, 0.5])
-    command = np.array([0.5, 0.5])
-    belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(11, 1e-4), np.full(3, 1e-5)])))
-    gains = []
-    for _ in range(14):
-        belief, _ = wary.correct(wary.predict(belief, command, command), "yaw_rate", 3.0, 1e-6)
-        gains.append(belief.mean[N + 3])
-    assert gains[:10] == pytest.approx([1.0] * 10)
-    assert min(gains[10:]) > 1.1
-    calm, _ = wary.correct(belief, "yaw_rate", wary.twist(belief.mean)[1] + belief.mean[N + 10], 1e-6)
-    again, _ = wary.correct(calm, "yaw_rate", 6.0, 1e-6)
-    assert again.mean[N + 3] == pytest.approx(calm.mean[N + 3])
-
-
 @given(st.floats(-9, 9))
-def test_gains_stay_such_as_a_robot_can_have(value):
-    settings = with_constants(surprise=1e9)
-    trusting = SlipFilter(MODEL, settings, Compensation(), 1.1)
+def test_gains_stay_within_their_bounds(value):
+    trusting = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
     belief, _ = trusting.correct(Belief(mean, np.diag(np.full(SIZE, 10.0))), "yaw_rate", value, 1e-6)
     gains = belief.mean[N + 1 : N + 4]
-    assert (gains >= settings.min_gain).all()
-    assert (gains <= settings.max_gain).all()
-
-
-def test_the_angle_between_two_poses_is_the_short_way_round():
-    mean = NEUTRAL.copy()
-    mean[-1] = 3.1
-    P = 0.01 * np.eye(SIZE)
-    corrected, _ = FILTER.correct_pose(Belief(mean, P), np.array([0.0, 0.0, -3.1]), 1e-4 * np.eye(3), 0.0)
-    assert 3.1 < corrected.mean[-1] < 2 * np.pi - 3.1 + 1e-9
+    assert (gains >= SETTINGS.min_gain).all()
+    assert (gains <= SETTINGS.max_gain).all()
 
 
 TICKS = np.arange(2500)
@@ -224,7 +198,7 @@ def run(estimator, robot, ticks=200, deliver=None, command=None, driven=None, af
     return messages
 
 
-def test_perfect_data_give_the_perfect_estimate():
+def test_exact_data_give_the_exact_estimate():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([1.0, 2.0, 3.0]))
     messages = run(estimator, robot)
     estimate = estimator.estimate
@@ -235,7 +209,7 @@ def test_perfect_data_give_the_perfect_estimate():
 
 
 @pytest.mark.parametrize("late", [1, 3, 8])
-def test_a_late_pose_counts_as_if_it_had_come_in_time(late):
+def test_late_poses_give_the_estimate_of_punctual_ones(late):
     """Poses in time up to some tick, or the same poses late: the same estimate."""
     in_time, delayed = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
     queue = []
@@ -254,7 +228,7 @@ def test_a_late_pose_counts_as_if_it_had_come_in_time(late):
     assert delayed.estimate.pose_deviation == pytest.approx(in_time.estimate.pose_deviation, abs=1e-12)
 
 
-def test_a_pose_between_two_ticks_is_applied_at_its_stamp():
+def test_pose_between_ticks_is_applied_at_its_stamp():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
 
     def half_a_tick_ago(k, measurement):
@@ -275,23 +249,8 @@ LOADED = [replace(SLIP, turn_ahead=0.05), replace(SLIP, turn_left=0.05), replace
 
 
 @pytest.mark.long
-def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
-    estimator = StateEstimator(MODEL, Estimator())
-    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 2500)
-    found = estimator.estimate.slip
-    assert found.v_offset == pytest.approx(0.04, abs=3e-3)
-    assert found.longitudinal_gain == pytest.approx(0.985, abs=3e-3)
-    assert found.yaw_gain * found.omega_gain == pytest.approx(0.85, abs=0.01)
-    # At one speed side-slip and turning point look alike: what they add up to is known best.
-    for v in (0.3, 0.5, 0.7):
-        assert found.turn_ahead + v * found.side_slip == pytest.approx(v * 0.08, abs=5e-3 * v)
-    assert found.side_slip == pytest.approx(0.08, abs=0.2 * estimator.estimate.slip_deviation.side_slip)
-    assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("slip", [SLIP, *LOADED], ids=["middle", "ahead", "left", "dips"])
-def test_where_the_robot_turns_about_is_found(slip):
+def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
     """On a noisy robot, each number within two of its deviations; the turning point within a centimetre and a half."""
     estimator = StateEstimator(MODEL, Estimator())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=slip, noise=1.0), 1500)
@@ -301,8 +260,15 @@ def test_where_the_robot_turns_about_is_found(slip):
     assert found[7] == pytest.approx(slip.load_shift, abs=0.01)
 
 
+@pytest.mark.long
+def test_gyro_bias_is_estimated_next_to_slip():
+    estimator = StateEstimator(MODEL, Estimator())
+    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 2500)
+    assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
+
+
 @pytest.mark.parametrize("command", [(0.0, 0.0), (0.6, 0.0)], ids=["at rest", "straight on"])
-def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_forgotten(command):
+def test_turning_point_stays_constant_without_curves(command):
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=LOADED[0], noise=1.0)
     run(estimator, robot, 400, command=command)
     found, deviation = (
@@ -316,9 +282,13 @@ def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_for
     assert (deviation > 0.5 * np.array(least)).all()
 
 
-def test_wheels_that_turn_less_are_not_taken_for_slip():
+def test_wheel_gain_is_not_attributed_to_slip():
     """Encoders see what the wheels do: their gain goes into omega_gain, not into yaw_gain."""
-    estimator = StateEstimator(MODEL, with_constants(omega_gain_uncertainty=0.1))
+
+    class UnknownWheelGain(Estimator):
+        omega_gain_uncertainty: ClassVar[float] = 0.1
+
+    estimator = StateEstimator(MODEL, UnknownWheelGain())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=Slip(omega_gain=0.9)), 600)
     assert estimator.estimate.slip.omega_gain == pytest.approx(0.9, abs=0.01)
     assert estimator.estimate.slip.yaw_gain == pytest.approx(1.0, abs=0.01)
@@ -332,7 +302,7 @@ def test_wheels_that_turn_less_are_not_taken_for_slip():
         ("side_slip", ["side_slip", "turn_ahead", "turn_left", "load_shift", "slide_x", "slide_y"]),
     ],
 )
-def test_what_is_not_compensated_stays_as_without_slip(part, names):
+def test_disabled_compensation_keeps_its_slip_at_zero(part, names):
     estimator = StateEstimator(MODEL, Estimator(), Compensation(**{part: False}))
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP), 300)
     for name in FLAT_SLIPS:
@@ -354,19 +324,19 @@ def yaw_gains(after, ticks):
 
 
 @pytest.mark.parametrize("after", [0.35, 0.6, 1.8])
-def test_a_floor_that_suddenly_is_another_is_learned_within_seconds(after):
+def test_sudden_change_of_floor_is_learned_within_seconds(after):
     """However large the surprise: one that lasts is slip."""
     found = yaw_gains(after, 400)
     assert found[295] == pytest.approx(1.0, abs=0.05)
     assert np.median(found[500:]) == pytest.approx(after, rel=0.1)
 
 
-def test_a_short_jerk_is_not_taken_for_slip():
+def test_short_jerk_does_not_change_slip():
     found = yaw_gains(0.2, 15)
     assert found[300:] == pytest.approx(np.full(400, found[300]), abs=0.1)
 
 
-def test_the_gains_of_omega_are_frozen_while_the_robot_hardly_turns():
+def test_yaw_gains_are_frozen_at_low_yaw_rate():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=SLIP, noise=1.0)
     run(estimator, robot, 20, command=(0.5, 0.03))
     before = estimator.estimate
@@ -378,7 +348,7 @@ def test_the_gains_of_omega_are_frozen_while_the_robot_hardly_turns():
     assert after.slip.v_offset != before.slip.v_offset
 
 
-def test_a_false_command_is_not_learned_as_slip():
+def test_foreign_command_does_not_change_slip():
     """Half a second in which the robot obeys somebody else: its motion is followed, its slip is not blamed."""
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
     run(estimator, robot, 150)
@@ -391,7 +361,7 @@ def test_a_false_command_is_not_learned_as_slip():
     assert after.slip.side_slip == pytest.approx(before.side_slip, abs=0.05)
 
 
-def test_innovations_are_as_large_as_the_filter_expects():
+def test_innovations_are_chi_squared_distributed():
     """On a robot that is as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
 
     Squared innovations over their variances, k numbers in each of n, are distributed as chi-squared with n k degrees
@@ -411,19 +381,7 @@ def test_innovations_are_as_large_as_the_filter_expects():
     assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
 
 
-def test_errors_are_as_large_as_the_estimator_says():
-    """Mean normalised squared pose error over seeds lies near its three degrees of freedom."""
-    scores = []
-    for seed in range(10):
-        estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0, seed=seed)
-        run(estimator, robot, 120)
-        error = estimator.estimate.pose - robot.poses[-2]
-        scores.append(np.sum((error / estimator.estimate.pose_deviation) ** 2))
-    # The filter assumes model errors that this robot does not have, so it may be too careful, but not too sure.
-    assert 0.3 < np.mean(scores) < 4.5
-
-
-def test_the_estimate_turns_on_through_pi():
+def test_heading_estimate_is_continuous_through_pi():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([0, 0, 3.0]))
     assert run(estimator, robot, 400, command=(0.2, 1.0)) == []
     assert robot.poses[-2][2] > 3 * np.pi
@@ -434,25 +392,19 @@ def test_the_estimate_turns_on_through_pi():
     ("pose", "message"),
     [
         (lambda r: Stamped([np.nan, 0, 0], r.time), "finite"),
-        (lambda r: Stamped([np.inf, 0, 0], r.time), "finite"),
         (lambda r: Stamped([0.0, 0.0], r.time), "three finite numbers"),
         (lambda r: Stamped(r.pose + [5, 0, 0], r.time), "jumps by 5.00 m"),
         (lambda r: Stamped(r.pose + [0, 0, 2], r.time), "2.00 rad"),
         (lambda r: Stamped(r.pose, r.time + 1.0), "future"),
         (lambda r: Stamped(r.pose, r.time - 2.0), "not newer"),
-        (lambda r: Stamped([0.0, 0.0, None], r.time), "three finite numbers"),
-        (lambda r: Stamped(["a", "b", "c"], r.time), "three finite numbers"),
         (lambda r: Stamped([[1.0, 2.0], [3.0]], r.time), "three finite numbers"),
-        (lambda r: Stamped(r.pose, None), "finite"),
         (lambda r: Stamped(r.pose, r.time, 1e200 * np.eye(3)), "covariance"),
         (lambda r: Stamped(r.pose, r.time, [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "covariance"),
-        (lambda r: Stamped(r.pose, r.time, "large"), "covariance"),
         (lambda r: Stamped(r.pose, float("nan")), "finite"),
         (lambda r: Stamped(r.pose, r.time, -np.eye(3)), "covariance"),
-        (lambda r: Stamped(r.pose, r.time, np.full((3, 3), np.nan)), "covariance"),
     ],
 )
-def test_faulty_poses_are_rejected_and_named(pose, message):
+def test_faulty_pose_is_rejected_with_its_reason(pose, message):
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
     run(estimator, robot, 60)
     estimator.advance(robot.time)
@@ -462,43 +414,7 @@ def test_faulty_poses_are_rejected_and_named(pose, message):
     assert estimator.estimate.pose == pytest.approx(before.pose)
 
 
-def test_a_pose_older_than_the_history_is_rejected():
-    estimator, robot = StateEstimator(MODEL, Estimator(history=0.3)), IdealRobot(MODEL, np.zeros(3))
-    messages = run(
-        estimator,
-        robot,
-        100,
-        lambda k, m: m if k == 0 else Measurement(pose=Stamped(m.pose.value, m.pose.time - 0.4) if k == 60 else None),
-    )
-    assert len(messages) == 1
-    assert "history" in messages[0]
-
-
-def test_faulty_wheels_and_gyro_are_rejected_and_named():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 30)
-    estimator.advance(robot.time)
-    spoiled = Measurement(
-        wheel_twist=Stamped([np.nan, 0.0], robot.time), yaw_rate=Stamped(400.0, robot.time), pose=None
-    )
-    reasons = estimator.update(robot.time, spoiled)
-    assert [reason.split(" rejected")[0] for reason in reasons] == ["wheel speed", "yaw rate"]
-    assert np.isfinite(estimator.estimate.pose).all()
-
-
-@pytest.mark.parametrize("field", ["wheel_twist", "yaw_rate"])
-@pytest.mark.parametrize("value", [[], None, "fast", [[0.1, 0.2], [0.3, 0.4]], [np.nan, np.nan]])
-def test_what_is_no_measurement_is_rejected_and_named(field, value):
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 10)
-    estimator.advance(robot.time)
-    (reason,) = estimator.update(robot.time, Measurement(**{field: Stamped(value, robot.time)}))
-    assert "finite" in reason
-    (reason,) = estimator.update(robot.time, Measurement(**{field: Stamped(0.0, None)}))
-    assert "rejected" in reason
-
-
-def test_a_single_spike_is_rejected_and_a_lasting_jump_believed():
+def test_single_spike_is_rejected_and_lasting_jump_accepted():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
     run(estimator, robot, 60)
     speed = estimator.estimate.twist[0]
@@ -516,76 +432,19 @@ def test_a_single_spike_is_rejected_and_a_lasting_jump_believed():
     assert estimator.estimate.twist[0] == pytest.approx(speed - 2.0, abs=0.3)
 
 
-def test_the_same_sample_delivered_again_is_no_new_one():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 30)
-    frozen = Measurement(wheel_twist=Stamped([0.3, 0.0], robot.time - DT), yaw_rate=Stamped(0.1, robot.time - DT))
-    estimator.advance(robot.time)
-    reasons = estimator.update(robot.time, frozen)
-    assert len(reasons) == 2
-    assert all("not newer" in reason for reason in reasons)
-
-
-def test_late_wheels_and_gyro_count_at_their_stamp():
+def test_late_wheels_and_gyro_are_applied_at_their_stamp():
     """The same twists late by three ticks: the same estimate as without the last three."""
     late, short = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
     queue = []
 
     def delayed(k, m):
-        queue.append(m)
-        old = queue[k - 3] if k >= 3 else None
-        return Measurement(
-            pose=m.pose if k == 0 else None,
-            wheel_twist=old.wheel_twist if old and k > 3 else None,
-            yaw_rate=old.yaw_rate if old and k > 3 else None,
-        )
+        queue.append(replace(m, pose=None))
+        return queue[k - 3] if k > 3 else Measurement(pose=m.pose if k == 0 else None)
 
     def cut(k, m):
-        keep = 0 < k < 57
-        return Measurement(
-            pose=m.pose if k == 0 else None,
-            wheel_twist=m.wheel_twist if keep else None,
-            yaw_rate=m.yaw_rate if keep else None,
-        )
+        return replace(m, pose=None) if 0 < k < 57 else Measurement(pose=m.pose if k == 0 else None)
 
     run(late, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, delayed)
     run(short, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, cut)
     assert late.estimate.twist == pytest.approx(short.estimate.twist, abs=1e-12)
     assert late.estimate.pose == pytest.approx(short.estimate.pose, abs=1e-12)
-
-
-def test_a_restart_in_motion_takes_the_commands_on_their_way_into_account():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 100)
-    estimator.forget()
-    estimator.update(robot.time, robot.measure())
-    assert estimator.estimate.twist == pytest.approx(robot.twist, abs=0.02)
-
-
-def test_missed_ticks_are_made_up_for():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    command = np.array([0.6, 0.3])
-    for k in range(120):
-        if k % 3 == 0:
-            estimator.advance(robot.time)
-            estimator.update(robot.time, robot.measure())
-            estimator.commands.append(command)
-        robot.advance(command)
-    assert estimator.estimate.pose == pytest.approx(robot.poses[117], abs=1e-6)
-
-
-@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=7, max_size=7))
-def test_garbage_never_spoils_the_estimate(numbers):
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 5)
-    estimator.advance(robot.time)
-    estimator.update(
-        robot.time,
-        Measurement(
-            pose=Stamped(numbers[:3], numbers[3]),
-            wheel_twist=Stamped(numbers[4:6], robot.time),
-            yaw_rate=Stamped(numbers[6], robot.time),
-        ),
-    )
-    assert np.isfinite(estimator.estimate.pose).all()
-    assert np.isfinite(estimator.estimate.twist).all()

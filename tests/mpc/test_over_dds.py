@@ -2,7 +2,7 @@
 
 import time
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,57 +11,38 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
-from recorded_drive import loop_timing, read_drive
+from recorded_drive import missed_samples, read_drive
 from two_processes import DriveFailedError, drive_over_dds, own_domain, running
 
-from diffdrive_mpc import ConfigError, Stamped
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.ros import messages
-from diffdrive_mpc.sim.ros.messages import bag_recorder
 from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
 
 BOUND = 120.0
+CASE = Case(trajectory="s")
 MAGIC = b"\x89MCAP0\r\n"
-
-
-def case(trajectory):
-    return Case(trajectory=trajectory)
-
-
-COMPARED = ("position_rmse_m", "lateral_rmse_m", "heading_rmse_rad", "position_max_m")
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """Return a drive over DDS and its timing; the clock repeats often, as where every answer is late."""
+    """Return a drive over DDS and its number of missed samples; the clock repeats often, as if answers were late."""
     folder = tmp_path_factory.mktemp("drive")
     base = folder / "base.yaml"
     shipped = SHIPPED.read_text(encoding="utf-8")
     base.write_text(shipped.replace("clock_repeat: 0.05 ", "clock_repeat: 0.0005 "), encoding="utf-8")
     assert base.read_text(encoding="utf-8") != shipped
-    _, plant, reference = build(case("s"))
-    drive_over_dds(case("s"), reference.duration, folder / "bag", lock_step=True, timeout=BOUND, settings=base)
+    _, plant, reference = build(CASE)
+    drive_over_dds(CASE, reference.duration, folder / "bag", lock_step=True, timeout=BOUND, settings=base)
     run = read_drive(folder / "bag", reference, plant.sample_time)
-    return run, loop_timing(folder / "bag", plant.sample_time)
+    return run, missed_samples(folder / "bag", plant.sample_time)
 
 
-def test_errors_over_dds_are_within_20_percent_of_one_process(drive):
-    run, timing = drive
-    controller, plant, reference = build(case("s"))
-    alone = simulate(controller, plant, reference)
-    for statistic in COMPARED:
-        assert 0.8 < getattr(run.metrics, statistic) / getattr(alone.metrics, statistic) < 1.2, statistic
-    assert run.metrics.completed
-    assert timing.misses == 0
-
-
-def test_commands_over_dds_equal_one_process_without_covariances(drive):
+def test_commands_over_dds_equal_those_of_one_process(drive):
     """The node takes no covariance of wheels and gyro from messages; without them in one process nothing differs."""
-    controller, plant, reference = build(case("s"))
+    controller, plant, reference = build(CASE)
     measure = plant.measure
 
     def as_the_node_sees_it():
@@ -73,9 +54,10 @@ def test_commands_over_dds_equal_one_process_without_covariances(drive):
     alone = simulate(controller, plant, reference)
     assert np.abs(alone.command - drive[0].command).max() < 1e-9
     assert np.abs(alone.true_pose - drive[0].true_pose).max() < 1e-9
+    assert drive[0].metrics.completed and drive[1] == 0
 
 
-def test_a_process_that_fails_is_named_with_its_words(tmp_path):
+def test_failing_process_is_reported_with_its_output(tmp_path):
     bad = Case(surface="sand")
     with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'sand'"):
         drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
@@ -83,7 +65,7 @@ def test_a_process_that_fails_is_named_with_its_words(tmp_path):
 
 @contextmanager
 def true_twists(environment):
-    """A function that waits for the next true twist of the robot and returns its v and omega."""
+    """Yield a function that waits for the next true twist of the robot and returns its v and omega."""
     context, arrived = Context(), []
     rclpy.init(context=context, domain_id=int(environment["ROS_DOMAIN_ID"]))
     node = rclpy.create_node("watcher", context=context)
@@ -107,7 +89,7 @@ def true_twists(environment):
         context.shutdown()
 
 
-def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
+def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
     """No zero is sent then: the robot's own timeout has to act."""
     environment, bag = own_domain(tmp_path), tmp_path / "bag"
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -136,7 +118,7 @@ def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
 
 
 def check_record(folder, commands):
-    """The node's own file is whole although the node was killed, and holds every command that the robot got."""
+    """Check that the file of a killed node is whole and holds every command that the robot received."""
     (path,) = folder.iterdir()
     end = time.monotonic() + BOUND
     while not path.read_bytes().endswith(MAGIC):
@@ -148,68 +130,3 @@ def check_record(folder, commands):
     # The last may have been sent in the tick in which the node was killed.
     sent = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))
     assert len(sent) > 10 and {stamp: decided[stamp] for stamp in sent} == sent
-
-
-DT = 0.0202
-START = 10_100_000_000
-REST = 10
-CONTROLLER, PLANT, REFERENCE = build(Case(trajectory="cane", plant="model:ssm"))
-RUN = simulate(CONTROLLER, PLANT, REFERENCE, extra_time=0.5)
-TICKS = len(RUN.time)
-
-
-def stamp(tick):
-    return START + round(1e9 * tick * DT)
-
-
-def command(value, at):
-    message = TwistStamped(twist=messages.twist_message(value))
-    message.header.stamp = messages.time_message(at)
-    return message
-
-
-def write(bag, ticks=TICKS, commands=RUN.command):
-    """As the robot records it: a while at rest under zero commands, then the run."""
-    with bag_recorder(bag) as record:
-        for k in range(-REST, ticks):
-            now, row = stamp(k), max(k, 0)
-            record("/ground_truth/pose", messages.true_pose(now, RUN.true_pose[row]), now)
-            record("/ground_truth/twist", messages.true_twist(now, RUN.true_twist[row]), now)
-            record("/cmd_vel", command(commands[k] if k >= 0 else (0.0, 0.0), now), now)
-    return bag
-
-
-def test_a_recorded_run_has_the_statistics_of_the_run(tmp_path):
-    found = read_drive(write(tmp_path / "bag"), REFERENCE, DT)
-    timed = {"step_time_p50_s", "step_time_p95_s", "step_time_p99_s", "step_time_max_s", "deadline_misses", "fallbacks"}
-    ours, theirs = asdict(found.metrics), asdict(RUN.metrics)
-    # A recording does not hold what happened inside a step.
-    timed |= {name for name in ours if name.startswith(("solve_time", "iterations"))}
-    # This plant has no motors.
-    for name in ours.keys() - timed:
-        assert ours[name] == pytest.approx(theirs[name], rel=1e-9, abs=1e-9), name
-    assert found.metrics.completed
-    assert np.array_equal(found.command, RUN.command[: len(found.time)])
-    assert np.allclose(found.time, RUN.time[: len(found.time)], rtol=0, atol=1e-9)
-
-
-def test_a_recording_that_ends_early_or_never_drives_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"early: it ends 2\.0 s after the start.*record for longer"):
-        read_drive(write(tmp_path / "early", ticks=100), REFERENCE, DT)
-    with pytest.raises(ConfigError, match="never drove"):
-        read_drive(write(tmp_path / "still", commands=np.zeros_like(RUN.command)), REFERENCE, DT)
-
-
-def test_times_of_the_loop_are_those_of_stamps_and_receipts(tmp_path):
-    """Odometry every sample, a command 3 ms later that takes 1 ms, and one left out."""
-    left_out = 40
-    with bag_recorder(tmp_path / "bag") as record:
-        for k in range(100):
-            record("/odom", messages.odometry(stamp(k), (0, 0, 0), Stamped((0.5, 0.0), 0.0)), stamp(k))
-            if k != left_out:
-                record("/cmd_vel", command((0.5, 0.0), stamp(k) + 3_000_000), stamp(k) + 4_000_000)
-    timing = loop_timing(tmp_path / "bag", DT)
-    assert (timing.commands, timing.misses) == (99, 1)
-    assert timing.period.p50 == pytest.approx(DT) and timing.period.max == pytest.approx(2 * DT)
-    assert timing.jitter.p50 < 1e-9 and timing.jitter.max == pytest.approx(DT)
-    assert timing.latency.p50 == pytest.approx(0.004) and timing.latency.max == pytest.approx(0.004)

@@ -22,7 +22,7 @@ rates, delays = st.floats(0.0, FASTEST), st.floats(-4.0, 8.0)
 
 
 @given(rates, delays)
-def test_a_delay_is_worked_off_exactly_and_inside_the_bounds(rate, delay):
+def test_delay_is_worked_off_exactly_within_the_bounds(rate, delay):
     profile = settling_profile(rate, delay, 2.0 - FASTEST, FASTEST, RAMP)
     times, values = np.array(profile.times), np.array(profile.rates)
     end = times[-1]
@@ -45,7 +45,7 @@ def test_progress_is_the_integral_of_the_rate(rate, delay):
     assert np.abs(profile.progress(fine) - integral).max() < 1e-9
 
 
-def test_the_quickest_way_is_taken():
+def test_delay_is_worked_off_in_minimum_time():
     """No rate inside bounds and ramp makes up a delay faster: the trapezoid of optimal control, by hand."""
     # 0.5 s at most 0.25 ahead: 0.25 s up, 0.25 s down give 0.0625 s; the rest takes 0.4375 / 0.25 s.
     assert settling_profile(1.0, 0.5, 0.75, 1.25, 1.0).times[-1] == pytest.approx(0.5 + 1.75)
@@ -54,7 +54,7 @@ def test_the_quickest_way_is_taken():
 
 
 def run(clock, seconds, most=FASTEST, start=0.0):
-    """Tick with a robot that allows the rate `most`; returns the reference's times and the delays."""
+    """Run the clock with a robot that allows the rate `most`; return the reference's times, delays and rates."""
     out = []
     for k in range(round(seconds / DT)):
         time = clock.advance(start + k * DT, driving=True)
@@ -63,7 +63,7 @@ def run(clock, seconds, most=FASTEST, start=0.0):
     return np.array(out).T
 
 
-def test_on_time_it_is_the_controllers_clock_to_the_last_bit():
+def test_punctual_reference_clock_equals_the_controller_clock():
     clock = ReferenceClock(FASTEST, RAMP)
     for k in range(1000):
         t = k * 0.0202
@@ -73,7 +73,7 @@ def test_on_time_it_is_the_controllers_clock_to_the_last_bit():
 
 
 @given(st.floats(0.01, 4.0))
-def test_the_delay_decays_to_zero_and_the_rate_to_one(delay):
+def test_delay_decays_to_zero_and_rate_to_one(delay):
     clock = ReferenceClock(FASTEST, RAMP)
     clock.set(delay, 0.0)
     times, behind, rate = run(clock, 4.0 * (delay + 1.0) + 4.0)
@@ -85,7 +85,7 @@ def test_the_delay_decays_to_zero_and_the_rate_to_one(delay):
 
 
 @given(rates, delays)
-def test_what_the_plan_sees_is_what_comes(rate, delay):
+def test_planned_reference_equals_the_tracked_one(rate, delay):
     clock, reference = ReferenceClock(FASTEST, RAMP), load_trajectory("circle")
     clock.advance(5.0, driving=True)
     clock.set(delay, rate)
@@ -100,7 +100,7 @@ def test_what_the_plan_sees_is_what_comes(rate, delay):
 
 
 @given(rates, delays)
-def test_the_twist_is_that_of_the_slowed_motion(rate, delay):
+def test_twist_matches_the_slowed_motion(rate, delay):
     clock, reference = ReferenceClock(FASTEST, RAMP), load_trajectory("circle")
     clock.advance(6.0, driving=True)
     clock.set(delay, rate)
@@ -111,7 +111,7 @@ def test_the_twist_is_that_of_the_slowed_motion(rate, delay):
     assert turned == pytest.approx(0.5 * (sample.twist[1:, 1] + sample.twist[:-1, 1]), abs=1e-3)
 
 
-def test_it_stands_for_a_robot_that_may_not_go_on():
+def test_reference_stands_if_the_robot_is_stopped():
     clock = ReferenceClock(FASTEST, RAMP)
     run(clock, 2.0)
     times, behind, _ = run(clock, 1.0, most=0.0, start=2.0)
@@ -119,7 +119,7 @@ def test_it_stands_for_a_robot_that_may_not_go_on():
     assert behind[-1] == pytest.approx(0.98, abs=1e-9)
 
 
-def test_it_stands_while_nobody_drives_but_not_before_the_start():
+def test_reference_stands_while_not_driving_but_not_before_the_start():
     clock = ReferenceClock(FASTEST, RAMP)
     assert clock.advance(-1.0, driving=False) == -1.0
     assert clock.advance(-0.5, driving=False) == -0.5
@@ -129,7 +129,7 @@ def test_it_stands_while_nobody_drives_but_not_before_the_start():
     assert clock.delay == pytest.approx(0.7)
 
 
-def test_after_waiting_it_picks_up_no_faster_than_the_ramp():
+def test_rate_rises_no_faster_than_the_ramp_after_a_wait():
     clock = ReferenceClock(FASTEST, RAMP)
     run(clock, 1.0, most=0.0)
     _, _, rate = run(clock, 1.0, most=0.5, start=1.0)
@@ -138,7 +138,7 @@ def test_after_waiting_it_picks_up_no_faster_than_the_ramp():
     assert rate[-1] == pytest.approx(0.5)
 
 
-def test_a_profile_is_constant_after_its_end():
+def test_rate_profile_is_constant_after_its_end():
     profile = RateProfile((0.0, 1.0), (0.0, 1.0), settles=False)
     assert profile.rate([0.5, 1.0, 9.0]) == pytest.approx([0.5, 1.0, 1.0])
     assert profile.progress([0.5, 1.0, 3.0]) == pytest.approx([0.125, 0.5, 2.5])
@@ -148,7 +148,7 @@ SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}
 
 
 def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
-    """Commands, and distances from the path [m], where a planner speaks each second or not at all."""
+    """Return commands, and distances from the path [m], with or without a planner that acts each second."""
     controller = Controller(load_config(overrides=options))
     reference, plant = load_trajectory("circle"), make_plant("mujoco", **SLIPPERY)
     plant.reset(reference.sample([0.0]).pose[0])
@@ -166,13 +166,7 @@ def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
     return np.array(commands), np.array(errors)
 
 
-def test_the_same_reference_again_changes_nothing():
-    plain, _ = planned(None)
-    again, _ = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
-    assert np.array_equal(plain, again)
-
-
-def test_what_was_learned_outlasts_a_new_path():
+def test_switched_reference_keeps_the_estimate():
     """A start each second forgets the floor each second; going on does not."""
     _, plain = planned(None)
     _, goes_on = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
@@ -183,7 +177,7 @@ def test_what_was_learned_outlasts_a_new_path():
     assert rms[2] > 1.5 * rms[1]
 
 
-def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
+def test_switched_reference_starts_its_clock_and_finishes():
     controller, first = Controller(load_config()), load_trajectory("s")
     pose = first.sample([0.0]).pose[0]
     plant = make_plant("model:ssm")
@@ -191,10 +185,8 @@ def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
     controller.start(first, plant.time)
     for _ in range(60):
         plant.advance(controller.step(plant.time, plant.measure()).command)
-    here = plant.true_pose.copy()
     other = load_trajectory("cane")
-    begin = other.sample([0.0]).pose[0]
-    moved = MovedReference(other, here - begin) if np.allclose(begin, 0.0) else other
+    moved = MovedReference(other, plant.true_pose - other.sample([0.0]).pose[0])
     controller.switch_reference(moved, plant.time)
     assert controller.reference is moved
     until = plant.time + other.duration + 4.0
@@ -204,7 +196,7 @@ def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
     assert str(step.mode) == "FINISHED"
 
 
-def test_what_cannot_be_gone_on_along_is_refused():
+def test_unusable_switch_of_reference_raises_error():
     controller, reference = Controller(load_config()), load_trajectory("circle")
     with pytest.raises(RuntimeError, match="call start"):
         controller.switch_reference(reference, 0.0)
@@ -215,8 +207,8 @@ def test_what_cannot_be_gone_on_along_is_refused():
         controller.switch_reference(load_trajectory("s"), np.nan)
 
 
-def test_the_core_takes_no_reference_without_finite_times():
-    """As an exported controller is given one: refused, and what was tracked before goes on."""
+def test_core_rejects_references_without_finite_times():
+    """An exported controller rejects such references and keeps the previous one."""
     tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
     endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
     endless.duration = np.inf
@@ -258,13 +250,13 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_start_says_which_shape_is_expected(change):
+def test_start_error_names_the_expected_shape(change):
     with pytest.raises(ValueError, match=r"reference 'own': (pose|twist) of sample\(times\) has shape .*; expected \("):
         Controller(CONFIG).start(OwnReference(change), 0.0)
 
 
 def standing(change, late=30, ticks=60):
-    """Steps of a robot that stands on its first pose; the reference is wrong from its sample number `late` on."""
+    """Return steps of a robot that stands on its first pose; the reference is wrong from its sample `late` on."""
     controller = Controller(CONFIG)
     reference = OwnReference(change, late)
     pose = reference.circle.sample([0.0]).pose[0]
@@ -274,7 +266,7 @@ def standing(change, late=30, ticks=60):
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_a_step_never_raises_and_stops_the_robot(change):
+def test_faulty_reference_stops_the_robot_without_exception(change):
     steps = standing(change)
     assert steps[1].mode is Mode.TRACKING
     assert "there is nothing to track: reference 'own': " in steps[-1].message
@@ -283,7 +275,7 @@ def test_a_step_never_raises_and_stops_the_robot(change):
 
 
 @pytest.mark.parametrize("whole_numbers", [False, True])
-def test_numbers_of_another_kind_are_read_as_numbers(whole_numbers):
+def test_samples_of_other_number_types_are_accepted(whole_numbers):
     """Lists and integers have the right shape, and another layout in memory."""
 
     def listed(sample):
@@ -294,7 +286,7 @@ def test_numbers_of_another_kind_are_read_as_numbers(whole_numbers):
     assert last.mode is Mode.TRACKING and last.plan is not None
 
 
-def test_the_address_sanitizer_finds_nothing(tmp_path):
+def test_address_sanitizer_reports_nothing_for_faulty_references(tmp_path):
     """The core reads by its own count: compiled with the sanitizer, a row too few would end the process."""
     library = subprocess.run(["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
     code = (

@@ -127,7 +127,7 @@ class Manager:
         self.publisher.publish(message)
 
     def live(self, seconds):
-        """Heartbeats for a while, and the robot's ticks beside them."""
+        """Send heartbeats for a while, and run the ticks of the robot."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.say(active=True)

@@ -1,40 +1,49 @@
 """Messages: what they say of a tick, and conversions."""
 
 import math
+import os
+import time
+from contextlib import suppress
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
-from hypothesis import given
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion, Transform, Twist
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from nav_msgs.msg import Odometry
-from rclpy.parameter import Parameter
+from nav_msgs.msg import Odometry, Path
+from rclpy.serialization import serialize_message
 from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
-from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory
+from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc import Hold, Mode
+from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.ros.conversions import (
+    LONGEST_NAME,
     MessageError,
     measured_pose,
     nanoseconds,
+    path_bytes,
     planar_pose,
     pose_message,
+    stamped_pose_message,
     time_message,
     yaw_of,
 )
 from diffdrive_mpc.mpc.ros.latency import Durations, LoopTimes
-from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_reference
+from diffdrive_mpc.mpc.ros.reference_input import read_path, timed_trajectory_reference
+from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 RADIUS = 0.0675
 
 
 def stamped_points(frame="odom", last="odom"):
-    """As nav_msgs/Trajectory has it: a header in each point; 1 m ahead in 4 s."""
+    """Return points with a header each, as in nav_msgs/Trajectory; 1 m ahead in 4 s."""
     times = np.linspace(0.0, 4.0, 21)
     x = 0.5 - 0.5 * np.cos(np.pi * times / 4.0)
     points = [
@@ -48,26 +57,18 @@ def stamped_points(frame="odom", last="odom"):
     return SimpleNamespace(header=SimpleNamespace(stamp=time_message(0), frame_id=frame), points=points)
 
 
-def test_a_trajectory_with_stamped_points_is_read():
+def test_trajectory_with_stamped_points_is_read():
     reference = timed_trajectory_reference(stamped_points(), Limits())
     assert reference.duration == pytest.approx(4.0)
     np.testing.assert_allclose(reference.sample([2.0]).pose[0], (0.5, 0.0, 0.0), atol=1e-3)
 
 
-def test_a_point_in_another_frame_is_refused():
+def test_point_in_another_frame_raises_error():
     with pytest.raises(MessageError, match="point 20 is in 'map', the trajectory in 'odom'"):
         timed_trajectory_reference(stamped_points(last="map"), Limits())
 
 
-def test_points_without_times_are_refused():
-    message = stamped_points()
-    for point in message.points:
-        point.header.stamp = time_message(0)
-    with pytest.raises(MessageError, match="does not come after the one before"):
-        timed_trajectory_reference(message, Limits())
-
-
-def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
+def test_trajectory_of_the_installed_type_is_driven(ros_types):
     from diffdrive_mpc.mpc.ros.reference_input import timed_trajectory_type
 
     kind = timed_trajectory_type()
@@ -85,7 +86,7 @@ def test_a_trajectory_of_the_installed_type_is_driven(ros_types):
         drive_along(s, message, "set_timed_trajectory")
 
 
-def test_the_estimate_is_odometry_with_frames_and_covariance():
+def test_estimate_is_published_with_frames_and_covariance():
     with stack(drive=True) as s:
         heard = s.listen(Odometry, "/diffdrive_mpc/estimate")
         s.base.until(lambda: s.base.silent(1) is not None and heard, "the estimate")
@@ -137,7 +138,7 @@ def begin(s, *, crossed=False):
     return base
 
 
-def test_wheel_speeds_drive_a_base_without_a_twist():
+def test_wheel_speeds_drive_a_base_without_twist_commands():
     with wheels() as s:
         base = begin(s)
         s.base.run(100)
@@ -149,7 +150,7 @@ def test_wheel_speeds_drive_a_base_without_a_twist():
         s.base.until(lambda: base.heard[-1] == [0.0, 0.0], "zero at the end")
 
 
-def test_limits_and_slew_hold_for_the_wheels():
+def test_wheel_speeds_keep_limits_and_slew():
     with wheels({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
         base = begin(s, crossed=True)
         before = len(base.heard)
@@ -163,24 +164,14 @@ def test_limits_and_slew_hold_for_the_wheels():
         assert rim[-1, 0] > rim[-1, 1] > 0.0
 
 
-def test_a_wheel_limit_that_is_lowered_while_driving_holds_at_once():
-    with wheels() as s:
-        base = begin(s)
-        s.base.run(80)
-        assert RADIUS * np.abs(base.heard[-1]).max() > 0.45
-        s.node.set_parameters([Parameter("limits.wheel_speed", value=0.3)])
-        s.base.run(3)
-        assert RADIUS * np.abs(base.heard[-1]).max() <= 0.3 + 1e-9
-
-
-def test_wheels_without_a_radius_are_refused():
+def test_missing_wheel_radius_raises_error():
     with pytest.raises(Exception, match="needs wheel_radius"), wheels(wheel_radius=0.0) as s:
         s.node.trigger_configure()
         raise ValueError(s.node.failure)
 
 
 @pytest.mark.parametrize("sides", ["left", "left,middle", "", "left,left"])
-def test_sides_that_are_none_are_refused(sides):
+def test_wrong_wheel_sides_raise_error(sides):
     with pytest.raises(Exception, match="wheel_sides"), wheels(wheel_sides=f"'{sides}'") as s:
         s.node.trigger_configure()
         raise ValueError(s.node.failure)
@@ -191,19 +182,19 @@ ANGLES = st.floats(-10, 10)
 
 
 @given(METRES, METRES, ANGLES)
-def test_a_pose_survives_the_message(x, y, theta):
+def test_pose_message_preserves_the_pose(x, y, theta):
     back = planar_pose(pose_message((x, y, theta)))
     assert back[:2] == (x, y)
     assert abs(wrap_angle(back[2] - theta)) < 1e-9
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
-def test_a_time_survives_the_message(time):
+def test_time_message_preserves_the_time(time):
     assert nanoseconds(time_message(time)) == time
 
 
 @given(ANGLES, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
-def test_yaw_is_that_of_the_x_axis_on_the_floor(yaw, pitch, roll):
+def test_yaw_is_the_direction_of_the_x_axis_in_the_plane(yaw, pitch, roll):
     """Composed from the half-angle quaternions of z, y, x; the x axis then points to (yaw, -pitch)."""
 
     def half(angle):
@@ -220,12 +211,12 @@ def test_yaw_is_that_of_the_x_axis_on_the_floor(yaw, pitch, roll):
 
 
 @pytest.mark.parametrize("q", [Quaternion(w=0.0), Quaternion(w=2.0), Quaternion(w=math.nan), Quaternion(x=1e200)])
-def test_what_is_no_rotation_is_refused(q):
+def test_invalid_quaternion_raises_error(q):
     with pytest.raises(MessageError, match="no unit quaternion"):
         yaw_of(q)
 
 
-def test_the_covariance_of_a_pose_is_its_planar_part_and_zero_means_unknown():
+def test_pose_covariance_is_the_planar_part_and_zero_means_unknown():
     message = PoseWithCovarianceStamped()
     assert measured_pose(message, 0, covariance=True).covariance is None
     message.pose.covariance = [float(index) for index in range(36)]
@@ -235,7 +226,7 @@ def test_the_covariance_of_a_pose_is_its_planar_part_and_zero_means_unknown():
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=50), st.integers(1, 20))
-def test_percentiles_are_those_of_the_window(values, window):
+def test_percentiles_cover_the_window(values, window):
     durations = Durations(window)
     for value in values:
         durations.add(value)
@@ -245,7 +236,7 @@ def test_percentiles_are_those_of_the_window(values, window):
     assert min(kept) <= found.p50 <= found.p99 <= found.max
 
 
-def test_late_and_long_ticks_are_misses():
+def test_late_and_long_ticks_count_as_misses():
     times = LoopTimes(0.02, 100)
     for begin, duration in ((0.0, 0.001), (0.0201, 0.001), (0.06, 0.001), (0.08, 0.03)):
         times.begin(begin)
@@ -256,7 +247,7 @@ def test_late_and_long_ticks_are_misses():
 
 
 @given(METRES, METRES, ANGLES)
-def test_a_moved_reference_starts_where_it_shall_and_keeps_its_shape(x, y, theta):
+def test_moved_reference_starts_at_the_given_pose_and_keeps_its_shape(x, y, theta):
     original = load_trajectory("s")
     moved = starting_at(original, (x, y, theta))
     times = np.linspace(0.0, original.duration, 7)
@@ -268,23 +259,178 @@ def test_a_moved_reference_starts_where_it_shall_and_keeps_its_shape(x, y, theta
     np.testing.assert_allclose(np.diff(after.pose[:, 2]), np.diff(before.pose[:, 2]), atol=1e-9)
 
 
-@pytest.mark.parametrize(("failure", "drives_on"), [(False, True), (True, False)])
-def test_a_hold_brakes_and_only_a_failure_is_final(failure, drives_on):
-    config = load_config("ssm", {"failure.resume": False})
-    controller, dt = Controller(config), config.sample_time
-    reference = load_trajectory("circle")
-    controller.start(reference, 0.0)
+# Long messages, and the process that reads them.
 
-    def steps(first, count, hold=None):
-        for k in range(first, first + count):
-            pose = Stamped(reference.sample([k * dt if hold is None else first * dt]).pose[0], k * dt)
-            found = controller.step(k * dt, Measurement(pose=pose), hold)
-        return found
+PATIENCE = 60.0
 
-    assert steps(0, 10).mode is Mode.TRACKING
-    held = steps(10, 20, Hold("wait", failure=failure))
-    assert held.mode is Mode.STOPPED
-    assert "wait" in held.message
-    assert held.progress == 0.0
-    after = controller.step(30 * dt, Measurement(pose=Stamped(reference.sample([10 * dt]).pose[0], 30 * dt)))
-    assert (after.mode is Mode.TRACKING) == drives_on
+
+def path_of(poses, frame="odom"):
+    path = Path(poses=[PoseStamped()] * poses)
+    path.header.frame_id = frame
+    for pose in path.poses[:1]:
+        pose.header.frame_id = frame
+    return path
+
+
+@settings(deadline=None, max_examples=30)
+@given(poses=st.integers(0, 50), name=st.integers(0, LONGEST_NAME), other=st.integers(0, LONGEST_NAME))
+def test_bound_of_bytes_covers_every_usable_path(poses, name, other):
+    path = Path(poses=[PoseStamped()] * poses)
+    path.header.frame_id = "x" * name
+    for pose in path.poses:
+        pose.header.frame_id = "y" * other
+    assert len(serialize_message(path)) <= path_bytes(poses)
+
+
+@settings(deadline=None, max_examples=10)
+@given(points=st.integers(1, 50))
+def test_bound_of_bytes_covers_trajectories_with_velocities_and_accelerations(points):
+    point = MultiDOFJointTrajectoryPoint(transforms=[Transform()], velocities=[Twist()], accelerations=[Twist()])
+    message = MultiDOFJointTrajectory(joint_names=["base_link"], points=[point] * points)
+    message.header.frame_id = "x" * LONGEST_NAME
+    assert len(serialize_message(message)) <= path_bytes(points)
+
+
+def test_too_long_path_is_rejected_unread_and_the_robot_drives_on(capfd):
+    with stack(drive=True) as s:
+        s.base.run(20)
+        publisher = s.publisher(Path, "set_path")
+        publisher.publish(path_of(20_000))
+        s.base.until(lambda: "reference refused: it has 1" in capfd.readouterr().err, "the refusal")
+        assert s.base.run(20)[-1, 0] > 0.1
+        assert s.loop.state is LoopState.DRIVING
+        assert s.loop.begun.reference.name == "circle"
+
+
+def test_control_loop_runs_while_a_reference_is_read():
+    with stack(drive=True) as s:
+        s.base.run(20)
+        before = s.loop.begun
+        path = Path()
+        path.header.frame_id = "odom"
+        x, y, theta = s.base.plant.true_pose
+        for index in range(1000):
+            along = 0.3 * 0.02 * index
+            pose = x + along * math.cos(theta), y + along * math.sin(theta), theta
+            path.poses.append(stamped_pose_message(pose, 10**9 + index * 20_000_000, "odom"))
+        publisher = s.publisher(Path, "set_path")
+        publisher.publish(path)
+        s.base.until(lambda: s.node._aside._thread is not None, "the path to arrive")
+        # Between its arrival and its acceptance ticks are answered: a process cannot be quicker than to begin.
+        s.base.run(3)
+        assert s.loop.begun is before
+        s.base.until(lambda: s.loop.begun is not before, "the path to be begun")
+        s.base.run(2)
+        assert s.loop.begun.reference.name == "path"
+        s.base.run(40)
+        assert s.loop.last.mode == Mode.TRACKING
+
+
+def long_frame(odometry):
+    odometry.header.frame_id = "o" * 10_000_000
+    return odometry
+
+
+def test_odometry_with_a_too_long_name_is_rejected_and_the_robot_brakes():
+    with stack(drive=True) as s:
+        s.base.run(20)
+        s.base.tamper = long_frame
+        s.base.run(math.ceil(0.2 / DT) + 3)
+        s.base.until(lambda: s.node._inbox.odometry.refused, "a refusal")
+        s.base.run(2)
+        assert s.loop.last.mode == Mode.BRAKING
+        assert "bytes, and none of its kind" in s.loop.last.message
+        s.base.tamper = lambda odometry: odometry
+        s.base.run(60)
+        assert s.loop.last.mode == Mode.TRACKING
+
+
+class Aside:
+    """A side process whose answers are kept, and waited for."""
+
+    def __init__(self, patience=PATIENCE):
+        self.done, self.failed = [], []
+        self.process = SideProcess(lambda: None, patience)
+
+    def ask(self, key, function, *arguments):
+        self.process.submit(key, function, arguments, self.done.append, self.failed.append)
+
+    def wait(self, count):
+        end = time.monotonic() + PATIENCE
+        while len(self.done) + len(self.failed) < count:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+            self.process.deliver()
+
+
+@pytest.fixture(scope="module")
+def begun():
+    """One for several tests: a process takes a second to begin."""
+    made = Aside()
+    yield made
+    made.process.close()
+
+
+@pytest.fixture
+def aside(begun):
+    begun.done.clear()
+    begun.failed.clear()
+    return begun
+
+
+def test_side_process_reports_mistakes_of_messages(aside):
+    aside.ask("reference", read_path, bytes(serialize_message(path_of(1))), CONFIG.limits)
+    aside.ask("other", read_path, b"\x00\x01\x00\x00" + b"\xff" * 40, CONFIG.limits)
+    aside.wait(2)
+    assert not aside.done
+    assert any("it has 1 poses" in reason for reason in aside.failed)
+
+
+def test_killed_side_process_is_replaced(aside):
+    aside.ask("a", os.getpid)
+    aside.wait(1)
+    first = aside.done[0]
+    assert first != os.getpid()
+    os.kill(first, 9)
+    aside.process._process.wait()
+    aside.ask("a", os.getpid)
+    aside.wait(2)
+    assert aside.failed == ["the process that reads it ended; send it again"]
+    aside.ask("a", os.getpid)
+    aside.wait(3)
+    assert aside.done[1] not in (first, os.getpid())
+
+
+def test_side_process_gives_up_after_its_timeout():
+    aside = Aside(patience=2.0)
+    try:
+        aside.ask("a", time.sleep, 1000.0)
+        aside.wait(1)
+        assert aside.failed == ["to read it takes longer than 2 s"]
+    finally:
+        aside.process.close()
+
+
+def test_newer_message_of_a_kind_replaces_older_ones(aside):
+    aside.ask("first", time.sleep, 0.5)
+    for number in range(3):
+        aside.ask("a", abs, number)
+    aside.wait(4)
+    assert aside.done == [None, 2]
+    assert aside.failed == ["a newer one came before it was read"] * 2
+
+
+def test_closing_a_busy_side_process_ends_it():
+    aside = Aside()
+    aside.ask("a", os.getpid)
+    aside.wait(1)
+    aside.ask("a", time.sleep, 1000.0)
+    aside.process.close()
+    end = time.monotonic() + PATIENCE
+    with suppress(ProcessLookupError):
+        while time.monotonic() < end:
+            os.kill(aside.done[0], 0)
+            aside.process.close()
+            time.sleep(0.05)
+    assert time.monotonic() < end
+    assert not aside.process._thread.is_alive()

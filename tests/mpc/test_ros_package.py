@@ -18,20 +18,22 @@ from rclpy.context import Context
 from ros_parts import stack
 from rosgraph_msgs.msg import Clock
 
-from diffdrive_mpc.app.commands.ros import monitor
-from diffdrive_mpc.mpc.ros.node import TrackingNode
-from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.ros.pace import WallClock
 from diffdrive_mpc.sim.ros.run_robot import NODE_NAME
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase, load_base_settings
+from diffdrive_mpc_monitor.command import monitor
 from diffdrive_mpc_monitor.ros.node import CHECKED, UNCHECKED, MonitorNode, MonitorSettings
 from imports import imported
 
 ROOT = Path(__file__).parents[2]
 ROS = ROOT / "ros"
 MANIFEST = ElementTree.parse(ROS / "package.xml").getroot()
-NODES = [path for room in ("mpc/ros", "mpc/monitor/ros") for path in sorted((ROOT / room).glob("*.py"))]
+NODES = [
+    path
+    for room in ("mpc/ros", "packages/monitor/src/diffdrive_mpc_monitor/ros")
+    for path in sorted((ROOT / room).glob("*.py"))
+]
 NAME = MANIFEST.findtext("name")
 WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
 """Used where they are installed, as with Nav2; the node does without them, and says so."""
@@ -41,7 +43,7 @@ def packages(paths):
     return {module.partition(".")[0] for path in paths for module, _ in imported(path)}
 
 
-def test_the_manifest_names_every_ros_package_that_the_code_imports():
+def test_manifest_lists_every_imported_ros_package():
     listed = {element.text for element in MANIFEST.findall("exec_depend")}
     sources = [*NODES, *(ROOT / "sim").glob("ros/*.py"), *(ROS / "launch").glob("*.py")]
     ros = {
@@ -55,7 +57,7 @@ def test_the_manifest_names_every_ros_package_that_the_code_imports():
     assert MANIFEST.findtext("export/build_type") == "ament_python"
 
 
-def test_the_extra_installs_every_ros_package_that_the_node_imports():
+def test_extra_ros_installs_every_imported_ros_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extra = {re.split(r"[<>=]", name)[0] for name in project["optional-dependencies"]["ros"]}
     found = packages(NODES)
@@ -67,7 +69,7 @@ def test_the_extra_installs_every_ros_package_that_the_node_imports():
     assert MANIFEST.findtext("version") == project["version"]
 
 
-def test_what_setup_installs_is_there(monkeypatch):
+def test_files_installed_by_setup_exist(monkeypatch):
     calls = {}
     monkeypatch.setattr("setuptools.setup", calls.update)
     monkeypatch.chdir(ROS)
@@ -87,20 +89,7 @@ def test_what_setup_installs_is_there(monkeypatch):
     assert f"lib/{NAME}" in (ROS / "setup.cfg").read_text(encoding="utf-8")
 
 
-def test_the_parameter_file_fits_the_node():
-    context = Context()
-    rclpy.init(context=context, args=["--ros-args", "--params-file", str(ROS / "config" / "node.yaml")])
-    node = TrackingNode(context=context)
-    given = yaml.safe_load((ROS / "config" / "node.yaml").read_text())["/**/diffdrive_mpc"]["ros__parameters"]
-    try:
-        assert set(given) <= set(NodeSettings.model_fields)
-        assert {name: node.get_parameter(name).value for name in given} == given
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
-
-
-def test_rviz_shows_topics_that_exist():
+def test_rviz_configuration_shows_existing_topics():
     text = (ROS / "config" / "tracking.rviz").read_text(encoding="utf-8")
     with stack() as s:
         known = dict(s.node.get_topic_names_and_types())
@@ -119,7 +108,7 @@ def test_rviz_shows_topics_that_exist():
     ("word", "line"),
     [("config:=smm", "error: unknown configuration 'smm'"), ("horizon", "error: ROS cannot start with the arguments")],
 )
-def test_the_entry_point_ends_bad_arguments_in_one_line(monkeypatch, word, line):
+def test_entry_point_reports_bad_arguments_in_one_line(monkeypatch, word, line):
     monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", word])
     with pytest.raises(SystemExit, match=line) as ended:
         import_module("diffdrive_mpc.mpc.ros.main").main()
@@ -136,7 +125,7 @@ class Recorded(types.ModuleType):
 
 
 def entities(monkeypatch, name):
-    """What a launch file starts, by kind."""
+    """Return the entities that a launch file starts."""
     for module in ("launch", "launch.actions", "launch.conditions", "launch.substitutions", "launch_ros.actions"):
         monkeypatch.setitem(sys.modules, module, Recorded(module))
     monkeypatch.setitem(sys.modules, "launch_ros", Recorded("launch_ros"))
@@ -151,7 +140,7 @@ def entities(monkeypatch, name):
     return listed
 
 
-def test_the_monitor_alone_commands_the_base(monkeypatch):
+def test_monitored_launch_gives_the_base_to_the_monitor_only(monkeypatch):
     """The node's commands go to the topic that the monitor reads, and its words are those of the command line."""
     listed = entities(monkeypatch, "monitored")
     (node,) = [words for kind, _, words in listed if kind == "LifecycleNode"]
@@ -177,7 +166,7 @@ KINDS = {"publish": "publisher", "subscribe": "subscriber", "reply": "service"}
 
 
 def included(element):
-    """The children of an element, with those of other files in the place of their inclusion."""
+    """Yield the children of an element, with included files in place."""
     for child in element:
         if child.tag == XI:
             root = ElementTree.parse(SECURITY / child.get("href")).getroot()
@@ -188,7 +177,7 @@ def included(element):
 
 
 def allowed(enclave):
-    """What an enclave of the policy allows: pairs of a rule and a full name."""
+    """Return pairs of rule and full name that an enclave of the policy allows."""
     root = ElementTree.parse(SECURITY / "policy.xml").getroot()
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     (profiles,) = root.find(f"enclaves/enclave[@path='/diffdrive_mpc/{enclave}']")
@@ -205,7 +194,7 @@ def allowed(enclave):
 
 
 def had(node, name=None):
-    """The same of a running node, whose names of actions are those of the topics and services they are made of."""
+    """Return such pairs of a running node; actions are named by their topics and services."""
     found = set()
     for rule, kind in KINDS.items():
         listed = getattr(node, f"get_{kind}_names_and_types_by_node")(name or node.get_name(), "/")
@@ -223,7 +212,7 @@ OF_PARTS = {
 """Topics and services of the parts in the package diffdrive-mpc-extras."""
 
 
-def test_the_policy_allows_the_node_what_it_has_and_nothing_else(ros_types):
+def test_policy_allows_exactly_the_topics_of_the_node(ros_types):
     with stack(pose_source="tf") as s:
         found = had(s.node) | had(s.node, "diffdrive_mpc_follow_path") | OF_PARTS
     # Instead of transforms, with use_pose_topic.
@@ -235,14 +224,14 @@ def test_the_policy_allows_the_node_what_it_has_and_nothing_else(ros_types):
     assert allowed("monitored_node") == found - commands | unchecked
 
 
-def test_without_the_types_that_have_no_wheel_the_node_has_nothing_that_the_policy_does_not_allow():
+def test_policy_covers_the_node_without_optional_types():
     with stack(pose_topic=True) as s:
         found = had(s.node)
         assert len(found) > 30 and found <= allowed("node") - OF_PARTS
 
 
 @pytest.mark.parametrize("enclave", ["monitor", "robot"])
-def test_the_policy_allows_monitor_and_robot_what_they_have(enclave):
+def test_policy_allows_exactly_the_topics_of_monitor_and_robot(enclave):
     context = Context()
     rclpy.init(context=context, args=["--ros-args", "-p", "use_sim_time:=true"])
     try:
@@ -259,7 +248,7 @@ def test_the_policy_allows_monitor_and_robot_what_they_have(enclave):
         rclpy.shutdown(context=context)
 
 
-def test_keys_are_made_outside_of_a_repository_only(tmp_path):
+def test_keys_are_created_outside_of_repositories_only(tmp_path):
     calls, tool = tmp_path / "calls", tmp_path / "bin" / "ros2"
     tool.parent.mkdir()
     tool.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n')

@@ -19,7 +19,7 @@ from commands import invoke
 from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.ros.node import TrackingNode
-from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
@@ -52,7 +52,7 @@ def moving(base, process):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_it_sends_zero_last(driving, number):
+def test_interrupted_node_sends_zero_last(driving, number):
     base, process = driving
     assert any(base.commands[-1])
     process.send_signal(number)
@@ -63,7 +63,7 @@ def test_interrupted_it_sends_zero_last(driving, number):
     assert process.returncode == 0
 
 
-def test_killed_it_is_silent(driving):
+def test_killed_node_sends_no_command(driving):
     """It cannot send zero then: the base has to stop by itself when commands cease."""
     base, process = driving
     process.kill()
@@ -79,12 +79,12 @@ def test_killed_it_is_silent(driving):
         (["--trajectry", "s"], "unknown argument '--trajectry'"),
     ],
 )
-def test_what_cannot_be_started_ends_in_one_line(words, line):
+def test_failed_start_is_reported_in_one_line(words, line):
     result = invoke(app, "node", *words, code=2)
     assert line in result.stderr and result.stderr.count("\n") == 1
 
 
-def test_a_parameter_that_cannot_be_ends_the_process_in_one_line():
+def test_wrong_parameter_ends_the_process_with_one_line():
     words = ["--ros-args", "-p", "weights.across:=-1.0"]
     result = subprocess.run([COMMAND, "node", *words], capture_output=True, text=True, timeout=60, check=False)
     (error,) = (text for text in result.stderr.splitlines() if text.startswith("error: "))
@@ -163,38 +163,21 @@ def test_diagnostics_name_each_robot(driven):
     assert {status.hardware_id for status in statuses} == {f"{name}/diffdrive_mpc" for name in PATHS}
 
 
-def test_nobody_sees_a_rival_in_another_namespace(driven):
+def test_robots_of_other_namespaces_are_no_rivals(driven):
     _, _, loops = driven
     assert all(loop.warning == loop.objection == "" for loop in loops)
 
 
 @pytest.mark.parametrize("name", ["", "r1"])
-def test_the_parameter_file_fits_every_namespace(name):
+def test_parameter_file_fits_every_namespace(name):
     given = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
+    assert set(given) <= set(NodeSettings.model_fields)
     context = Context()
     rclpy.init(context=context, args=["--ros-args", "--params-file", str(NODE_YAML), *in_name_space(name)[1:]])
     node = TrackingNode(context=context)
     try:
         assert {key: node.get_parameter(key).value for key in given} == given
         assert node.resolve_topic_name("cmd_vel") == f"/{name}/cmd_vel".replace("//", "/")
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
-
-
-def test_the_monitor_is_in_the_namespace_of_its_robot():
-    context = Context()
-    rclpy.init(context=context, args=in_name_space("r2"))
-    node = MonitorNode(MonitorSettings(), context=context)
-    try:
-        topics = {topic for topic, _ in node.get_subscriber_names_and_types_by_node("monitor", "/r2")}
-        assert {
-            "/r2/cmd_vel_unchecked",
-            "/r2/odom",
-            "/r2/diffdrive_mpc/reference_path",
-            "/r2/diffdrive_mpc/mode",
-        } <= topics
-        assert node._name == "r2/monitor"
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)

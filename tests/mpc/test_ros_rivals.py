@@ -1,6 +1,4 @@
-"""Who else sends commands to the same base: refused, braked for, or named; over DDS."""
-
-import threading
+"""Rivals for the same base over DDS: rejected, braked for, or reported."""
 
 import numpy as np
 import pytest
@@ -46,7 +44,7 @@ class Second:
 
 
 @pytest.mark.parametrize("name", ["diffdrive_mpc", "other"])
-def test_a_second_node_of_this_project_on_the_same_topic_is_not_activated(name):
+def test_second_node_on_the_same_topic_is_not_activated(name):
     with stack(drive=True) as s:
         s.base.run(20)
         second = Second(name)
@@ -70,20 +68,8 @@ def test_a_second_node_of_this_project_on_the_same_topic_is_not_activated(name):
             second.close()
 
 
-def test_on_another_topic_it_may():
-    with stack(drive=True) as s:
-        second = Second("other", "other_cmd_vel")
-        try:
-            assert second.activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-            s.base.run(20)
-            assert not s.loop.objection
-            assert not s.loop.warning
-        finally:
-            second.close()
-
-
-def test_found_too_late_both_brake_until_one_is_gone():
-    """Where discovery was slower than both: here somebody else claims the topic while the robot drives."""
+def test_rival_found_while_driving_brakes_the_robot_until_it_leaves():
+    """Discovery was slower than both nodes: another participant claims the topic while the robot drives."""
     with stack(drive=True) as s:
         before = s.base.run(40)
         claim = s.base.node.create_publisher(Empty, "/cmd_vel/_diffdrive_mpc", 1)
@@ -102,7 +88,7 @@ def test_found_too_late_both_brake_until_one_is_gone():
         assert s.base.run(30)[-1, 0] > 0.1
 
 
-def test_a_second_voice_on_an_input_stops_the_robot_until_it_is_gone():
+def test_second_publisher_on_an_input_stops_the_robot_until_it_leaves():
     with stack(drive=True) as s:
         before = s.base.run(40)
         forger = rclpy.create_node("forger", context=s.base.context)
@@ -118,7 +104,7 @@ def test_a_second_voice_on_an_input_stops_the_robot_until_it_is_gone():
         assert s.base.run(40)[-1, 0] > 0.1
 
 
-def test_where_inputs_may_have_two_voices_they_are_named():
+def test_second_publisher_on_a_shared_input_is_reported():
     with stack(drive=True, exclusive_inputs=False) as s:
         s.base.run(20)
         forger = rclpy.create_node("forger", context=s.base.context)
@@ -129,7 +115,7 @@ def test_where_inputs_may_have_two_voices_they_are_named():
         forger.destroy_node()
 
 
-def test_a_teleop_that_appears_is_named_and_nothing_else():
+def test_teleop_publisher_is_reported_while_the_robot_drives_on():
     with stack(drive=True, diagnostics_rate=20.0) as s:
         heard = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
@@ -144,7 +130,7 @@ def test_a_teleop_that_appears_is_named_and_nothing_else():
 
 
 @pytest.mark.parametrize(("stamped", "other", "remedy"), [(True, Twist, "false"), (False, TwistStamped, "true")])
-def test_a_base_that_listens_to_the_other_type_of_command_is_named_with_the_remedy(stamped, other, remedy):
+def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, other, remedy):
     with stack(stamped=stamped) as s:
         context = Context()
         rclpy.init(context=context, args=[])
@@ -158,7 +144,7 @@ def test_a_base_that_listens_to_the_other_type_of_command_is_named_with_the_reme
         s.base.until(lambda: not s.loop.warning, "the end of it")
 
 
-def test_without_odometry_the_node_says_topic_type_and_who_publishes():
+def test_missing_odometry_message_names_topic_type_and_publishers():
     with stack(autostart=False) as s:
         s.node.trigger_configure()
         s.node.trigger_activate()
@@ -175,7 +161,7 @@ def test_without_odometry_the_node_says_topic_type_and_who_publishes():
         assert "/fake_base publishes geometry_msgs/msg/TwistStamped, reliable, which is" in s.loop.missing()
 
 
-def test_a_simulated_clock_with_other_steps_than_the_period_is_said():
+def test_simulated_clock_with_wrong_steps_is_reported():
     with stack({"sample_time": 0.05}, drive=True) as s:
         for _ in range(80):
             s.base.silent(1)
@@ -183,7 +169,7 @@ def test_a_simulated_clock_with_other_steps_than_the_period_is_said():
         assert "clock does not advance in steps of this node's sample_time, 50 ms" in s.loop.warning
 
 
-def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():
+def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():
     with stack(drive=True, exclusive_cmd_vel=True, diagnostics_rate=20.0) as s:
         heard = s.listen(DiagnosticArray, "/diagnostics")
         s.base.run(20)
@@ -199,26 +185,3 @@ def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():
         s.base.node.destroy_publisher(teleop)
         s.base.until(lambda: not s.node.parts["rivals"].rivals.others().foreign, "its end")
         assert s.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-
-
-def test_activated_at_the_same_time_both_are_refused():
-    """Neither can know whether the other is: none drives, and each names the other."""
-    nodes = [Second("one"), Second("two")]
-    try:
-        for second in nodes:
-            second.node.trigger_configure()
-        said = {}
-        threads = [
-            threading.Thread(target=lambda second=second: said.update({second: second.node.trigger_activate()}))
-            for second in nodes
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        drive = [found is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS for found in said.values()]
-        assert sum(drive) <= 1
-        assert any("of this project drives by /cmd_vel too" in second.node.failure for second in nodes)
-    finally:
-        for second in nodes:
-            second.close()

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from inner_core import InnerController
+from side_by_side import InnerController
 
 from diffdrive_mpc.mpc.core.sources import CORE
 from oracle.commands import PastCommands
@@ -20,7 +20,7 @@ from oracle.sensor_test import SensorTest
 
 NUMBERS = yaml.safe_load((CORE.parent / "config" / "sensor_test.yaml").read_text(encoding="utf-8"))
 CLOSE = 1e-6
-"""How near to the oracle's evidence a threshold lies, as a share; both compute to rounding."""
+"""Relative distance of a threshold from the oracle's evidence; both compute to rounding."""
 
 
 class Both(InnerController):
@@ -53,7 +53,7 @@ class Both(InnerController):
         setattr(self.k, name, value.tolist() if isinstance(value, np.ndarray) else value)
 
     def sample(self, t, command, wheels, rate, slip, theta):
-        """One sample on: the command sent, and what came of wheels (2) and gyro (1) or None."""
+        """Advance one sample with a command, and readings of wheels (2) and gyro (1), or None."""
         ffi, lib, c, self.t = self.ffi, self.lib, self.c, t
         self.commands.append(command)
         lib.ddmpc_estimator_append(c, ffi.new("real[]", command.tolist()))
@@ -70,7 +70,7 @@ class Both(InnerController):
         assert max(abs(c.monitor.now.sum[i]) for i in range(8)) <= max(self.oracle.k.far, np.pi)
 
     def pose(self, stamp, value, covariance):
-        """Both judge a pose, with thresholds on either side of the evidence that the oracle will have."""
+        """Judge a pose in both, with thresholds on either side of the coming evidence of the oracle."""
         for name in ("plausible", "enough", "margin"):
             setattr(self.oracle.k, name, float(NUMBERS.get(name, 8.0)))
         if self.draw.random() < 0.6:
@@ -103,7 +103,7 @@ class Both(InnerController):
             k.enough, k.margin = 0.5 * evidence[i], evidence[i] - others + side
 
     def _foretold(self, *pose):
-        """What the oracle will weigh; it stays as it is."""
+        """Return the coming evidence of the oracle, which does not change."""
         same = (self.oracle.path, self.oracle.poses, self.oracle.model)
         other = copy.deepcopy(self.oracle, {id(part): part for part in same})
         evidence = [None]
@@ -112,7 +112,7 @@ class Both(InnerController):
         return other.honest, evidence[-1]
 
     def compare(self):
-        """All that both remember."""
+        """Compare the complete memory of both."""
         m, o, result, lib = self.c.monitor, self.oracle, self.c.result, self.lib
         result.reasons = 0
         lib.ddmpc_monitor_report(self.c)
@@ -158,7 +158,7 @@ class Both(InnerController):
 
 
 def bits(sensors):
-    """Sensors as C has them."""
+    """Return sensors as the bits of C."""
     return sum(1 << sensor for sensor in sensors)
 
 
@@ -181,7 +181,7 @@ class Robot:
         self.change()
 
     def change(self):
-        """Another command, and another fault or none, until another tick."""
+        """Draw a command and a fault or none, until a drawn tick."""
         self.command = self.draw.uniform([-0.6, -1.5], [0.9, 1.5]) * self.draw.choice([0.0, 1.0, 1.0, 1.0])
         self.fault, self.creeps = self.draw.choice(["", "", *FAULTS]), 10.0 ** self.draw.uniform(-1.5, 0.0)
         self.began, self.ends = self.tick, self.tick + self.draw.integers(10, 60)
@@ -205,18 +205,18 @@ class Robot:
             self.gyro = omega * (-1.0 if self.fault == "gyro turned" else 1.0) + noise[2]
 
     def readings(self):
-        """Wheels (2) and gyro, None where nothing comes."""
+        """Return readings of wheels (2) and gyro, None if missing."""
         comes = self.draw.random(2) < 0.9
         wheels = self.wheels if comes[0] and self.fault != "wheels silent" else None
         return wheels, float(self.gyro) if comes[1] and self.fault != "gyro silent" else None
 
     def slip(self):
-        """The slip that is estimated meanwhile, at one tick not finite."""
+        """Return the estimated slip, not finite at one tick."""
         is_lost = self.fault == "lost" and self.tick == self.began + 7
         return SLIP + self.draw.normal(0.0, 0.003, 10) + (np.nan if is_lost else 0.0)
 
     def pose(self):
-        """A pose (3,) and its covariance."""
+        """Return a pose (3,) and its covariance."""
         if self.fault != "pose frozen" or self.seen is None:
             self.seen = self.poses[-1 - self.late] + self.draw.normal(0.0, 1.0, 3) * self.noise
             self.seen = self.seen + (self.tick - self.began) * self.creeps * CREEPING.get(self.fault, 0.0)

@@ -33,7 +33,7 @@ def pushed_off(weight):
 
 
 def everything():
-    """A residual of every input, with three rows; nothing in it means anything."""
+    """Return a residual of every input, with three rows without physical meaning."""
     sizes = {"command": 2, "twist": 2, "reference": 4, "pose": 3}
     of = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     pose, twist, command, reference = (of[name] for name in ("pose", "twist", "command", "reference"))
@@ -42,7 +42,7 @@ def everything():
 
 
 def between(low, high):
-    """Wheel speeds of a command, and a distance, in one soft term; no limit in some rows."""
+    """Return wheel speeds of a command and a distance in one soft term; some rows have no limit."""
     pose, point, d = distance()
     command = ca.SX.sym("command", 2)
     value = ca.vertcat(command[0] + 0.2 * command[1], command[0] - 0.2 * command[1], d)

@@ -10,13 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.interpolate import CubicHermiteSpline
-from trajectory_checks import assert_holds_its_ends, largest_integration_gap
+from trajectory_checks import assert_holds_its_ends
 
-from diffdrive_mpc import ConfigError, Controller, Trajectory, integrate_pose, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.arcs import chained
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
@@ -46,7 +45,7 @@ def error_line(name_or_path: str | Path) -> str:
     return message
 
 
-def test_segments_from_a_file_start_at_their_pose(tmp_path: Path) -> None:
+def test_segments_of_a_file_start_at_their_pose(tmp_path: Path) -> None:
     path = write(
         tmp_path, "line.yaml", "start: [1, 2, 1.5707963267948966]\nsegments: [{v: 0.5, omega: 0, duration: 2}]\n"
     )
@@ -56,12 +55,12 @@ def test_segments_from_a_file_start_at_their_pose(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose, [(1, 2, np.pi / 2), (1, 3, np.pi / 2)], atol=1e-15)
 
 
-def test_a_file_may_name_its_trajectory(tmp_path: Path) -> None:
+def test_name_in_the_file_names_the_trajectory(tmp_path: Path) -> None:
     path = write(tmp_path, "a.yml", "name: long way\nsegments: [{v: 0.5, omega: 0, duration: 2}]\n")
     assert load_trajectory(path).name == "long way"
 
 
-def test_given_limits_replace_those_of_the_robot() -> None:
+def test_limits_argument_replaces_the_limits_of_the_robot() -> None:
     slow = TrajectoryLimits(v=0.5, omega=0.5, v_acceleration=0.1, omega_acceleration=2.0)
     assert load_trajectory("circle", slow).duration == pytest.approx(4 * np.pi + 5.0)
     with pytest.raises(ConfigError, match=r"segments\.1\.omega"):
@@ -72,41 +71,32 @@ def test_given_limits_replace_those_of_the_robot() -> None:
     ("text", "expected"),
     [
         ("segments: []\n", "segments is empty; give at least one"),
-        ("segments:\n", "segments"),
         ("", "found nothing"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}, {v: 9, omega: 0, duration: 1}]\n", "segments.1.v = 9 m/s"),
         ("segments: [{v: .nan, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a finite number"),
-        ("segments: [{v: 0.5, omega: .inf, duration: 1}]\n", "segments.0.omega: Input should be a finite number"),
         ("segments: [{v: 0.5, omega: 0, duration: -1}]\n", "segments.0.duration: Input should be greater than 0"),
-        ("segments: [{v: 0.5, omega: 0, duration: 0}]\n", "segments.0.duration: Input should be greater than 0"),
         ("segments: [{v: 0.5, omga: 0, omega: 0, duration: 1}]\n", "unknown key 'segments.0.omga'; did you mean"),
-        (
-            "segments: [{v: 0.5, omega: 0, duration: 1}]\nstrat: [0, 0, 0]\n",
-            "unknown key 'strat'; did you mean 'start'",
-        ),
         ("segments: [{v: 0.5, omega: 0}]\n", "key 'segments.0.duration' is missing"),
         ("segments: [{v: fast, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a valid number"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}\n", "line 2"),
-        ("waypoints: []\n", "0 waypoints; give at least two"),
         ("waypoints: [[0, 0]]\n", "1 waypoints; give at least two"),
         ("waypoints: [[0, 0], [1, 0], [1, 0]]\n", "waypoints.1 and waypoints.2 coincide; remove one"),
-        ("waypoints: [[0, 0], [1, .nan]]\n", "waypoints.1.1: Input should be a finite number"),
         ("waypoints: [[0, 0], [1, 0]]\nspeed: 2\n", "speed = 2 m/s is beyond the limit of 1.5 m/s; lower it"),
         ("waypoints: [[0, 0], [1, 0]]\nspeed: -1\n", "speed: Input should be greater than 0"),
-        ("waypoints: [[0, 0], [1, 0]]\nsped: 1\n", "unknown key 'sped'; did you mean 'speed'"),
         ("waypoints: [[0, 0], [1, 0], [0, 0]]\n", "add or move waypoints to round the turn"),
         ("waypoints: [[0, 0], [1, 0], [0.3, 0]]\n", "below 0.02 m between waypoints.0 and waypoints.1; add or move"),
-        ("waypoints: [[0, 0], [1, 0], [0, 0.02]]\n", "add or move waypoints to round the turn"),
+        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
+        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
     ],
 )
-def test_a_mistake_in_a_yaml_file_is_told_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
+def test_mistake_in_a_yaml_file_is_reported_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
     path = write(tmp_path, "bad.yaml", text)
     message = error_line(path)
     assert message.startswith(str(path))
     assert expected in message
 
 
-def test_an_unknown_name_gets_the_nearest_and_all_known() -> None:
+def test_unknown_name_lists_known_names_and_the_nearest() -> None:
     message = error_line("cirle")
     assert message.startswith(
         f"unknown trajectory 'cirle': give one of {', '.join(BUILT_IN)}, spline-SEED or the path of"
@@ -114,14 +104,8 @@ def test_an_unknown_name_gets_the_nearest_and_all_known() -> None:
     assert message.endswith("; did you mean 'circle'?")
 
 
-@pytest.mark.parametrize("name", ["missing.yaml", "missing.csv"])
-def test_a_missing_file_is_named(tmp_path: Path, name: str) -> None:
-    message = error_line(tmp_path / name)
-    assert message.startswith(f"unknown trajectory '{tmp_path / name}': give one of")
-
-
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
-def test_timed_poses_of_a_trajectory_give_it_back(tmp_path: Path, name: str) -> None:
+def test_timed_poses_reproduce_their_trajectory(tmp_path: Path, name: str) -> None:
     original = load_trajectory(name)
     times = np.append(np.arange(0, original.duration, 0.02), original.duration)
     poses = original.sample(times).pose
@@ -139,16 +123,7 @@ def test_timed_poses_of_a_trajectory_give_it_back(tmp_path: Path, name: str) -> 
     assert_holds_its_ends(copy)
 
 
-def test_timed_poses_of_a_smooth_drive_agree_with_their_twist(tmp_path: Path) -> None:
-    circle = load_trajectory("circle")
-    times = np.linspace(1.0, 12.0, 111)
-    copy = load_trajectory(write_poses(tmp_path / "arc.csv", times, circle.sample(times).pose))
-    assert isinstance(copy, SplineTrajectory)
-    assert largest_integration_gap(copy, copy.breaks, pieces=1) < 1e-4
-    assert np.all(np.diff(copy.sample(np.linspace(0, 11, 5000)).arc_length) > 0)
-
-
-def test_two_rows_are_a_straight_line_at_constant_speed(tmp_path: Path) -> None:
+def test_two_rows_give_a_straight_line_at_constant_speed(tmp_path: Path) -> None:
     path = write(tmp_path, "line.csv", "theta,note,t,y,x\n0,go,5,1,2\n\n0,stop,7,1,3\n")
     trajectory = load_trajectory(path)
     sample = trajectory.sample([0.0, 1.0, 2.0, 3.0])
@@ -157,7 +132,7 @@ def test_two_rows_are_a_straight_line_at_constant_speed(tmp_path: Path) -> None:
     np.testing.assert_allclose(sample.arc_length, [0, 0.5, 1, 1], atol=1e-14)
 
 
-def test_timed_poses_may_drive_backwards(tmp_path: Path) -> None:
+def test_timed_poses_can_drive_backwards(tmp_path: Path) -> None:
     path = write(tmp_path, "back.csv", "t,x,y,theta\n0,0,0,0\n1,-0.5,0,0\n2,-1,0,0\n")
     sample = load_trajectory(path).sample([1.0, 2.0])
     np.testing.assert_allclose(sample.twist[:, 0], -0.5)
@@ -169,15 +144,11 @@ def test_timed_poses_may_drive_backwards(tmp_path: Path) -> None:
     [
         (b"", "line 1: column 't' is missing; the header"),
         (b"\xff\xfe\x00", "cannot be read"),
-        (b"t,x,y\n0,0,0\n1,0,0\n", "line 1: column 'theta' is missing; the header"),
         (b"0,0,0,0\n1,0,0,0\n", "line 1: column 't' is missing; the header"),
-        (b"t,x,y,theta\n", "0 timed poses; give at least two rows"),
         (b"t,x,y,theta\n0,0,0,0\n", "1 timed poses; give at least two rows"),
         (b"t,x,y,theta\n0,0,0,0\n1,0.5,zero,0\n", "line 3: y = 'zero' is not a finite number"),
-        (b"t,x,y,theta\n0,0,0,0\n1,nan,0,0\n", "line 3: x = 'nan' is not a finite number"),
         (b"t,x,y,theta\n0,0,0,0\n1,0.5\n", "line 3: 2 values are fewer than the header names"),
         (b"t,x,y,theta\n0,0,0,0\n\n2,1,0,0\n1,0.5,0,0\n", "line 5: t = 1 s does not come after the row before"),
-        (b"t,x,y,theta\n0,0,0,0\n0,0.5,0,0\n", "line 3: t = 0 s does not come after the row before"),
         (
             b"t,x,y,theta\n5,0,0,0\n6,3,0,0\n",
             "v = 3 m/s at t = 5.000 s is beyond the limit of 1.5 m/s; stretch the time",
@@ -189,7 +160,7 @@ def test_timed_poses_may_drive_backwards(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_mistake_in_a_csv_file_is_told_in_one_line(tmp_path: Path, text: bytes, expected: str) -> None:
+def test_mistake_in_a_csv_file_is_reported_in_one_line(tmp_path: Path, text: bytes, expected: str) -> None:
     path = tmp_path / "bad.csv"
     path.write_bytes(text)
     message = error_line(path)
@@ -197,7 +168,7 @@ def test_a_mistake_in_a_csv_file_is_told_in_one_line(tmp_path: Path, text: bytes
     assert expected in message
 
 
-def test_arc_length_never_falls_where_the_speed_changes_sign_twice_inside_a_piece() -> None:
+def test_arc_length_never_falls_within_a_piece_with_two_sign_changes() -> None:
     # v = (t - 0.113) (t - 0.5) over one piece of 1 s.
     first, second = 0.113, 0.5
     end = 1 / 3 - (first + second) / 2 + first * second
@@ -209,20 +180,7 @@ def test_arc_length_never_falls_where_the_speed_changes_sign_twice_inside_a_piec
     assert trajectory.sample([0.3]).twist[0, 0] == pytest.approx((0.3 - first) * (0.3 - second))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
-        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
-    ],
-    ids=["a trajectory of years", "waypoints beyond the horizon"],
-)
-def test_a_mistake_of_units_is_refused(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        load_trajectory(write(tmp_path, "units.yaml", text))
-
-
-def test_cubic_pieces_are_those_of_scipy() -> None:
+def test_cubic_pieces_equal_those_of_scipy() -> None:
     random = np.random.default_rng(3)
     times, (poses, rates) = np.append(0.0, np.cumsum(random.uniform(0.02, 0.7, 40))), random.normal(size=(2, 41, 3))
     trajectory = SplineTrajectory.through("test", times, poses, rates)
@@ -243,19 +201,7 @@ def _wave(count: int) -> list[tuple[float, float]]:
     return [(0.2 * i, 0.3 * math.sin(0.05 * i)) for i in range(count)]
 
 
-def test_work_does_not_grow_with_the_number_of_close_waypoints() -> None:
-    """Ten times as many waypoints make no more pieces, and the same path and speed where both pass."""
-    few, many = (lay_waypoints(_wave(count), _LIMITS, name="wave") for count in (1001, 10_001))
-    most = load_settings().full_pieces
-    assert len(few.breaks) <= most + 1
-    assert len(many.breaks) <= most + 1
-    times = np.linspace(0.0, 0.5 * few.duration, 200)
-    a, b = few.sample(times), many.sample(times)
-    assert np.abs(a.pose - b.pose).max() < 1e-3
-    assert np.abs(a.twist - b.twist).max() < 1e-3
-
-
-def test_limits_hold_where_legs_are_cut_into_few_pieces() -> None:
+def test_limits_hold_on_legs_with_few_pieces() -> None:
     """Speed, yaw rate and accelerations, by differences of the twist between and at the nodes."""
     path = lay_waypoints(_wave(12_000), _LIMITS, name="wave")
     times = np.arange(10.0, 40.0, 0.001)
@@ -266,18 +212,6 @@ def test_limits_hold_where_legs_are_cut_into_few_pieces() -> None:
     assert np.abs(twist[:, 1]).max() <= _LIMITS.omega * 1.001
     assert np.abs(rate[:, 0]).max() <= _LIMITS.v_acceleration * 1.01
     assert np.abs(rate[:, 1]).max() <= _LIMITS.omega_acceleration * 1.01
-
-
-def test_arcs_in_a_row_end_where_each_ends_after_the_other() -> None:
-    """The poses of many arcs at once are those of one after the other."""
-    random = np.random.default_rng(3)
-    forward, turn, length = random.uniform(-1, 1, 50), random.uniform(-2, 2, 50), random.uniform(0.1, 2, 50)
-    pose = np.array([1.0, -2.0, 0.5])
-    found = chained(pose, forward, turn, length)
-    assert np.array_equal(found[0], pose)
-    for i in range(50):
-        pose = integrate_pose(pose, forward[i], turn[i], length[i])
-        assert found[i + 1] == pytest.approx(pose, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -293,7 +227,7 @@ def test_arcs_in_a_row_end_where_each_ends_after_the_other() -> None:
         ],
     ],
 )
-def test_a_path_that_would_be_cut_into_too_many_pieces_is_refused_before(segments: list[Segment]) -> None:
+def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(segments: list[Segment]) -> None:
     """The first would take 149 GiB."""
     tracemalloc.start()
     with pytest.raises(ConfigError, match=r"^here: it is so long that it is cut into .* pieces"):
@@ -302,7 +236,7 @@ def test_a_path_that_would_be_cut_into_too_many_pieces_is_refused_before(segment
     tracemalloc.stop()
 
 
-def test_too_many_points_segments_and_joints_are_refused_with_their_number() -> None:
+def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> None:
     """Each before any work is done on it."""
     settings = load_settings()
     with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
@@ -319,7 +253,7 @@ def test_too_many_points_segments_and_joints_are_refused_with_their_number() -> 
         lay_smooth(bent, _LIMITS, name="x", where="here")
 
 
-def test_a_file_of_poses_is_left_as_soon_as_it_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the memory of the rows that may be, not of those that are there."""
     fewer = load_settings().model_copy(update={"max_pieces": 2000})
     monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: fewer)
@@ -332,13 +266,7 @@ def test_a_file_of_poses_is_left_as_soon_as_it_is_too_long(tmp_path: Path, monke
     tracemalloc.stop()
 
 
-def test_waypoints_that_are_as_good_as_one_are_named() -> None:
-    """A chord so short that its square is nothing."""
-    with pytest.raises(ConfigError, match=r"waypoints.0 and waypoints.1 coincide"):
-        lay_waypoints([(0.0, 0.0), (1e-300, 0.0), (1.0, 0.0)], _LIMITS, name="x")
-
-
-def test_a_way_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
+def test_path_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
     """It is one piece long: without a node between it would never move."""
     path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
     end = path.sample([path.duration]).pose[0]
@@ -347,7 +275,7 @@ def test_a_way_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
 
 
 @pytest.mark.parametrize("row", ["1e308,0,0,0", "1,1e308,0,0", "1,0,-1e308,0", "1,0,0,1e300"])
-def test_poses_further_than_any_robot_goes_are_refused_by_their_line(tmp_path: Path, row: str) -> None:
+def test_poses_out_of_range_raise_error_with_their_line(tmp_path: Path, row: str) -> None:
     """They used to overflow in the spline, with a warning of NumPy's and a sentence of SciPy's."""
     file = tmp_path / "far.csv"
     file.write_text(f"t,x,y,theta\n0,0,0,0\n{row}\n", encoding="utf-8")
@@ -374,7 +302,7 @@ WELL = {"t": TIMES, "x": X, "y": Y}
     ],
     ids=["positions", "headings", "wrapped headings", "speeds", "all"],
 )
-def test_a_circle_of_arrays_is_that_circle(more, error):
+def test_arrays_of_a_circle_give_the_circle(more, error):
     reference = Trajectory.from_arrays(TIMES + 100.0, X, Y, **more)
     times = np.linspace(0.0, 9.99, 777)
     sample = reference.sample(times)
@@ -385,14 +313,14 @@ def test_a_circle_of_arrays_is_that_circle(more, error):
     assert repr(reference) == "Trajectory 'arrays': 10 s, 5 m"
 
 
-def test_lists_and_columns_of_pandas_are_arrays():
+def test_lists_and_pandas_columns_are_accepted_as_arrays():
     table = pd.DataFrame(WELL)
     expected = Trajectory.from_arrays(**WELL).sample(TIMES).pose
     for columns in ({name: table[name] for name in "txy"}, {name: values.tolist() for name, values in WELL.items()}):
         np.testing.assert_array_equal(Trajectory.from_arrays(**columns).sample(TIMES).pose, expected)
 
 
-def test_a_negative_speed_drives_backwards_and_a_robot_that_stands_keeps_its_heading():
+def test_negative_speed_drives_backwards_and_standstill_keeps_heading():
     backwards = Trajectory.from_arrays(TIMES, -0.3 * TIMES, 0 * TIMES, v=np.full(TIMES.size, -0.3)).sample([5.0])
     np.testing.assert_allclose(backwards.pose, [[-1.5, 0.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(backwards.twist, [[-0.3, 0.0]], atol=1e-12)
@@ -418,17 +346,16 @@ DATES = pd.date_range("2026-01-01", periods=TIMES.size, freq="100ms")
         ({"theta": np.degrees(ANGLE)}, r"theta fits the path in degrees, not in rad; give np.radians\(theta\)"),
         ({"theta": 0 * ANGLE}, "sideways speed = .* let theta point along the direction of travel"),
         ({"v": 3.6 * HALF}, "v = 1.8 m/s at t = .* the poses change by 0.5 m/s; check unit and sign"),
-        ({"theta": ANGLE, "v": -HALF}, "v = -0.5 m/s .* the poses change by 0.5 m/s; check unit and sign"),
         ({"omega": np.degrees(HALF)}, "omega = 28.6 rad/s .* change by 0.5 rad/s; check unit and sign"),
     ],
 )
-def test_wrong_columns_are_one_sentence(columns, message):
+def test_wrong_column_is_reported_in_one_sentence(columns, message):
     with pytest.raises(ConfigError, match=f"^trajectory 'mine': {message}") as caught:
         Trajectory.from_arrays(**{**WELL, **columns}, name="mine")
     assert "\n" not in str(caught.value)
 
 
-def test_waypoints_are_passed_from_rest_to_rest_within_the_limits_of_a_configuration():
+def test_waypoints_are_passed_within_the_limits_of_a_configuration():
     points = np.array([[0.0, 0.0], [3.0, 0.0], [6.0, 1.0]])
     config = load_config("ssm", {"limits.v": 0.4, "limits.predicted_v": 0.4})
     reference = Trajectory.from_waypoints(points, limits=config)
@@ -452,17 +379,17 @@ def test_waypoints_are_passed_from_rest_to_rest_within_the_limits_of_a_configura
         ([(0, 0), (1, 0)], {"timing": "fast"}, "timing 'fast'; give stop, commanded or smooth"),
     ],
 )
-def test_wrong_waypoints_are_one_sentence(points, settings, message):
+def test_wrong_waypoints_are_reported_in_one_sentence(points, settings, message):
     with pytest.raises(ConfigError, match=f"^trajectory 'waypoints': {message}"):
         Trajectory.from_waypoints(points, **settings)
 
 
-def test_a_reference_that_is_faster_than_the_controllers_limits_is_refused_at_the_start():
+def test_reference_beyond_the_limits_is_rejected_at_start():
     with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
         Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
 
 
-def test_a_start_faster_than_the_slew_is_told_and_one_from_rest_is_not():
+def test_start_beyond_the_slew_limit_is_reported():
     limits, dt = load_config("ssm").limits, 0.0202
     told = starts_beyond_slew(Trajectory.from_arrays(TIMES, 0.85 * TIMES, 0 * TIMES), limits, dt)
     assert told.startswith("reference 'arrays' starts at 0.85 m/s and 0 rad/s, the robot at rest: limits.v_slew = ")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -22,6 +24,7 @@ from diffdrive_mpc import (
 )
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.trust import UntrustedFileError, only_trusted
 from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits, load_segments
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
@@ -43,7 +46,7 @@ def segment(v: float, omega: float, duration: float) -> Segment:
 
 @st.composite
 def segment_lists(draw: st.DrawFn) -> list[Segment]:
-    """One to six segments: arcs forwards and backwards, straights, turns on the spot, waits."""
+    """Draw one to six segments: arcs forwards and backwards, straights, turns on the spot, waits."""
     speeds = st.sampled_from([-0.8, -0.3, 0.0, 0.4, 0.9, 1.3])
     turns = st.sampled_from([-1.4, -0.5, 0.0, 0.3, 1.0])
     pieces = st.tuples(speeds, turns, st.floats(0.3, 4.0))
@@ -55,7 +58,7 @@ def instants(trajectory: Trajectory, count: int = 4001) -> FloatArray:
 
 
 def drawn_path(segments: list[Segment]) -> FloatArray:
-    """(n, 2) x, y [m] along the segments, a millimetre apart."""
+    """Return points (n, 2) x, y [m] along the segments, a millimetre apart."""
     pose, points = np.zeros(3), [np.zeros((1, 2))]
     for one in segments:
         share = np.linspace(0.0, one.duration, 2 + int(abs(one.v) * one.duration / 1e-3))
@@ -70,7 +73,7 @@ def drawn_path(segments: list[Segment]) -> FloatArray:
 
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
-def test_commanded_twists_are_those_of_the_segments(segments: list[Segment]) -> None:
+def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
     # A step in front, and one behind, which have the ramps.
     ends = [segment(0.5, 0.0, 1.0)]
     trajectory = lay_commanded([*ends, *segments, *ends], LIMITS, name="test")
@@ -84,7 +87,7 @@ def test_commanded_twists_are_those_of_the_segments(segments: list[Segment]) -> 
 
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
-def test_the_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Segment]) -> None:
+def test_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Segment]) -> None:
     trajectory = lay_commanded(segments, LIMITS, name="test")
     assert largest_integration_gap(trajectory, trajectory.breaks, pieces=20) < 1e-9
     end = np.zeros(3)
@@ -102,14 +105,14 @@ def test_commanded_ramps_at_both_ends_keep_the_accelerations() -> None:
     assert trajectory.duration == pytest.approx(5.0)
 
 
-def test_a_first_segment_too_short_for_its_ramp_leaves_at_what_it_reaches() -> None:
+def test_short_first_segment_ends_at_the_speed_it_reaches() -> None:
     trajectory = lay_commanded([segment(1.0, 0.0, 0.02), segment(1.0, 1.0, 2.0)], LIMITS, name="test")
     reached = np.sqrt(2 * LIMITS.v_acceleration * 0.02)
     assert trajectory.sample([reached - 1e-9]).twist[0] == pytest.approx((reached, 0.0), abs=1e-6)
     assert trajectory.sample([reached + 1e-6]).twist[0] == pytest.approx((1.0, 1.0), abs=1e-12)
 
 
-def test_waypoints_as_commanded_are_driven_at_one_speed() -> None:
+def test_commanded_waypoints_are_driven_at_constant_speed() -> None:
     trajectory = lay_waypoints(
         [(0, 0), (2, 0.5), (4, -0.5), (6, 0)], LIMITS, name="test", speed=0.8, timing="commanded"
     )
@@ -119,7 +122,7 @@ def test_waypoints_as_commanded_are_driven_at_one_speed() -> None:
         lay_waypoints([(0, 0), (0.3, 0.3), (0.6, 0)], LIMITS, name="test", speed=1.5, timing="commanded")
 
 
-def test_a_reference_beyond_what_limits_give_through_the_models_gain_is_refused() -> None:
+def test_reference_beyond_the_reachable_speed_of_the_model_raises_error() -> None:
     """A robot that turns 0.7 times as fast as commanded reaches 0.7 of the limit, and that is told at the start."""
     config = load_config("ssm", {"limits.omega": 1.0})
     turning = lay_segments([segment(0.5, 1.0, 3.0)], LIMITS, name="arc")
@@ -137,7 +140,7 @@ def test_every_shipped_reference_is_within_reach_of_every_shipped_model() -> Non
             check_speeds(load_trajectory(path), config.limits, config.sample_time, gain)
 
 
-def test_steps_are_not_refused_and_their_size_is_told() -> None:
+def test_steps_of_the_twist_are_accepted_and_reported() -> None:
     config = load_config("ssm")
     stepping = lay_commanded([segment(0.5, 1.0, 2.0), segment(0.5, -1.0, 2.0)], LIMITS, name="two arcs")
     check_speeds(stepping, config.limits, config.sample_time)
@@ -152,7 +155,7 @@ def test_steps_are_not_refused_and_their_size_is_told() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
-def test_a_smooth_path_stays_near_the_drawn_one_and_says_how_near(segments: list[Segment]) -> None:
+def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment]) -> None:
     trajectory = lay_smooth(segments, LIMITS, name="test", smoothing=0.02)
     times = instants(trajectory, 1500)
     points = trajectory.sample(times).pose[:, :2]
@@ -169,7 +172,7 @@ def test_a_smooth_path_stays_near_the_drawn_one_and_says_how_near(segments: list
 
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
-def test_a_smooth_trajectory_keeps_every_limit(segments: list[Segment]) -> None:
+def test_smooth_trajectory_keeps_every_limit(segments: list[Segment]) -> None:
     trajectory = lay_smooth(segments, LIMITS, name="test")
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.002)
     v, omega = trajectory.sample(instants(trajectory)).twist.T
@@ -185,7 +188,7 @@ def test_smooth_pose_twist_and_arc_length_agree(segments: list[Segment]) -> None
     assert largest_integration_gap(trajectory, trajectory.breaks, pieces=1) < 2e-5
 
 
-def test_the_curvature_of_a_smooth_path_is_continuous_and_uses_the_room_it_is_given() -> None:
+def test_smooth_path_has_continuous_curvature_and_uses_its_tolerance() -> None:
     distances, durations = [], []
     for smoothing in (0.005, 0.01, 0.02):
         arcs = [segment(1.0, 0.5, 3.0), segment(1.0, -0.5, 6.0), segment(1.0, 0.5, 3.0)]
@@ -204,13 +207,13 @@ def test_the_curvature_of_a_smooth_path_is_continuous_and_uses_the_room_it_is_gi
 
 
 @pytest.mark.parametrize("name", ["s", "cane", *FILED])
-def test_smooth_is_faster_than_stopping_where_curvature_jumps(name: str) -> None:
+def test_smooth_timing_is_faster_than_stopping_at_curvature_jumps(name: str) -> None:
     jumps = len(load_segments(name)) > 1
     faster = load_trajectory(name, timing="stop").duration - load_trajectory(name, timing="smooth").duration
     assert faster > 0.3 if jumps else abs(faster) < 0.01
 
 
-def test_smooth_stops_at_cusps_and_turns_on_the_spot_only() -> None:
+def test_smooth_timing_stops_at_cusps_and_turns_on_the_spot_only() -> None:
     arcs = [segment(0.5, 0.3, 2.0), segment(0.5, -0.3, 2.0), segment(-0.5, 0.3, 2.0), segment(0.0, 1.0, 1.0)]
     trajectory = lay_smooth([*arcs, *arcs], LIMITS, name="test")
     v = trajectory.sample(instants(trajectory, 40001)).twist[1:-1, 0]
@@ -238,29 +241,10 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
     assert not trajectory.drawn_distance(instants(trajectory)).any()
 
 
-def test_cubic_pieces_are_exact_enough_at_the_highest_speeds() -> None:
-    arcs = [segment(1.2, 1.2, 3.0), segment(1.2, -1.2, 3.0), segment(-1.2, 1.2, 3.0), segment(-1.2, -0.4, 2.0)]
-    trajectory = lay_smooth(arcs, LIMITS, name="test")
-    assert isinstance(trajectory, SplineTrajectory)
-    fine = np.linspace(0.0, trajectory.duration, 40001)
-    sample = trajectory.sample(fine)
-    # Integrated anew by short arcs of the mean twist of each step, whose error goes with the square of the step.
-    twist = trajectory.sample((fine[1:] + fine[:-1]) / 2).twist
-    pose = np.zeros(3)
-    gap = 0.0
-    for step, expected in zip(twist * np.diff(fine)[:, None], sample.pose[1:], strict=True):
-        pose = integrate_pose(pose, step[0], step[1], 1.0)
-        gap = max(gap, float(np.hypot(*(pose - expected)[:2])))
-    assert gap < 5e-5
-    cos, sin = np.cos(sample.pose[:, 2]), np.sin(sample.pose[:, 2])
-    rate = np.gradient(sample.pose, fine, axis=0, edge_order=2)
-    assert np.abs(rate[:, 1] * cos - rate[:, 0] * sin).max() < 1e-3
-
-
 # --- files
 
 
-def test_the_word_in_the_file_and_its_replacement(tmp_path: Path) -> None:
+def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "bends.yaml"
     text = (
         "timing: smooth\nsmoothing: 0.003\nsegments: [{v: 1, omega: 0, duration: 3}, {v: 1, omega: 1, duration: 3}]\n"
@@ -274,7 +258,7 @@ def test_the_word_in_the_file_and_its_replacement(tmp_path: Path) -> None:
         load_trajectory(path)
 
 
-def test_an_unknown_timing_and_timed_poses_are_refused(tmp_path: Path) -> None:
+def test_unknown_timing_and_timed_poses_raise_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="timing 'smoth': give stop, commanded or smooth"):
         load_trajectory("circle", timing="smoth")
     path = tmp_path / "poses.csv"
@@ -298,7 +282,7 @@ def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> N
 
 
 @pytest.mark.parametrize("seed", [0, 1, 12, 2**70])
-def test_random_paths_are_theirs_bit_for_bit_and_differ(seed: int) -> None:
+def test_random_paths_are_reproducible_and_distinct(seed: int) -> None:
     one, again, other = (load_trajectory(f"spline-{n}") for n in (seed, seed, seed + 1))
     assert isinstance(one, SplineTrajectory) and isinstance(again, SplineTrajectory)
     assert one.table.tobytes() == again.table.tobytes()
@@ -308,33 +292,25 @@ def test_random_paths_are_theirs_bit_for_bit_and_differ(seed: int) -> None:
     assert twist[:, 1].max() > 1.0
 
 
-def test_names_of_random_paths_are_told() -> None:
+def test_error_of_an_unknown_name_mentions_random_paths() -> None:
     with pytest.raises(ConfigError, match="spline-SEED or the path of a trajectory file"):
         load_trajectory("spline-x")
 
 
 PATHS = ("circle", "square", "s", "cane", "figure8", "k_turn")
 size = st.floats(0.1, 10.0)
+SIZES = [f"limits.{name}" for name in ("v", "omega", "wheel_speed", "v_slew", "omega_slew")]
+SIZES += ["wheels.track", "wheels.encoder_track"]
 
 
 @settings(max_examples=40, deadline=None)
 @given(
     path=st.sampled_from(PATHS),
-    values=st.fixed_dictionaries(
-        {
-            "limits.v": size,
-            "limits.omega": size,
-            "limits.wheel_speed": size,
-            "limits.v_slew": size,
-            "limits.omega_slew": size,
-            "wheels.track": size,
-            "wheels.encoder_track": size,
-        }
-    ),
+    values=st.fixed_dictionaries(dict.fromkeys(SIZES, size)),
     gains=st.tuples(st.floats(0.3, 2.0), st.floats(0.3, 2.0)),
     lag=st.floats(0.01, 3.0),
 )
-def test_any_robot_can_follow_and_the_shape_stays(path, values, gains, lag):
+def test_scaled_path_keeps_limits_and_shape_for_any_robot(path, values, gains, lag):
     config, share = load_config("sm", values), load_settings()
     rate = np.eye(2) / lag
     model = VelocityModel("lag", "sm", -rate, rate * gains, np.eye(2))
@@ -363,8 +339,102 @@ def test_any_robot_can_follow_and_the_shape_stays(path, values, gains, lag):
     np.testing.assert_allclose(end.arc_length, length * shipped.arc_length, rtol=1e-6)
 
 
-def test_only_segments_can_be_scaled(tmp_path):
+def test_scaling_of_waypoints_raises_error(tmp_path):
     path = tmp_path / "drawn.yaml"
     path.write_text("waypoints: [[0, 0], [1, 0], [2, 1]]\nspeed: 0.3\n")
     with pytest.raises(ConfigError, match="segments"):
         scaled_to_robot(path, load_config("sm"), load_model("sm"))
+
+
+# Speed passports.
+
+PASSPORT: dict[str, Any] = {
+    "description": "made up",
+    "share": 0.95,
+    "confidence": 0.95,
+    "curvatures": [0.0, 0.5, 1.0, 2.0],
+    "rows": [
+        {"surface": "firm", "tolerance": 0.01, "speeds": [0.8, 0.5, 0.6, None]},
+        {"surface": "firm", "tolerance": 0.02, "speeds": [1.2, 0.9, 0.7, 0.4]},
+        {"surface": "wet", "tolerance": 0.02, "speeds": [1.0, 0.6, 0.65, 0.2]},
+    ],
+}
+WAYPOINTS = "waypoints: [[0, 0], [1.5, 0.2], [3, 1], [3.2, 2.5], [2, 3.5], [0, 3.7]]\n"
+SEGMENTS = "segments:\n- {v: 1.2, omega: 0, duration: 3}\n- {v: 1.0, omega: 0.8, duration: 2}\n"
+
+
+def write(folder: Path, drawn: str, use: dict[str, object], timing: str = "smooth") -> Path:
+    (folder / "passport.yaml").write_text(yaml.safe_dump(PASSPORT), encoding="utf-8")
+    path = folder / "path.yaml"
+    key = yaml.safe_dump({"speed_passport": {"file": "passport.yaml", **use}})
+    path.write_text(f"timing: {timing}\n{drawn}{key}", encoding="utf-8")
+    return path
+
+
+def allowed(curvature: float, row: int) -> float:
+    """Return the maximum speed [m/s] for a curvature [1/m], from the table."""
+    speeds, curvatures = PASSPORT["rows"][row]["speeds"], PASSPORT["curvatures"]
+    index = next(k for k, end in enumerate(curvatures) if curvature <= end + 1e-6)
+    return float(min(speeds[: index + 1]))
+
+
+@pytest.mark.parametrize("drawn", [WAYPOINTS, SEGMENTS])
+@pytest.mark.parametrize(("use", "rows"), [({"surface": "firm"}, [1]), ({}, [1, 2])])
+def test_speed_stays_below_the_passport_everywhere(
+    drawn: str, use: dict[str, object], rows: list[int], tmp_path: Path
+) -> None:
+    path = write(tmp_path, drawn, {"tolerance": 0.03, **use})
+    timed = load_trajectory(path)
+    v, omega = timed.sample(np.linspace(0.0, timed.duration, 3000)).twist.T
+    moving = v > 0.05
+    shares = [
+        speed / min(allowed(bend, row) for row in rows)
+        for speed, bend in zip(v[moving], np.abs(omega[moving] / v[moving]), strict=True)
+    ]
+    # The cubics between the nodes of the path go a little beyond.
+    assert 0.95 < max(shares) < 1.02
+
+
+@pytest.mark.parametrize(
+    ("use", "timing", "line"),
+    [
+        ({"tolerance": 0.005}, "smooth", "the least tolerance of the passport is 0.01 m"),
+        ({"tolerance": 0.02, "surface": "ice"}, "smooth", "unknown surface 'ice'; known: firm, wet"),
+        ({"tolerance": 0.02}, "stop", "timing 'stop' takes none"),
+        ({"tolerance": 0.01, "surface": "firm"}, "smooth", "no speed is proven for a curvature of 1.25 1/m"),
+        ({"tolerance": 0.02, "file": "none.yaml"}, "smooth", "none.yaml"),
+    ],
+)
+def test_unknown_passport_entry_is_reported_in_one_line(
+    use: dict[str, object], timing: str, line: str, tmp_path: Path
+) -> None:
+    drawn = "segments:\n- {v: 1.0, omega: 1.25, duration: 2}\n"
+    with pytest.raises(ConfigError, match=line):
+        load_trajectory(write(tmp_path, drawn, use, timing))
+
+
+def test_turn_tighter_than_the_passport_raises_error(tmp_path: Path) -> None:
+    drawn = "segments:\n- {v: 0.4, omega: 1.0, duration: 2}\n"
+    with pytest.raises(ConfigError, match=r"curvature of 2\.5 1/m, the passport knows none above 2 1/m"):
+        load_trajectory(write(tmp_path, drawn, {"tolerance": 0.02}))
+
+
+@pytest.mark.parametrize("segment", ["{v: -0.4, omega: 0.1, duration: 2}", "{v: 0.0, omega: 0.5, duration: 2}"])
+def test_unmeasured_motion_raises_error(segment: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="covers no backward driving and no turn on the spot"):
+        load_trajectory(write(tmp_path, f"segments:\n- {segment}\n", {"tolerance": 0.02}))
+
+
+def test_duplicate_passport_rows_raise_error(tmp_path: Path) -> None:
+    path = write(tmp_path, SEGMENTS, {"tolerance": 0.02})
+    twice = {**PASSPORT, "rows": [*PASSPORT["rows"], PASSPORT["rows"][0]]}
+    (tmp_path / "passport.yaml").write_text(yaml.safe_dump(twice), encoding="utf-8")
+    with pytest.raises(ConfigError, match="two rows have the same surface and tolerance"):
+        load_trajectory(path)
+
+
+def test_untrusted_passport_is_not_opened(tmp_path: Path) -> None:
+    path = write(tmp_path, SEGMENTS, {"tolerance": 0.02, "file": "../passport.yaml"})
+    inside = path.rename(tmp_path / "in.yaml")
+    with only_trusted("a run", [tmp_path]), pytest.raises(UntrustedFileError, match="passport"):
+        load_trajectory(inside)

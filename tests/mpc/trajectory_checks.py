@@ -11,7 +11,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: int) -> float:
-    """Largest difference between the sampled pose and arc length and the quadrature of the sampled twist.
+    """Return the maximum difference between the sampled pose and arc length and the quadrature of the sampled twist.
 
     Each interval between `breaks`, inside which the trajectory is smooth, is cut into `pieces`.
     """
@@ -29,7 +29,7 @@ def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: 
 
 
 def largest_shares(trajectory: Trajectory, limits: TrajectoryLimits, step: float = 1e-3) -> FloatArray:
-    """Largest speeds and finite-difference accelerations (4,), each as a share of its limit; covers both ends."""
+    """Return maximum speeds and finite-difference accelerations (4,), as shares of their limits; covers both ends."""
     times = np.arange(-5 * step, trajectory.duration + 5 * step, step)
     twist = trajectory.sample(times).twist
     speed = np.abs(twist).max(axis=0) / (limits.v, limits.omega)
@@ -39,7 +39,7 @@ def largest_shares(trajectory: Trajectory, limits: TrajectoryLimits, step: float
 
 
 def assert_holds_its_ends(trajectory: Trajectory) -> None:
-    """Before the start and after the end the robot rests where it starts and ends."""
+    """Check that the robot rests at its start before it, and at its end after it."""
     end = trajectory.duration
     sample = trajectory.sample([-10.0, -1e-9, 0.0, end, end + 1e-9, end + 10.0])
     assert np.array_equal(sample.pose[:2], sample.pose[[2, 2]])

@@ -76,7 +76,7 @@ def drive_over_dds(
 
 
 def own_domain(folder: Path) -> dict[str, str]:
-    """An environment in which the two meet nobody else, and leave no logs behind."""
+    """Return an environment with a separate ROS domain and a temporary folder of logs."""
     return os.environ | {
         "ROS_DOMAIN_ID": str(1 + os.getpid() % _DOMAINS),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -107,16 +107,16 @@ class Process:
 
     @property
     def output(self) -> str:
-        """What it has printed so far."""
+        """Output so far."""
         return self._path.read_text(encoding="utf-8")
 
     def failure(self, what: str) -> DriveFailedError:
-        """An error with the last words of this process."""
+        """Return an error with the last words of this process."""
         words = " ".join(self.output.split())[-_WORDS_SHOWN:]
         return DriveFailedError(f"{self.name}: {what}; it said: {words or 'nothing'}")
 
     def end(self) -> None:
-        """Ask it to end, as Ctrl-C does, and if it does not, make it."""
+        """Interrupt the process as Ctrl-C does; kill it if it goes on."""
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
             try:
@@ -129,7 +129,7 @@ class Process:
 
 @contextmanager
 def running(name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
-    """A process that does not outlive the context; parameters as for `Process`."""
+    """Yield a process that does not outlive the context; parameters as for `Process`."""
     process = Process(name, words, environment, folder)
     try:
         yield process
@@ -138,7 +138,7 @@ def running(name: str, words: Sequence[str], environment: dict[str, str], folder
 
 
 def _wait(robot: Process, controller: Process, end: float) -> None:
-    """Until the robot ends by itself."""
+    """Wait until the robot ends by itself."""
     while robot.popen.poll() is None:
         if controller.popen.poll() is not None:
             raise controller.failure(f"ended with code {controller.popen.returncode} while the robot was driving")

@@ -126,24 +126,6 @@ def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for
     np.testing.assert_array_equal(runs[0][1], runs[1][1])
 
 
-def test_a_reversal_costs_heading_twice_the_angle_of_the_tyres():
-    """Settled turns to both sides: the wheels come back to where they were, the body lags twice the angle."""
-    effects = BaseEffects.model_validate({"yaw_relaxation": {"angle": 0.05}})
-    slip, sensors = load_surface("ideal").slip, load_sensor_set("perfect")
-    turn = np.concatenate([np.tile([0.0, 1.0], (200, 1)), np.tile([0.0, -1.0], (200, 1))])
-    stiff = readings(ModelPlant(load_model("sm"), slip, sensors), turn)[1][2]
-    soft = readings(ModelPlant(load_model("sm"), slip, sensors, effects=effects), turn)[1][2]
-    # It begins with tyres that are not twisted and ends with tyres twisted to the right.
-    assert soft - stiff == pytest.approx(0.05, abs=1e-3)
-
-
-def test_same_seed_same_run_with_effects(path):
-    commands = random_commands(4, duration=2.0)
-    first, second = (readings(make_plant(f"model:{path}", sensors="slam", seed=5), commands) for _ in range(2))
-    np.testing.assert_array_equal(first[0], second[0])
-    np.testing.assert_array_equal(first[1], second[1])
-
-
 def test_a_network_is_a_plant_that_obeys_it_sample_by_sample():
     model, random = load_model("lstm"), np.random.default_rng(0)
     motion, commands = BaseMotion(model, BaseEffects(), model.dt), random.uniform(-1, 1, (50, 2))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +16,15 @@ from loop_parts import trace
 from diffdrive_mpc import ConfigError, ModelError, integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.open_loop import (
+    OpenLoopDrive,
+    drive_open_loop,
+    load_command_parameters,
+    random_commands,
+    step_commands,
+)
 from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -146,12 +156,6 @@ def test_a_dead_time_beyond_any_robots_is_refused() -> None:
         make_plant("model:sm+1e9")
 
 
-def test_dead_times_of_name_and_argument_add_up() -> None:
-    commands = random_commands(8, duration=3.0)
-    both = _named(f"model:sm+{DT}", commands, extra_dead_time=DT)
-    np.testing.assert_allclose(both.output, _named(f"model:sm+{2 * DT}", commands).output, atol=1e-12)
-
-
 def test_a_model_file_may_have_a_plus_in_its_path(tmp_path: Path) -> None:
     path = tmp_path / "robot+0.04"
     path.write_text(model_path("sm").read_text(encoding="utf-8"), encoding="utf-8")
@@ -228,3 +232,113 @@ def test_a_model_plant_carries_what_its_robot_is_allowed() -> None:
     for _ in range(100):
         plant.advance([2.5, 0.0])
     assert plant.true_twist[0] == pytest.approx(2.5 * load_model("sm").dc_gain[0, 0], rel=0.01)
+
+
+REPOSITORY = Path(__file__).parents[2]
+SEGMENTS = """\
+segments:  # v [m/s], omega [rad/s], duration [s]
+  - {v: 0.5, omega: 0.5, duration: 0.8}
+  - {v: 0.0, omega: -1.0, duration: 0.4}
+"""
+SCRIPT = """\
+import hashlib, sys
+import numpy as np
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
+
+reference = load_trajectory(sys.argv[1])
+for seed in (3, 4):
+    run = simulate(Controller(load_config(sys.argv[2])), make_plant("mujoco", seed=seed), reference)
+    assert run.metrics.completed and run.true_pose[-1, 0] > 0.1, run.metrics
+    for series in (run.command, run.true_pose, run.measured_pose):
+        print(seed, len(run.time), hashlib.sha256(np.ascontiguousarray(series).tobytes()).hexdigest())
+"""
+
+
+def _digests(trajectory: Path, model: str, hash_seed: str) -> list[str]:
+    """Seed, ticks, and the digests of commands, true and measured poses, of runs in a process of its own."""
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(REPOSITORY / "src")}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(trajectory), model],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_two_processes_command_and_drive_the_same_bit_for_bit(tmp_path: Path) -> None:
+    trajectory = tmp_path / "short.yaml"
+    trajectory.write_text(SEGMENTS)
+    first, again = (_digests(trajectory, "ssm", hash_seed) for hash_seed in ("1", "2"))
+    assert first == again
+    digests = [line.split()[2] for line in first]
+    assert len(set(digests)) == len(digests) == 6  # another seed is another run
+
+
+RANDOM = load_command_parameters().random
+
+
+@given(seed=st.integers(0, 10_000))
+def test_random_set_points_stay_in_their_ranges_and_hold_long_enough(seed: int) -> None:
+    rows = random_commands(seed, smooth=False)
+    assert rows.shape == (round(RANDOM.duration / load_robot().sample_time), 2)
+    for column, (low, high) in enumerate((RANDOM.v_range, RANDOM.omega_range)):
+        assert rows[:, column].min() >= low
+        assert rows[:, column].max() <= high
+    changes = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1))
+    holds = np.diff(changes) * load_robot().sample_time
+    slack = load_robot().sample_time
+    assert np.all((holds >= RANDOM.hold_range[0] - slack) & (holds <= RANDOM.hold_range[1] + slack))
+
+
+@given(seed=st.integers(0, 10_000))
+def test_smoothing_is_the_mean_of_the_past_window_from_rest(seed: int) -> None:
+    rough, smooth = random_commands(seed, smooth=False, duration=5.0), random_commands(seed, duration=5.0)
+    window = round(RANDOM.smoothing / load_robot().sample_time)
+    padded = np.vstack([np.zeros((window - 1, 2)), rough])
+    for k in (0, window // 2, len(rough) // 2, len(rough) - 1):
+        np.testing.assert_allclose(smooth[k], padded[k : k + window].mean(axis=0), atol=1e-12)
+
+
+def test_seeds_fix_random_drives() -> None:
+    np.testing.assert_array_equal(random_commands(1), random_commands(1))
+    assert not np.array_equal(random_commands(1), random_commands(2))
+
+
+def test_wheel_steps_turn_the_wheels_at_the_papers_pulse_rates() -> None:
+    robot = load_robot()
+    kinematics = WheelKinematics(robot.wheel_radius, robot.track)
+    rates = [
+        kinematics.wheel_speeds(rows)[:, 0].max() * robot.encoder_pulses / (2 * np.pi)
+        for rows in step_commands("wheels")
+    ]
+    np.testing.assert_allclose(rates, [800, 1200, 1500, 1800])
+
+
+@pytest.mark.parametrize(("kind", "column"), [("v", 0), ("omega", 1), ("wheels", 0)])
+def test_steps_start_and_end_at_rest_and_move_one_channel(kind: str, column: int) -> None:
+    limits = load_robot().limits
+    for rows in step_commands(kind):  # type: ignore[arg-type]
+        assert np.all(rows[0] == 0) and np.all(rows[-1] == 0)
+        assert np.all(rows[:, 1 - column] == 0)
+        assert len(np.unique(rows[:, column])) == 2
+        assert np.all(np.abs(rows) <= [limits.v, limits.omega])
+
+
+def test_log_rows_are_measured_before_their_command_is_sent() -> None:
+    plant = make_plant("model:ssm", "ideal", "perfect")
+    log = drive_open_loop(plant, np.tile([0.5, 0.0], (5, 1)), pose=[1.0, 2.0, 0.5])
+    np.testing.assert_array_equal(log.true_pose[0], [1.0, 2.0, 0.5])
+    np.testing.assert_allclose(log.time, np.arange(5) * plant.sample_time)
+    assert log.output[0, 0] == 0.0
+    assert log.output[1, 0] > 0.0
+    assert log.wheel_speeds.shape == (5, 4)
+
+
+@pytest.mark.parametrize("commands", [np.zeros(3), np.zeros((3, 1)), np.full((3, 2), np.nan)])
+def test_log_refuses_bad_commands(commands: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="give"):
+        drive_open_loop(make_plant("model:ssm"), commands)

@@ -168,21 +168,6 @@ def test_a_run_prints_as_a_table() -> None:
     assert repr(run) == "Run along 'line': 4 ticks of 1 s"
 
 
-def test_a_recovery_prints_as_a_table() -> None:
-    reference = ConstantTwist(1.0, 0.0, 3.0)
-    run = run_along(reference, reference.sample(np.arange(4.0)).pose, [1.0, 0.0, 0.0], np.arange(4.0))
-    assert str(run.recovery).splitlines() == [
-        "recovery                          value",
-        "recovery time [s]                     -",
-        "overshoot [m]                         -",
-        "largest |lateral| [m]                 0",
-        "energy of v_ref [m^2/s]               4",
-        "energy of omega_ref [rad^2/s]         0",
-        "rate of v_ref, RMS [m/s^2]            0",
-        "rate of omega_ref, RMS [rad/s^2]      0",
-    ]
-
-
 def test_former_names_of_the_solver_s_method_warn() -> None:
     report = SolverReport(SolverStatus.SOLVED, "unlimited")
     with pytest.warns(DeprecationWarning, match=r"SolverReport\.path is SolverReport\.method now"):

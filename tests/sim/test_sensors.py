@@ -69,20 +69,6 @@ def test_first_measurement_is_complete_and_its_pose_not_from_the_future(name: st
     assert first.yaw_rate.time == first.wheel_twist.time == 0.0
 
 
-def test_slam_delivers_ten_poses_a_second_sixty_milliseconds_late() -> None:
-    measurements = _run(load_sensor_set("slam"), 495)
-    ages = [k * DT - m.pose.time for k, m in enumerate(measurements) if m.pose is not None]
-    assert len(ages) == pytest.approx(100, abs=1)
-    assert min(ages[1:]) >= 0.060 - 1e-9
-    assert max(ages[1:]) < 0.060 + DT
-
-
-def test_default_pose_is_one_sample_old() -> None:
-    for k, measurement in enumerate(_run(load_sensor_set("default"), 50)):
-        assert measurement.pose is not None
-        assert measurement.pose.time == pytest.approx((k - 1) * DT)
-
-
 def test_noise_has_the_stated_covariance() -> None:
     parameters = SensorSet(
         pose=PoseSensor(period=None, latency=0.0, position_sd=0.01, heading_sd=0.02),
@@ -175,13 +161,6 @@ def _file(folder: Path, period: str, latency: str) -> Path:
 def test_a_pose_sensor_that_would_never_end_is_refused(period: str, latency: str, key: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"mine\.yaml: {key}: [^\n]*\(found [^\n]*\)$"):
         load_sensor_set(_file(tmp_path, period, latency))
-
-
-def test_the_fastest_and_latest_pose_sensor_works(tmp_path: Path) -> None:
-    measurements = _run(load_sensor_set(_file(tmp_path, "0.001", "2.0")), 200)
-    for k, measurement in enumerate(measurements):
-        assert measurement.pose is not None
-        assert k * DT - measurement.pose.time == pytest.approx(2.0, abs=1.1e-3)
 
 
 TICK = load_robot().sample_time
@@ -320,15 +299,6 @@ def test_a_dead_encoder_spoils_the_twist_of_its_side() -> None:
         assert _value(faulty.wheel_speeds) == speeds.tolist()
         left, right = robot.wheel_radius * speeds.reshape(2, 2).mean(axis=0)
         np.testing.assert_allclose(_value(faulty.wheel_twist), [(left + right) / 2, (right - left) / robot.track])
-
-
-def test_wheels_that_read_zero_read_nothing_else() -> None:
-    wheels = load_scenario("dead_wheels").draw(0).dead_encoders[0].wheels
-    for _, _, faulty in _check_only(
-        _both("mujoco", dead_encoders=[{"wheels": wheels}]), {"wheel_twist", "wheel_speeds"}
-    ):
-        assert _value(faulty.wheel_speeds) == [0.0] * 4
-        assert _value(faulty.wheel_twist) == [0.0] * 2
 
 
 def test_a_biased_gyro_is_off_by_a_constant() -> None:

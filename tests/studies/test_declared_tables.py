@@ -1,14 +1,18 @@
 """Tables that come from declarations are current and complete."""
 
+import os
+import subprocess
+import sys
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from studies.documents import declared_tables
+from studies.site.pictures import FOLDER, POSTER, listed
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -32,19 +36,21 @@ def test_every_parameter_has_its_row_with_unit_default_and_advice():
         assert unit.strip() or "provenance" in line, line
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [("weights: x", "no advice on 'config'"), ("weigths: x", "'weigths' is no parameter and no group")],
-)
-def test_advice_that_does_not_fit_is_refused(text, complaint, tmp_path, monkeypatch):
-    file = tmp_path / "advice.yaml"
-    file.write_text(text)
-    monkeypatch.setattr(declared_tables, "_ADVICE", file)
-    with pytest.raises(ConfigError, match=complaint):
-        declared_tables.parameter_tables()
+ROOT = Path(__file__).parents[2]
 
 
-def test_the_table_of_scalars_has_a_line_for_each():
-    assert all(
-        f"| `{name}` | {scalar.unit} |" in declared_tables.scalars_table() for name, scalar in step_scalars().items()
-    )
+def test_every_listed_picture_is_committed():
+    names = {POSTER, *listed()}
+    assert names <= {path.stem for path in (ROOT / FOLDER).glob("*.png")}
+
+
+@pytest.mark.system("rendering")
+def test_poster_shows_path_and_plan(tmp_path):
+    code = "import pathlib, sys; from studies.site.pictures import draw_poster; draw_poster(pathlib.Path(sys.argv[1]))"
+    command = [sys.executable, "-c", code, str(tmp_path / "p.png")]
+    subprocess.run(command, cwd=ROOT, env=os.environ | {"MUJOCO_GL": "egl"}, check=True)
+    with Image.open(tmp_path / "p.png") as drawn:
+        red, green, blue = np.moveaxis(np.asarray(drawn.convert("RGB"), dtype=int), -1, 0)
+    assert red.shape == (720, 1280)
+    assert np.count_nonzero((red > 150) & (green < 120) & (blue < 60)) > 300  # the plan
+    assert np.count_nonzero((blue > 90) & (red < 60)) > 5000  # the driven path and the deck

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.peers.tracking_peer import law_kind, load_gains
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.peers.study import TUNED, GainSearch, PeersStudy, load_settings
+from studies.peers.study import GainSearch
 
 RANGES = {"a": (0.1, 10.0), "b": (1.0, 1000.0)}
 
@@ -33,16 +31,3 @@ def test_it_keeps_to_its_budget_and_repeats_itself(evaluations: int) -> None:
     assert len(tried) == evaluations
     assert tried == found(evaluations).tried
     assert all(low <= values[name] <= high for values, _ in tried for name, (low, high) in RANGES.items())
-
-
-@pytest.mark.parametrize("peer", TUNED)
-def test_every_gain_of_every_peer_is_tuned(peer: str) -> None:
-    settings = load_settings()
-    assert set(settings.ranges[peer.partition("+")[0]]) == set(law_kind(peer).gains.model_fields)
-    assert load_gains(peer).lead > 0.0
-    assert peer in PeersStudy(settings).plan()
-
-
-def test_an_unknown_peer_is_refused() -> None:
-    with pytest.raises(ConfigError, match="unknown peer 'kanayma'"):
-        PeersStudy(load_settings(), ["kanayma"]).plan()

@@ -1,19 +1,13 @@
 """The study of the predicted error: from drives to a calibration that covers others, and drives that repeat."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
-from studies.predicted_error import drives
 from studies.predicted_error.calibrate import calibrated, coverage
-from studies.predicted_error.drives import DrivenPath, drive, keep, load_study, planned, planned_sets, read_kept
+from studies.predicted_error.drives import DrivenPath, drive, keep, load_study, planned, read_kept
 from studies.predicted_error.study import PredictedErrorStudy
 
-from diffdrive_mpc import Controller
-from diffdrive_mpc.bench.runner import StudyFailedError
 from diffdrive_mpc.models.checked_yaml import check
-from diffdrive_mpc_extras.predicted_error import predict_error
 from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, ErrorCalibration, load_calibration
 
 TRUE = {"floor": 0.002, "turning": 0.01, "yaw_acceleration": 0.05}
@@ -51,14 +45,6 @@ def test_the_scale_is_made_of_what_made_the_error(scale):
     assert np.corrcoef(features @ scale.row, true)[0, 1] > 0.98
 
 
-def test_too_many_lost_drives_leave_no_tube():
-    lost = made_up(40, 6)
-    for one in lost[:6]:
-        one.errors["lateral"][50:] = np.inf
-    with pytest.raises(StudyFailedError, match="no lateral tube holds for 95 % of 40 drives"):
-        calibrated(made_up(60, 1), lost, "lateral", 0.95)
-
-
 def test_a_report_says_coverage_and_writes_a_calibration_that_is_read():
     study = load_study(None)
     sets = {name: made_up(30, k) for k, name in enumerate(planned_names(study))}
@@ -68,38 +54,10 @@ def test_a_report_says_coverage_and_writes_a_calibration_that_is_read():
     assert written.populations.keys() == load_calibration().populations.keys()
 
 
-def test_a_study_of_ones_own_twin_needs_no_more_than_its_population(tmp_path):
-    file = tmp_path / "mine.yaml"
-    shipped = yaml.safe_load(Path(drives.__file__).with_name("study.yaml").read_text(encoding="utf-8"))
-    mine = shipped["populations"]["own"] | {"factors": {"plant": "mujoco:heavy", "config": "sm"}}
-    ranges = ("level", "speed", "yaw_rate", "acceleration", "lag_v", "lag_omega")
-    file.write_text(yaml.safe_dump({name: shipped[name] for name in ranges} | {"populations": {"mine": mine}}))
-    study = load_study(file)
-    case = planned_sets(study)["mine-test"][0].definition.case
-    assert (case.plant, case.config) == ("mujoco:heavy", "sm")
-    sets = {name: made_up(30, k) for k, name in enumerate(planned_names(study))}
-    report = PredictedErrorStudy(study).report(sets, 1.0)
-    (tmp_path / "calibration.yaml").write_text(report.files["calibration.yaml"])
-    predicted = predict_error(Controller("sm"), "circle", "mine", tmp_path / "calibration.yaml")
-    assert predicted.drives == mine["description"]
-
-
 def planned_names(study):
     parts = [f"{name}-{part}" for name in study.populations for part in ("fit", "calibration", "test")]
     oracles = [f"{name}-oracle-{seed}" for name in study.populations for seed in study.oracle.paths]
     return [*parts, *study.others, *oracles]
-
-
-def test_robots_paths_and_seeds_of_the_parts_are_apart():
-    sets = planned_sets(load_study(None, quick=True))
-    parts = [sets[f"own-{part}"] for part in ("fit", "calibration", "test")]
-    for of in (lambda one: one.path, lambda one: one.definition.case.seed, lambda one: one.definition.robot):
-        values = [of(one) for drives in parts for one in drives]
-        assert len(set(values)) == len(values)
-    drawn = load_study(None).populations["drawn"]
-    assert drawn.fit.robots == drawn.calibration.robots == "tuning"
-    assert drawn.test.robots == "reserved"
-    assert drawn.fit.first_robot + drawn.fit.runs <= drawn.calibration.first_robot
 
 
 def test_a_drive_repeats_and_is_kept_as_it_was(tmp_path):

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.described import schema_rows
 from studies.site.command_line import command_line_page
 from studies.site.reference import api_page, reference_pages, section
-from studies.site.staging import linked_files, pages_outside, stage, with_mathml, with_site_links
+from studies.site.staging import stage, with_mathml, with_site_links
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}
@@ -38,18 +38,6 @@ DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (
 )
 def test_links_of_the_repository_become_links_of_the_site(document, link, on_site):
     assert with_site_links(f"see [it]({link}), too", document) == f"see [it]({on_site}), too"
-
-
-def test_code_is_left_as_it_is_and_comments_are_left_out():
-    code = "```python\nx = f[0](docs/a.md)\n```"
-    assert with_site_links(f"<!-- bench:begin -->\n| a |\n\n{code}\n", "README.md") == f"| a |\n\n{code}\n"
-
-
-def test_files_that_a_page_names_are_pages_of_their_own():
-    pages = pages_outside(ROOT, {"docs/a.md": "[one](../examples/own_cost.py) [none](../examples/nothing.py)"})
-    assert "keep_away" in pages["files/examples/own_cost.py.md"]
-    assert not any("nothing" in place for place in pages)
-    assert linked_files(pages["index.md"], "docs/index.md") >= {"docs/models.md", "docs/changelog.md"}
 
 
 def test_formulas_become_mathml_and_code_stays():

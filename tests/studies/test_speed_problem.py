@@ -92,17 +92,6 @@ def test_stages_lead_to_the_predicted_twists_and_poses(name, seed):
         np.testing.assert_allclose(values[:2], twist[k + 1, :, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
-def test_stages_lead_to_the_poses_that_the_controller_plans(name):
-    it = setting(name, 8)
-    z, parameters = it.data
-    step, *_ = functions(it.stages)
-    n = it.problem.model.order
-    for k, u in enumerate(it.result.planned_commands):
-        z = np.array(step(z, u, parameters[k])).ravel()
-        np.testing.assert_allclose(z[n : n + 3], it.result.plan[k + 1], atol=1e-12)
-
-
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
 def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
@@ -154,9 +143,3 @@ def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, na
     command = peer.solve(*it.data)
     assert peer.report().solved
     np.testing.assert_allclose(command, found[:2], atol=1e-5)
-
-
-def test_a_last_command_that_is_not_on_its_way_is_refused():
-    it = setting("ssm", 5)
-    with pytest.raises(ValueError, match="last command"):
-        stage_data(it.controller.program, it.result.estimate, np.zeros_like(it.past))

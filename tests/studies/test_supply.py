@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from studies.site.licences import PAGE, with_table
-from studies.speed.process.environment import REQUIREMENTS, pinned
-from studies.speed.process.subject import SubjectError
+from studies.speed.process.environment import REQUIREMENTS
 
 ROOT = Path(__file__).parents[2]
 LISTS = (
@@ -42,18 +41,6 @@ def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
         assert f"\n{name}==" in f"\n{text}" or not name
         if "==" in line:
             assert f"\n{name}=={version} " in f"\n{text}"
-
-
-def test_what_is_installed_first_is_one_package_with_its_hashes() -> None:
-    """The others come after it."""
-    text = REQUIREMENTS.read_text(encoding="utf-8")
-    first = pinned("comma-deps-acados", text)
-    assert first.startswith("comma-deps-acados==")
-    assert first.count("==") == 1
-    assert "--hash=sha256:" in first
-    assert first in text
-    with pytest.raises(SubjectError, match="acado is not in"):
-        pinned("acado", text)
 
 
 def test_the_page_tells_the_licences_of_what_is_installed() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +16,15 @@ from tracking_parts import TINY, case, made_up, recovery, row, tiny_study, write
 
 from commands import invoke
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.bench.experiment import frame, json_rows
+from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.peers import make_peer
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.sim import simulate
 from studies.cli import app
-from studies.documents.documents import TRACKING, copy_report, sections, with_report
-from studies.tracking.measured import BOUND, decompose, load_targets, measured, worst_arc
+from studies.documents.documents import TRACKING, copy_report, with_report
+from studies.tracking.measured import decompose, measured
 from studies.tracking.study import TrackingStudy, judge, load_study, target_table
 
-TUNING_SEEDS = {100, 101}
 MODELS, TRAJECTORIES = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane")
 
 
@@ -41,19 +39,6 @@ def every(parts):
 @pytest.fixture(params=[False, True], ids=["whole", "quick"])
 def study(request):
     return load_study(quick=request.param)
-
-
-def test_no_seed_of_the_study_was_used_for_tuning(study):
-    assert not {case.seed for case in every(cases_of(study))} & TUNING_SEEDS
-
-
-def test_weights_limits_and_horizon_are_the_shipped_ones_everywhere(study):
-    """Only the ablation changes anything, and only what compensates."""
-    parts = cases_of(study)
-    changed = {key for case in every(parts) for key, _ in case.overrides}
-    assert {key.partition(".")[0] for key in changed} == {"compensation"}
-    others = [case for name, cases in parts.items() if name != "ablation" for case in cases]
-    assert not any(case.overrides or case.config for case in others)
 
 
 def test_no_part_runs_a_case_twice_and_parts_share_cases(study):
@@ -78,30 +63,6 @@ def test_what_was_asked_for_is_driven_by_every_model_along_every_trajectory_with
     driven = {(c.model, c.trajectory, c.seed, (c.surface, c.sensors, c.scenario)) for c in targets}
     assert driven == {(*one, place) for one in everything for place in places}
     assert all(case.plant == "mujoco" for case in targets)
-
-
-def test_the_ablation_leaves_out_each_part_alone_and_all_of_them():
-    study = load_study()
-    left_out = [tuple(key for key, value in one.items() if value is False) for one in study.variants.values()]
-    four = tuple(f"compensation.{name}" for name in ("dead_time", "v_offset", "yaw_gain", "side_slip"))
-    assert left_out == [(), *((one,) for one in four), four]
-    assert len(cases_of(study, ["ablation"])["ablation"]) == 6 * 2 * 3 * 4 * 3
-
-
-def test_the_cross_table_has_every_controller_on_every_model_as_plant():
-    pairs = {(case.model, case.plant) for case in cases_of(load_study())["cross"]}
-    assert pairs == set(itertools.product(MODELS, [f"model:{name}" for name in MODELS]))
-
-
-def test_the_bound_has_perfect_sensors_and_every_surface_of_the_ablation(study):
-    parts = cases_of(study)
-    assert {(case.controller, case.sensors, case.plant) for case in parts["bound"]} == {(BOUND, "perfect", "mujoco")}
-    assert {case.surface for case in parts["bound"]} == {case.surface for case in parts["ablation"]}
-
-
-def test_an_unknown_part_is_refused():
-    with pytest.raises(ConfigError, match=r"--only: unknown part 'crosses'; known: targets, ablation"):
-        load_study().drives(["crosses"])
 
 
 @pytest.mark.parametrize(
@@ -141,23 +102,6 @@ def test_along_and_across_are_the_position_error_in_the_frame_of_the_reference(r
     assert len(kept["time"]) == run.metrics.steps
 
 
-def test_a_row_keeps_the_arcs_and_the_lateral_error_after_the_start(run):
-    kept = measured(case(surface="slippery"), run)
-    late = np.abs(run.errors.lateral[run.counted & (run.time >= 2.0)]).max()
-    assert kept["late_lateral_m"] == pytest.approx(late)
-    assert late < 0.5 * run.metrics.lateral_max_m
-    assert kept["arcs"] == pytest.approx([run.errors.lateral[run.counted][kept["steady"]].mean()])
-
-
-def test_a_row_is_plain_json_without_series_and_step_times():
-    (values,) = json_rows(frame([row(case(overrides=(("horizon", 12),)), **recovery(), late_lateral_m=0.0012345678)]))
-    assert json.loads(json.dumps(values, allow_nan=False)) == values
-    assert values["recovery_time_s"] is None
-    assert values["late_lateral_m"] == 0.00123457
-    assert values["set"] == {"horizon": 12}
-    assert not [name for name in values if "step_time" in name or name in ("across", "case")]
-
-
 def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_neither():
     wave = 0.002 * (-1.0) ** np.arange(100)
     steady = np.arange(100) >= 50
@@ -179,26 +123,6 @@ def test_the_parts_add_up_to_the_mean_square_whatever_the_errors(seeds, key):
     assert decompose(frame(rows)).total == pytest.approx(total)
 
 
-def test_pure_noise_leaves_little_that_repeats():
-    random = np.random.default_rng(1)
-    rows = [row(case(seed=k), across=0.003 * random.normal(size=100)) for k in range(200)]
-    parts = decompose(frame(rows))
-    assert parts.noise == pytest.approx(0.003**2, rel=0.05)
-    assert abs(parts.bias + parts.transient) < 0.01 * parts.noise
-
-
-def test_a_single_run_has_no_noise_to_see():
-    parts = decompose(frame([row(case(), across=np.full(100, 0.004))]))
-    assert parts.noise == 0.0
-    assert math.sqrt(parts.total) == pytest.approx(0.004)
-
-
-def test_runs_of_different_length_are_refused():
-    short = row(case(seed=21), time=0.02 * np.arange(90))
-    with pytest.raises(ValueError, match="ticks cannot be compared"):
-        decompose(frame([row(case()), short]))
-
-
 STUDY = load_study(quick=True)
 CASES = [drive.case for drive in STUDY.drives(["targets"])["targets"]]
 
@@ -210,13 +134,6 @@ def verdicts(change=lambda case: {}):
 def only(**conditions):
     """Whether a case is the one that the conditions describe."""
     return lambda case: all(getattr(case, name) == value for name, value in conditions.items())
-
-
-def test_runs_well_inside_every_target_reach_all_of_them():
-    found = verdicts()
-    assert len(found) == 5 + 2 + 3 + 4
-    assert all(verdict.met for verdict in found.values())
-    assert all(set(verdict.reached) == {"SM", "SSM"} for verdict in found.values())
 
 
 PLAIN = {"scenario": "none", "sensors": "default"}
@@ -274,27 +191,6 @@ def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, pla
     assert cells[-1] == "no"
 
 
-def test_a_value_at_the_limit_is_inside_it():
-    limit = next(one.limit for one in load_targets().targets if one.what == "position RMSE [m]")
-    found = verdicts(lambda case: {"position_rmse_m": limit})
-    assert found["position RMSE [m]", "default"].met
-    assert not found["position RMSE [m], the aim", "default"].met
-
-
-def test_what_could_not_be_computed_reaches_nothing():
-    found = verdicts(lambda case: {**recovery(), "course_rmse_rad": math.nan})
-    assert not found["longest recovery [s]", "start_offset"].met
-    assert not found["course RMSE [rad]", "default"].met
-
-
-def test_the_worst_arc_is_the_largest_mean_over_seeds_whatever_its_side():
-    case = CASES[0]
-    other = replace(case, trajectory="cane")
-    rows = [row(case, arcs=(0.001, -0.004)), row(case, arcs=(0.001, 0.002)), row(other, arcs=(0.0025,))]
-    assert worst_arc(frame(rows)) == pytest.approx(0.003)
-    assert math.isnan(worst_arc(frame([row(case, arcs=())])))
-
-
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
@@ -323,31 +219,6 @@ def test_every_part_has_its_tables_and_every_cell_is_filled():
         assert all(cell for cells in table.rows for cell in cells)
 
 
-def test_the_diagonal_of_the_cross_table_is_marked():
-    table = tables()["Cross table"]
-    marked = {
-        (cells[0], column)
-        for cells in table.rows
-        for column, cell in zip(table.columns, cells, strict=True)
-        if "*" in cell
-    }
-    assert marked == {("SM", "plant model:sm [mm]"), ("SSM", "plant model:ssm [mm]")}
-    assert "proves little" in table.note
-
-
-def test_what_is_left_is_ours_minus_the_bound():
-    table = tables()["Bound"]
-    assert [cells[1] for cells in table.rows] == ["s", "cane", "mean"]
-    for cells in table.rows:
-        assert (cells[2], cells[-2], cells[-1]) == ("2.0", "8.0", "6.0")
-
-
-def test_the_ablation_has_every_variant_and_the_bound_on_every_surface():
-    variants = list(load_study(quick=True).variants)
-    assert [cells[1] for cells in tables()["Ablation"].rows] == [*variants, "clairvoyant bound"]
-    assert [cells[1] for cells in tables()["Ablation by trajectory"].rows] == variants
-
-
 def test_a_variant_is_told_by_its_values():
     """Each variant gets an error of its own; the table must give it back under the right name."""
     study = load_study(quick=True)
@@ -366,12 +237,6 @@ def test_the_report_has_figures_and_every_run_once(report: Path):
     for name in ("ablation.png", "error-sources.png"):
         assert (report / "figures" / name).stat().st_size > 20_000
         assert f"](figures/{name})" in text
-
-
-def test_figures_are_the_same_for_the_same_rows(report: Path, tmp_path: Path):
-    write_made_up(made_up(), tmp_path)
-    for name in ("ablation.png", "error-sources.png"):
-        assert (tmp_path / "figures" / name).read_bytes() == (report / "figures" / name).read_bytes()
 
 
 PAGE = """# Page
@@ -401,25 +266,6 @@ def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Pat
         "ablation.png",
         "error-sources.png",
     }
-
-
-def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
-    copy_report(TRACKING, report, tmp_path / "tracking")
-    results = made_up()
-    part = results[results["part"] == "bound"]
-    (tmp_path / "out").mkdir()
-    write_made_up(part, tmp_path / "out")
-    copy_report(TRACKING, tmp_path / "out", tmp_path / "tracking")
-    text = (tmp_path / "tracking" / "tracking.md").read_text()
-    assert set(sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
-    page = with_report(TRACKING, PAGE, text)
-    assert page.count("This part was not run.") == 2
-    assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
-
-
-def test_without_a_report_nothing_is_copied(tmp_path: Path):
-    with pytest.raises(ConfigError, match="run `make study NAME=tracking` first"):
-        copy_report(TRACKING, tmp_path, tmp_path / "docs")
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
-from diffdrive_mpc.models.identification.fit.predictor import Predictor
+from diffdrive_mpc.models.identification.fit.predictor import Finder, Predictor
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
@@ -160,3 +160,29 @@ def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSou
         except ValueError as error:
             raise ConfigError(f"{name} records: {error}") from error
     return scores[0], scores[1]
+
+
+def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
+    """Fit a predictor to the training records; return `fitted` with it and its scores and outputs.
+
+    Raises
+    ------
+    models.errors.MissingPackageError
+        If the package of the predictor is not installed.
+    ValueError
+        If the records are too few.
+    """
+    started = perf_counter()
+    predictor = find(data, fitted)
+    seconds = perf_counter() - started
+    yaw = fitted.identified.yaw
+    simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
+    train, validation = scored(simulated, data, yaw)
+    return replace(
+        fitted,
+        predictor=predictor,
+        train=train,
+        validation=validation,
+        simulated=tuple(simulated[1]),
+        seconds=fitted.seconds + seconds,
+    )

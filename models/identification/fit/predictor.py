@@ -7,9 +7,7 @@ Limits, tracks and the poses' calibration stay those of the linear model. To add
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from diffdrive_mpc.models.doubt import Doubt
@@ -91,33 +89,3 @@ Finder = Callable[["LogData", "Fitted"], Predictor]
 def finders() -> Mapping[str, Callable[[], Finder]]:
     """By what `--structure` calls them. Each raises MissingPackageError where what it needs is not installed."""
     return {one.name: one.finder for one in function_structures().values()}
-
-
-def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
-    """`fitted` with a predictor found on the same records, and its scores and outputs in place of the linear model's.
-
-    The records held out are not looked at.
-
-    Raises
-    ------
-    models.errors.MissingPackageError
-        If what finds it is not installed.
-    ValueError
-        If the records are too few.
-    """
-    from diffdrive_mpc.models.identification.fit.fitting import scored  # noqa: PLC0415 - it imports this module
-
-    started = perf_counter()
-    predictor = find(data, fitted)
-    seconds = perf_counter() - started
-    yaw = fitted.identified.yaw
-    simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
-    train, validation = scored(simulated, data, yaw)
-    return replace(
-        fitted,
-        predictor=predictor,
-        train=train,
-        validation=validation,
-        simulated=tuple(simulated[1]),
-        seconds=fitted.seconds + seconds,
-    )

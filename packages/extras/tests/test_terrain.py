@@ -128,7 +128,7 @@ def test_no_least_radius_on_vinyl_and_one_on_asphalt():
         least_radius(lambda r, on=on: side_torques(BOT, on, r, 0.4).outer, BOT.torque_limit) for on in (VINYL, ASPHALT)
     ]
     assert found[0] == 0.0
-    # P4 prints 1.8 m; its friction and modulus give less in these equations, as docs/energy.md says.
+    # P4 prints 1.8 m; its friction and modulus give less in these equations, as packages/extras/docs/energy.md says.
     assert 0.3 < found[1] < ASPHALT.published_least_radius
     # With the modulus of vinyl it would be theirs.
     stiff = ASPHALT.model_copy(update={"shear": ASPHALT.shear.model_copy(update={"modulus": 0.0004})})

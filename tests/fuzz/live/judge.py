@@ -1,7 +1,7 @@
-"""What was promised of the commands of a live node, held against what a watcher wrote down. Needs no ROS.
+"""Check the commands of a live node against the promises of docs/safety.md; needs no ROS.
 
-Each command is one tick. From one to the next it changes by no more than slew, or by braking, times the sample time; or
-it is zero at once, where the node says why: STOPPED, FAULT, IDLE, or because it was told to (deactivation, a signal).
+Each command is a tick. Between ticks it changes by at most slew, or braking, times the sample time. It may become
+zero at once if the node reports STOPPED, FAULT or IDLE, or by request (deactivation, a signal).
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ class Heard:
 
 @dataclass(frozen=True)
 class Allowed:
-    """Limits from `begin` on, until the next: v, omega, and how far one tick may change them."""
+    """Limits from `start` on, until the next: v, omega, and how far a tick may change them."""
 
-    begin: float
+    start: float
     most: tuple[float, float]
     step: tuple[float, float]
 
 
 @dataclass
 class Account:
-    """What happened in a campaign, by the monotonic clock [s]."""
+    """Events of a campaign, by the monotonic clock [s]."""
 
     commands: list[Heard] = field(default_factory=list)
     modes: list[tuple[float, str]] = field(default_factory=list)
     allowed: list[Allowed] = field(default_factory=list)
     # When the node may fall to zero at once because somebody asked it to.
-    told: list[float] = field(default_factory=list)
+    requested: list[float] = field(default_factory=list)
     # From when to when the command has to be zero, and why.
     zero: list[tuple[float, float, str]] = field(default_factory=list)
     # From when to when the node was active, ticks being due.
@@ -57,22 +57,22 @@ class Account:
 
 
 def faults(account: Account) -> list[str]:
-    """Every broken promise, in a line."""
+    """Return a line for each broken promise."""
     return [*_of_values(account), *_of_steps(account), *_of_zeros(account), *_of_gaps(account)]
 
 
 def _of_values(account: Account) -> list[str]:
-    found = []
-    for one in account.commands:
-        if not (math.isfinite(one.v) and math.isfinite(one.omega)):
-            found.append(f"not finite: {one}")
-        elif one.others:
-            found.append(f"something beside v and omega is not zero: {one}")
-    return found
+    lines = []
+    for entry in account.commands:
+        if not (math.isfinite(entry.v) and math.isfinite(entry.omega)):
+            lines.append(f"not finite: {entry}")
+        elif entry.others:
+            lines.append(f"something beside v and omega is not zero: {entry}")
+    return lines
 
 
 def _of_steps(account: Account) -> list[str]:
-    found = []
+    lines = []
     for before, after in pairwise(account.commands):
         ticks = 1
         if before.number is not None and after.number is not None and after.number > before.number:
@@ -86,64 +86,55 @@ def _of_steps(account: Account) -> list[str]:
             room = ticks * rate * (1 + _ROUNDING) + _ROUNDING
             # A limit that was tightened is reached at slew.
             if abs(now) > max(limit * (1 + _ROUNDING) + _ROUNDING, abs(was)):
-                found.append(f"limits: {name} = {now:.6g} at {after.time:.3f}, the limit is {limit:g}")
+                lines.append(f"limits: {name} = {now:.6g} at {after.time:.3f}, the limit is {limit:g}")
             if abs(now - was) > room and not (now == 0.0 and _may_stop(account, after.time)):
-                found.append(
+                lines.append(
                     f"slew: {name} from {was:.6g} to {now:.6g} in {ticks} ticks at {after.time:.3f}, "
                     f"{room:.3g} allowed; mode {_mode(account, after.time)!r}"
                 )
-    return found
+    return lines
 
 
 def _of_zeros(account: Account) -> list[str]:
-    found = []
-    for begin, end, why in account.zero:
-        moving = [one for one in account.commands if begin < one.time < end and (one.v or one.omega)]
+    lines = []
+    for start, end, why in account.zero:
+        moving = [entry for entry in account.commands if start < entry.time < end and (entry.v or entry.omega)]
         if moving:
-            late = moving[0].time - begin
-            found.append(f"zero: {moving[0].v:.4g}, {moving[0].omega:.4g} at {late:+.2f} s after the latest: {why}")
-    return found
+            late = moving[0].time - start
+            lines.append(f"zero: {moving[0].v:.4g}, {moving[0].omega:.4g} at {late:+.2f} s after the latest: {why}")
+    return lines
 
 
 def _of_gaps(account: Account) -> list[str]:
-    found = []
-    for begin, end in account.active:
-        times = [begin, *(one.time for one in account.commands if begin < one.time < end), end]
+    lines = []
+    for start, end in account.active:
+        times = [start, *(entry.time for entry in account.commands if start < entry.time < end), end]
         worst = max((_due(account, before, after), before) for before, after in pairwise(times))
         if worst[0] > MOST_GAP:
-            found.append(f"gap: no command for {worst[0]:.2f} s from {worst[1]:.3f} on while active")
-    return found
-
-
-def longest_gap(account: Account) -> float:
-    """Longest time without a command while active [s]."""
-    gaps = [0.0]
-    for begin, end in account.active:
-        times = [one.time for one in account.commands if begin < one.time < end]
-        gaps += [_due(account, before, after) for before, after in pairwise(times)]
-    return max(gaps)
+            lines.append(f"gap: no command for {worst[0]:.2f} s from {worst[1]:.3f} on while active")
+    return lines
 
 
 def _due(account: Account, before: float, after: float) -> float:
-    """How long ticks were due between two times [s]."""
-    stood = sum(max(0.0, min(end, after) - max(begin, before)) for begin, end in account.stood)
+    """Return the time in which ticks were due between two times [s]."""
+    stood = sum(max(0.0, min(end, after) - max(start, before)) for start, end in account.stood)
     return after - before - stood
 
 
 def _allowed(account: Account, before: float, now: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The widest of the limits that may have been in force between two commands."""
-    begins = [one.begin for one in account.allowed]
-    first = max(bisect_right(begins, before - SLACK) - 1, 0)
-    last = max(bisect_right(begins, now + SLACK), first + 1)
+    """Return the widest limits that may have held between two commands."""
+    starts = [entry.start for entry in account.allowed]
+    first = max(bisect_right(starts, before - SLACK) - 1, 0)
+    last = max(bisect_right(starts, now + SLACK), first + 1)
     inside = account.allowed[first:last]
-    most = tuple(max(one.most[i] for one in inside) for i in (0, 1))
-    step = tuple(max(one.step[i] for one in inside) for i in (0, 1))
+    most = tuple(max(entry.most[i] for entry in inside) for i in (0, 1))
+    step = tuple(max(entry.step[i] for entry in inside) for i in (0, 1))
     return most, step  # type: ignore[return-value]
 
 
 def _may_stop(account: Account, now: float) -> bool:
-    """Whether zero at once is in order: the node says so, or was told to."""
-    if any(abs(time - now) <= SLACK for time in account.told):
+    """Return True if zero at once is allowed: by the reported mode, or by request."""
+    if any(abs(time - now) <= SLACK for time in account.requested):
         return True
     times = [time for time, _ in account.modes]
     near = account.modes[bisect_left(times, now - SLACK) : bisect_right(times, now + SLACK)]

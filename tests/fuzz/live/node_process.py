@@ -1,4 +1,4 @@
-"""The node as a process, and what can be seen of it from outside: whether it lives, its log, memory and threads."""
+"""Node in a process: its state, log, memory and threads."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ class NodeProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """True while the process runs."""
         return self.process.poll() is None
 
     def alarms(self) -> list[str]:
-        """Lines of its log that no input should be able to cause."""
+        """Return lines of the log that no input may cause."""
         lines = self.log.read_text(errors="replace").splitlines()
-        found = [number for number, line in enumerate(lines) if _ALARMING.search(line)]
+        numbers = [number for number, line in enumerate(lines) if _ALARMING.search(line)]
         return [
             " | ".join(lines[number : number + 1] + lines[max(number + 1, number + 12) - 1 : number + 12])[:600]
-            for number in found
+            for number in numbers
         ]
 
     def used(self) -> tuple[float, int]:
-        """Memory in use [MB] and threads; zeros where the system does not say."""
+        """Return memory in use [MB] and number of threads; zeros if unknown."""
         try:
             text = Path(f"/proc/{self.process.pid}/status").read_text()
         except OSError:
             return 0.0, 0
-        found = dict(re.findall(r"^(VmRSS|Threads):\s+(\d+)", text, re.MULTILINE))
-        return int(found.get("VmRSS", 0)) / 1000, int(found.get("Threads", 0))
+        status = dict(re.findall(r"^(VmRSS|Threads):\s+(\d+)", text, re.MULTILINE))
+        return int(status.get("VmRSS", 0)) / 1000, int(status.get("Threads", 0))
 
     def end(self, number: int = signal.SIGTERM, patience: float = 20.0) -> int | None:
         """Send a signal and wait; returns the exit code, None where it had to be killed."""

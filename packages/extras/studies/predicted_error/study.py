@@ -30,7 +30,7 @@ CALIBRATION = "calibration.yaml"
 Driven = Mapping[str, Sequence[DrivenPath]]
 _HEAD = """\
 # Written by `make study NAME=predicted-error`; its drives and seeds stand in study.yaml of that study.
-# A scale of |error| is the sum of features (features.py) with these coefficients [m for each unit],
+# A scale of |error| is the sum of features (calibration.py) with these coefficients [m for each unit],
 # fitted as the quantile `level`; a tube is a multiple of it. Multiples are conformal quantiles on robots, paths and
 # seeds that played no part in the fit: at_each_place weighs drives alike, everywhere counts whole drives.
 # `calibrated` says for which paths and models: top speed v [m/s] and yaw rate omega [rad/s] of a path, as the study

@@ -20,10 +20,9 @@ from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.run_row import CLOCK, run_columns
-from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped
-from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
 from diffdrive_mpc.mpc.config.config_file import config_path
 from diffdrive_mpc.mpc.solver.report import SolverStatus
@@ -156,19 +155,19 @@ def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - 
             raise ConfigError(
                 f"robot.{definition.robot[0][0]}: the plant '{case.plant}' has no robot file; use 'mujoco'"
             )
-        base = read_yaml(named_file("robot", ROBOTS, name)) if name else {}
+        base = ROBOTS.read(name)[0] if name else {}
         changed = _changed({"description": "drawn by a campaign"} | base, definition.robot)
         case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
     # A robot file may have a floor and sensors of its own in place of the default ones: they are what is changed.
     kind, _, name = case.plant.partition(":")
     own = load_simulated_robot(name) if kind == _PHYSICS and name else None
     if definition.surface:
-        base = read_yaml(named_file("surface", SURFACES, case.surface))
+        base = SURFACES.read(case.surface)[0]
         if own and own.friction and case.surface == DEFAULT:
             base = base | {"friction": own.friction}
         case = replace(case, surface=_written(_changed(base, definition.surface), folder / "surface.yaml"))
     if definition.sensors:
-        base = read_yaml(named_file("sensor set", SENSOR_SETS, case.sensors))
+        base = SENSOR_SETS.read(case.sensors)[0]
         if own and case.sensors == DEFAULT:
             base = own.sensors.model_dump(mode="json")
         case = replace(case, sensors=_written(_changed(base, definition.sensors), folder / "sensors.yaml"))

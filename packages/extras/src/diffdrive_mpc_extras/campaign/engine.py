@@ -201,7 +201,7 @@ class CampaignRun:
     key
         The hash under which it is stored.
     row
-        Metrics, counts and times by column; see docs/prove.md.
+        Metrics, counts and times by column; see packages/extras/docs/prove.md.
     """
 
     definition: Definition

@@ -131,7 +131,7 @@ def _checked_power(values: Any, where: str) -> RobotPower:  # noqa: ANN401 - con
     return check(RobotPower, laid_over(usual, values) if isinstance(values, Mapping) else values, where)
 
 
-class PowerColumns(RunColumns):
+class PowerRunColumns(RunColumns):
     """Power readings over time, and the energy of the run."""
 
     def series(self, run: Run) -> Mapping[str, FloatArray]:
@@ -157,7 +157,7 @@ class PowerKind:
         return PowerReadings(check(PowerSensor, sensor, "sensors: parts.power"), of.battery, of.drive, seed)
 
 
-POWER, COLUMNS = PowerKind(), PowerColumns()
+POWER, COLUMNS = PowerKind(), PowerRunColumns()
 
 
 class PowerReadings:

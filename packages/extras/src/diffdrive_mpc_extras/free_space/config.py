@@ -13,7 +13,7 @@ from diffdrive_mpc_extras.free_space.polygons import Footprint
 
 
 class FreeSpace(FeatureGroup):
-    """Obstacles and corridors that the feature's `set_obstacles` takes; see docs/worlds.md."""
+    """Obstacles and corridors that the feature's `set_obstacles` takes; see packages/extras/docs/worlds.md."""
 
     enabled: bool = Field(False, description="keep clear of what the controller sees; false: it sees nothing [-]")
     footprint: str = Field(

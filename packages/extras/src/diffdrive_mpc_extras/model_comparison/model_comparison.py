@@ -12,9 +12,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.identification.fit.block_errors import INTERVAL, block_powers, drawn_blocks, pooled_fit
-from diffdrive_mpc.models.identification.fit.fitting import Fitted, fit
+from diffdrive_mpc.models.identification.fit.fitting import Fitted, fit, with_predictor
 from diffdrive_mpc.models.identification.fit.poses import from_poses
-from diffdrive_mpc.models.identification.fit.predictor import finders, with_predictor
+from diffdrive_mpc.models.identification.fit.predictor import finders
 from diffdrive_mpc.models.identification.log_data import LogData, divide
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray

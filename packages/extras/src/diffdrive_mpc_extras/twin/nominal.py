@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, laid_over, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, laid_over
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, SimulatedRobot
@@ -84,10 +83,9 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     given: Mapping[str, Any] = {}
     where = name
     if file is not None:
-        path = named_file("robot", ROBOTS, file)
-        where, content = str(path), read_yaml(path)
+        content, where = ROBOTS.read(file)
         if not isinstance(content, Mapping):
-            raise ConfigError(f"{path}: expected keys and values, such as robot: {{mass: 50}} [kg]")
+            raise ConfigError(f"{where}: expected keys and values, such as robot: {{mass: 50}} [kg]")
         given = content
     geometry = wheel_geometry(records)
     body = given.get("robot") if isinstance(given.get("robot"), Mapping) else {}

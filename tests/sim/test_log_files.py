@@ -1,0 +1,312 @@
+"""Logs of runs as MCAP and CSV: every value is read back."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+from log_parts import read_columns
+from loop_parts import ConstantTwist, FeedForward, KinematicPlant
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from diffdrive_mpc import (
+    ConfigError,
+    Controller,
+    Measurement,
+    Stamped,
+    load_config,
+    load_trajectory,
+    make_plant,
+)
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
+from diffdrive_mpc.models.logs.drive_log.tick import tick_schema
+from diffdrive_mpc.models.logs.drive_log.topics import KINDS, STATE
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.sim import Run, log_csv, log_mcap, simulate
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture(scope="module")
+def run():
+    plant = make_plant("model:ssm", sensors="slam", seed=2)
+    return simulate(Controller(load_config("ssm")), plant, load_trajectory("s"), keep_plans=True)
+
+
+@pytest.fixture(scope="module")
+def file(run, tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "s.mcap"
+    log_mcap.write_log(run, path, {"case": {"model": "ssm"}})
+    return path
+
+
+def messages(path):
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            yield channel.topic, schema, channel, message
+
+
+def on(path, topic):
+    """(log time [ns], message) of one topic."""
+    kind = KINDS[topic]
+    return [(m.log_time, STORE.deserialize_cdr(m.data, kind)) for name, *_, m in messages(path) if name == topic]
+
+
+def same(one, other):
+    return np.array_equal(one, other) if one.dtype == object else np.array_equal(one, other, equal_nan=True)
+
+
+def test_the_mcap_library_reads_every_column_back_bit_for_bit(run, file):
+    rows = [json.loads(message.data) for topic, *_, message in messages(file) if topic == STATE]
+    for name, column in run.columns.items():
+        missing = "" if column.dtype == object else np.nan
+        assert same(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
+
+
+def test_our_reader_gives_columns_measurements_and_plans(run, file):
+    log = read_drive_log(file, plans=True)
+    columns = log.columns
+    assert all(same(columns[name], column) for name, column in run.columns.items())
+    for read, given in zip(log.measurements, run.measurements, strict=True):
+        for name in ("pose", "wheel_twist", "yaw_rate"):
+            one, other = getattr(read, name), getattr(given, name)
+            assert (one is None) == (other is None)
+            if one is not None:
+                assert one.time == other.time and np.array_equal(one.value, other.value)
+                assert (one.covariance is None) == (other.covariance is None)
+                assert one.covariance is None or np.array_equal(one.covariance, other.covariance)
+    plans = np.array(log.plans)
+    assert np.array_equal(plans[..., :2], run.plans[..., :2])
+    assert np.allclose(np.sin(0.5 * (plans - run.plans)[..., 2]), 0.0, atol=1e-12)
+    assert log.metadata["case"] == {"model": "ssm"} and log.metadata["run"]["trajectory"] == "s"
+
+
+def test_every_row_is_as_its_schema_says_and_every_column_is_in_it(run, file):
+    schemas = {topic: schema for topic, schema, *_ in messages(file)}
+    said = json.loads(schemas[STATE].data)
+    assert schemas[STATE].encoding == "jsonschema" and said == tick_schema()
+    assert set(run.columns) <= set(said["properties"])
+    check = Draft202012Validator(said | {"additionalProperties": False})
+    for topic, *_, message in messages(file):
+        if topic == STATE:
+            check.validate(json.loads(message.data))
+
+
+def test_ros_topics_hold_the_same_and_define_themselves(run, file):
+    for topic, schema, channel, _ in messages(file):
+        if topic != STATE:
+            assert (schema.name, schema.encoding, channel.message_encoding) == (KINDS[topic], "ros2msg", "cdr")
+            assert schema.data.decode() == STORE.generate_msgdef(schema.name, ros_version=2)[0]
+    commands = [(m.twist.linear.x, m.twist.angular.z) for _, m in on(file, "/cmd_vel")]
+    assert np.array_equal(commands, run.command)
+    seconds = np.array([now for now, _ in on(file, "/cmd_vel")]) * 1e-9
+    assert np.allclose(seconds - 1.0, run.time, atol=1e-9)
+    known = np.isfinite(run.measured_pose).all(axis=1)
+    poses = [m for _, m in on(file, "/pose")]
+    assert np.array_equal(
+        [(m.pose.pose.position.x, m.pose.pose.position.y) for m in poses], run.measured_pose[known, :2]
+    )
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in poses])
+    assert np.allclose(stamps - 1.0, run.measured_pose_time[known], atol=1e-9)
+    truth = [m.pose.position.x for _, m in on(file, "/ground_truth/pose")]
+    assert np.array_equal(truth, run.true_pose[:, 0])
+    assert next(m.data for _, m in on(file, "/diffdrive_mpc/mode")) == run.modes[0]
+    (path,) = [m for _, m in on(file, "/diffdrive_mpc/reference_path")]
+    assert np.allclose(path.poses[-1].pose.position.x, run.reference.sample([run.reference.duration]).pose[0, 0])
+
+
+def test_a_log_is_identified_from_as_its_csv_is(run, file, tmp_path):
+    log_csv.write_log(run, tmp_path / "s.csv")
+    ours, csv = read_log(file), read_log(tmp_path / "s.csv")
+    assert [finding.kind for finding in ours.findings] == [finding.kind for finding in csv.findings]
+    for one, other in zip(ours.records, csv.records, strict=True):
+        for field in fields(one):
+            a, b = getattr(one, field.name), getattr(other, field.name)
+            assert np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b or field.name == "name"
+
+
+def test_with_a_mapping_its_ros_topics_are_read_as_those_of_a_bag(run, file):
+    (record,) = read_log(file, "simulated_robot").records
+    assert np.array_equal(record.command, run.command[: len(record.command)])
+    assert record.pose is not None and record.yaw_rate is not None
+
+
+def test_the_same_run_is_the_same_file_but_for_measured_times(run, tmp_path):
+    timed = replace(run, step_time=np.full(len(run.time), 1e-4), solve_time=np.full(len(run.time), 1e-5))
+    again = simulate(
+        Controller(load_config("ssm")), make_plant("model:ssm", sensors="slam", seed=2), run.reference, keep_plans=True
+    )
+    log_mcap.write_log(timed, tmp_path / "one.mcap")
+    log_mcap.write_log(replace(again, step_time=timed.step_time, solve_time=timed.solve_time), tmp_path / "two.mcap")
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+
+
+def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(run, file, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
+    log = read_drive_log(cut)
+    count = len(log.rows)
+    assert log.cut and 0.5 * len(run.time) < count < len(run.time)
+    assert np.array_equal(log.columns["t_s"], run.time[:count])
+    found = read_log(cut)
+    assert [(finding.kind, finding.severity) for finding in found.findings] == [("cut file", "note")]
+    assert "mcap recover" in str(found.findings[0])
+
+
+@pytest.mark.parametrize("content", [b"", b"t_s,v_ref\n0,1\n", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + 100 * b"\x01"])
+def test_what_is_no_mcap_file_is_said_in_one_line(content, tmp_path):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    assert not is_drive_log(path)
+    for read in (read_log, read_drive_log):
+        with pytest.raises(ConfigError) as said:
+            read(path)
+        assert str(path) in str(said.value) and "\n" not in str(said.value)
+
+
+def test_a_bag_of_others_is_not_taken_for_a_drive(tmp_path):
+    from log_parts import bag_topics, drive, write_bag
+
+    bag = write_bag(tmp_path / "bag", bag_topics(drive(seconds=6.0)), "mcap")
+    assert not is_drive_log(bag / "bag.mcap")
+    with pytest.raises(ConfigError, match="no tick in it"):
+        read_drive_log(bag / "bag.mcap")
+    with Reader(bag / "bag.mcap") as reader:
+        assert reader.connections
+
+
+def test_what_is_not_finite_is_left_out(run, tmp_path):
+    times = run.solve_time.copy()
+    times[3] = np.inf
+    log_mcap.write_log(replace(run, solve_time=times), tmp_path / "gaps.mcap")
+    assert np.isnan(read_drive_log(tmp_path / "gaps.mcap").columns["solve_time_s"][3])
+
+
+def test_every_field_and_topic_is_in_the_documents():
+    page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
+    fields = [name for name in tick_schema()["properties"] if "_cov_" not in name]
+    assert [name for name in (*fields, *KINDS, STATE) if f"`{name}`" not in page] == []
+
+
+class SparsePlant(KinematicPlant):
+    """Poses every fifth tick only, one tick late, and all four wheel speeds."""
+
+    def measure(self) -> Measurement:
+        full = super().measure()
+        tick = round(self.time / self.sample_time)
+        pose = Stamped(full.pose.value, full.pose.time - 0.02) if full.pose and tick % 5 == 0 else None
+        return Measurement(pose, None, full.yaw_rate, Stamped(self.time + np.arange(4.0), self.time))
+
+
+@pytest.fixture
+def sparse() -> Run:
+    return simulate(FeedForward(), SparsePlant(0.01, seed=1), ConstantTwist(0.3, 0.7, 1.0))
+
+
+def test_a_log_reads_back_bit_for_bit(sparse: Run, tmp_path: Path) -> None:
+    log_csv.write_log(sparse, tmp_path / "run.csv")
+    log = read_columns(tmp_path / "run.csv")
+    assert tuple(log) == tuple(sparse.columns)
+    assert np.array_equal(log["t_s"], sparse.time)
+    assert np.array_equal(np.column_stack([log["v_ref_m_s"], log["omega_ref_rad_s"]]), sparse.command)
+    assert np.array_equal(log["omega_gyro_rad_s"], sparse.gyro)
+    assert np.array_equal(log["wheel_rr_rad_s"], sparse.wheel_speeds[:, 3])
+    assert np.isnan(log["v_wheel_m_s"]).all()
+    poses = np.column_stack([log["pose_x_m"], log["pose_y_m"], log["pose_theta_rad"]])
+    assert np.array_equal(poses, sparse.measured_pose, equal_nan=True)
+    assert np.isfinite(poses[:, 0]).sum() == 11
+    assert log["pose_t_s"][5] == pytest.approx(0.08)
+    assert np.array_equal(log["true_theta_rad"], sparse.true_pose[:, 2])
+    assert np.array_equal(log["true_lateral_m_s"], sparse.true_twist[:, 1])
+    assert np.array_equal(log["reference_y_m"], sparse.reference_pose[:, 1])
+    assert np.array_equal(log["reference_omega_rad_s"], sparse.reference_twist[:, 1])
+    assert np.isnan(log["estimate_v_m_s"]).all()
+    assert np.array_equal(log["step_time_s"], sparse.step_time)
+    assert log["mode"] == ["TRACKING"] * sparse.time.size
+    assert log["solver_path"] == ["none"] * sparse.time.size
+    assert log["solver_status"] == [""] * sparse.time.size
+
+
+def test_a_log_of_our_controller_holds_what_it_believed_and_how_it_solved(tmp_path: Path) -> None:
+    reference = ConstantTwist(0.3, 0.7, 1.0)
+    controller = Controller(load_config("ssm", {"sample_time": SparsePlant.sample_time}))
+    sparse = simulate(controller, SparsePlant(0.01, seed=1), reference)
+    log_csv.write_log(sparse, tmp_path / "run.csv")
+    log = read_columns(tmp_path / "run.csv")
+    pose = np.column_stack([log["estimate_x_m"], log["estimate_y_m"], log["estimate_theta_rad"]])
+    assert np.linalg.norm(pose[20:, :2] - sparse.true_pose[20:, :2], axis=1).max() < 0.03
+    assert np.array_equal(pose, sparse.estimates[:, :3])
+    assert np.array_equal(log["estimate_omega_rad_s"], sparse.estimates[:, 4])
+    assert ((log["estimate_x_sd_m"] > 0.0) & (log["estimate_x_sd_m"] < 0.02))[10:].all()
+    assert set(log["solver_status"]) == {"solved"}
+    assert log["message"] == list(sparse.messages)
+
+
+def test_a_log_replaces_a_file_and_keeps_its_permissions(sparse: Run, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("old")
+    path.chmod(0o640)
+    log_csv.write_log(sparse, path)
+    assert read_columns(path)["t_s"].size == sparse.time.size
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_a_link_to_a_file_stays_a_link(sparse: Run, tmp_path: Path) -> None:
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    for _ in range(2):  # first the file is missing, then it is replaced
+        log_csv.write_log(sparse, tmp_path / "link.csv")
+        assert (tmp_path / "link.csv").is_symlink()
+        assert read_columns(tmp_path / "real.csv")["t_s"].size == sparse.time.size
+
+
+def _pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def _device(path: Path) -> None:
+    path.symlink_to("/dev/null")
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, _pipe, _device])
+def test_only_a_regular_file_is_replaced(sparse: Run, tmp_path: Path, make: Callable[[Path], None]) -> None:
+    path = tmp_path / "run.csv"
+    make(path)
+    before = path.lstat()
+    with pytest.raises(ConfigError, match=r"run\.csv: not a regular file"):
+        log_csv.write_log(sparse, path)
+    assert path.lstat() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(ConfigError, match=f"^{tmp_path / 'a'}: "), whole_file(tmp_path / "a"):
+        pass
+
+
+def test_what_cannot_be_written_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(ConfigError, match="cannot be written to"), whole_file(tmp_path / "taken" / "run.csv"):
+        pass
+    assert (tmp_path / "taken").read_text() == "a file"
+
+
+def test_a_failure_leaves_the_old_file_and_no_new_folder(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("old")
+    for path in (tmp_path / "run.csv", tmp_path / "new" / "folder" / "run.csv"):
+        with pytest.raises(ZeroDivisionError), whole_file(path) as draft:
+            draft.write_text("half")
+            raise ZeroDivisionError
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
+    assert (tmp_path / "run.csv").read_text() == "old"
