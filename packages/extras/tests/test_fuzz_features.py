@@ -7,14 +7,87 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
 import pytest
-from fuzz.surroundings import draw_surroundings, make_surroundings
 
 from diffdrive_mpc import Controller
+from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings
+from fuzz import odd
 from fuzz.case import draw, saved_findings
 from fuzz.configs import Overrides
 from fuzz.controller import EXTRAS, ControllerFuzzer, Life, one_line
 from fuzz.runner import judged
+
+
+def draw_surroundings(random: Random) -> Any:
+    """Polygons, discs, a grid, a corridor; None: nothing is seen any more."""
+    if random.random() < 0.1:
+        return None
+    found: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}
+    if random.random() < 0.6:
+        found["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
+    if random.random() < 0.6:
+        found["discs"] = [
+            [_place(random), _place(random), abs(_some(random, 0.2)), _some(random, 0.5), _some(random, 0.5)]
+            for _ in range(random.choice((1, 2, 10)))
+        ]
+    if random.random() < 0.3:
+        rows, columns = random.choice(((1, 1), (20, 20), (60, 40), (1, 200), (0, 5)))
+        found["grid"] = {
+            "shape": [rows, columns],
+            "seed": random.randrange(1000),
+            "share": random.choice((0.0, 0.02, 0.2, 1.0)),
+            "resolution": random.choice((0.05, 0.05, 0.2, abs(_some(random, 0.1)))),
+            "origin": [_place(random), _place(random), _some(random, 1.0)],
+        }
+    if random.random() < 0.3:
+        count = random.choice((0, 1, 2, 5, 50))
+        lengths = sorted(abs(_some(random, 3.0)) for _ in range(count))
+        found["corridor"] = [
+            lengths if random.random() < 0.9 else lengths[::-1],
+            [abs(_some(random, 0.5)) for _ in range(count)],
+            [abs(_some(random, 0.5)) for _ in range(count)],
+        ]
+    return found
+
+
+def make_surroundings(said: Any, pose: np.ndarray, t: float) -> Surroundings | None:
+    """The object that a case describes, places being counted from the robot."""
+    if said is None:
+        return None
+    grid = corridor = None
+    if "grid" in said:
+        one = said["grid"]
+        drawn = np.random.default_rng(one["seed"])
+        cells = np.where(drawn.random(one["shape"]) < one["share"], 100, drawn.integers(-1, 2, one["shape"]))
+        origin = (pose[0] + one["origin"][0], pose[1] + one["origin"][1], one["origin"][2])
+        grid = OccupancyGrid(cells.astype(np.int8), one["resolution"], origin)
+    if "corridor" in said:
+        corridor = Corridor(*said["corridor"])
+    return Surroundings(
+        polygons=[np.asarray(points, dtype=float) + pose[:2] for points in said.get("polygons", ())],
+        discs=[MovingDisc(pose[0] + x, pose[1] + y, radius, vx, vy) for x, y, radius, vx, vy in said.get("discs", ())],
+        grid=grid,
+        corridor=corridor,
+        time=None if said["later"] is None else t + said["later"],
+    )
+
+
+def _polygon(random: Random) -> list[list[float]]:
+    x, y, size = _place(random), _place(random), random.choice((0.05, 0.2, 1.0, 1e-6))
+    if random.random() < 0.7:
+        return [[x, y], [x + size, y], [x + size, y + size], [x, y + size]]
+    return [[x + _some(random, size), y + _some(random, size)] for _ in range(random.choice((0, 2, 3, 3, 4, 6)))]
+
+
+def _place(random: Random) -> float:
+    """Mostly near, seldom where the robot stands."""
+    return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _some(random, 1.0)))
+
+
+def _some(random: Random, scale: float) -> float:
+    return odd.number(random) if random.random() < 0.04 else random.gauss(0.0, scale)
+
 
 FEATURES: tuple[Overrides, ...] = (
     {"energy.weight": 0.01, "energy.turn_costs": "fsu_bot-default"},
