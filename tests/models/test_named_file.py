@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from diffdrive_mpc import ConfigError, load_config, load_model, load_trajectory
-from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.named_file import EntryFile, named_file, shipped_names
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
-from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.surface import Surface, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 
@@ -49,3 +49,13 @@ def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeyp
     assert named_file("floor", shipped, "mud") == Path("mud")
     with pytest.raises(ConfigError, match=r"unknown floor 'notes': give one of dry, wet or the path of a floor file$"):
         named_file("floor", shipped, "notes", ("dry", "wet"))
+
+
+def test_message_about_a_shipped_entry_names_file_and_entry(tmp_path: Path) -> None:
+    slip = "slip: {yaw_gain: 1.0, wheel_yaw_gain: 0.9, longitudinal_gain: 1.0, side_slip: 0.0}"
+    entries = EntryFile("surface", tmp_path / "surfaces.yaml")
+    entries.path.write_text(f"firm: {{{slip}}}\nbad: {{{slip}, frictions: 0.8}}\n", encoding="utf-8")
+    assert entries.names == ("bad", "firm")
+    assert entries.load(Surface, "firm").slip.wheel_yaw_gain == 0.9
+    with pytest.raises(ConfigError, match=r"surfaces\.yaml, entry 'bad': unknown key 'frictions'"):
+        entries.load(Surface, "bad")
