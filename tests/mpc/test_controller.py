@@ -182,12 +182,6 @@ def test_reference_beyond_the_limits_raises_error():
         controller(**{"limits.omega": 0.4}).start(load_trajectory("circle"), 0.0)
 
 
-def test_horizon_of_one_step_drives():
-    reference = load_trajectory("circle")
-    results, _, _ = drive(controller(horizon=1), robot_for(reference), reference, 0.5)
-    assert {result.mode for result in results} == {Mode.TRACKING}
-
-
 def test_step_result_contains_plan_and_estimate():
     reference = load_trajectory("circle")
     results, _, _ = drive(controller(horizon=12), robot_for(reference), reference, 2.0)
@@ -215,23 +209,6 @@ def test_reported_command_replaces_the_sent_one_in_the_estimate():
         offsets[told] = abs(result.estimate.slip.v_offset)
     assert offsets[True] < 1e-6
     assert offsets[False] > 0.01
-
-
-def test_repeating_sent_commands_as_applied_changes_nothing():
-    reference = load_trajectory("s")
-    alone, _, _ = drive(controller(), robot_for(reference, noise=1.0), reference, 3.0)
-    told = controller()
-    told.start(reference, 0.0)
-    step = told.step
-
-    def overruled(t, measurement):
-        result = step(t, measurement)
-        told.set_applied_commands([result.command])
-        return result
-
-    told.step = overruled
-    again, _, _ = drive(told, robot_for(reference, noise=1.0), reference, 3.0)
-    assert all(np.array_equal(a.command, b.command) for a, b in zip(alone, again, strict=True))
 
 
 def test_estimate_follows_commands_of_another_controller():
@@ -292,11 +269,6 @@ def test_rejected_update_changes_nothing(change):
 def test_step_before_start_raises_error():
     with pytest.raises(RuntimeError, match="call start"):
         controller().step(0.0, robot_for(load_trajectory("circle")).measure())
-
-
-def test_start_time_that_is_not_finite_raises_error():
-    with pytest.raises(ValueError, match="t0"):
-        controller().start(load_trajectory("circle"), float("nan"))
 
 
 def test_unusable_models_and_horizons_raise_error(tmp_path):

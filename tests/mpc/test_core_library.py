@@ -10,15 +10,12 @@ import time
 import zipfile
 from pathlib import Path
 
-import casadi as ca
 import pytest
 
 from diffdrive_mpc.models.compiled import cache, compiler
 from diffdrive_mpc.models.compiled import packaged as in_wheel
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.mpc.core import library, packaged, sources
-from diffdrive_mpc.mpc.core.generate import generate
-from diffdrive_mpc.mpc.problem.user_functions import user_term
 from imports import imported
 from processes import is_running
 
@@ -267,36 +264,12 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
         assert list(other.iterdir()) == []
 
 
-def test_file_at_the_place_of_the_cache_selects_the_private_folder(folder, tmp_path):
-    folder.write_text("in the way")
-    assert answer() == 42
-    assert only(private(tmp_path)).suffix == ".so"
-
-
 def test_missing_home_selects_the_private_folder(folder, tmp_path, monkeypatch):
     for name in (cache.CACHE_VARIABLE, "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", classmethod(lambda cls: (_ for _ in ()).throw(RuntimeError("no home"))))
     assert answer() == 42
     assert only(private(tmp_path)).suffix == ".so"
-
-
-def test_library_and_folder_are_synced_around_the_rename(folder, monkeypatch):
-    order = []
-    fsync, replace = os.fsync, Path.replace
-
-    def synced(handle):
-        order.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file")
-        fsync(handle)
-
-    def replaced(self, target):
-        order.append("rename")
-        return replace(self, target)
-
-    monkeypatch.setattr(cache.os, "fsync", synced)
-    monkeypatch.setattr(Path, "replace", replaced)
-    answer()
-    assert order == ["file", "rename", "folder"]
 
 
 # The compiler.
@@ -326,13 +299,6 @@ def test_hanging_compiler_is_killed_with_its_children(folder, tmp_path, monkeypa
     while any(is_running(int(child)) for child in children):
         assert time.monotonic() - begin < 30
         time.sleep(0.05)
-
-
-def test_compiler_error_is_quoted_in_one_line(folder, core):
-    (core / "answer.c").write_text("this is no C")
-    with pytest.raises(NotCompiledError, match=r"answer\.c:1.*error.*; install gcc") as refused:
-        library.load_core()
-    assert "\n" not in str(refused.value)
 
 
 def test_missing_compiler_error_names_the_wheel(no_compiler):
@@ -367,13 +333,6 @@ def test_damaged_packaged_library_is_not_loaded(wheel_core, folder, caplog, comp
     assert answer() == 42
     assert "is damaged; reinstall diffdrive-mpc" in caplog.text
     assert len(compilations) == 1
-
-
-def test_damaged_packaged_library_without_compiler_raises_error(wheel_core, no_compiler):
-    for path in wheel_core.glob("*.so"):
-        one_bit(path)
-    with pytest.raises(NotCompiledError, match="from a wheel"):
-        library.load_core()
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"origin": 1, "machine": 2, "libraries": 3}', "\0"])
@@ -417,28 +376,6 @@ def test_library_of_each_level_computes(wheel_core):
 
 
 # Functions of the user.
-
-
-def faster(limit):
-    twist = ca.SX.sym("twist", 2)
-    return user_term(ca.Function("fast", [twist], [twist[0] - limit], ["twist"], ["value"]), "user_fast")
-
-
-def value_of(function):
-    ffi, _ = library.load_core()
-    lib = library.load_functions(generate([function], "user", "a test"))
-    columns = [ffi.new("real[]", max(function.numel_in(k), 1)) for k in range(function.n_in())]
-    columns[1][0] = 2.0
-    value = ffi.new("real[1]")
-    lib.user_fast(ffi.new("const real *[]", columns), ffi.new("real *[]", [value, ffi.NULL]), ffi.NULL, ffi.NULL, 0)
-    return value[0]
-
-
-def test_user_functions_are_compiled_by_content(folder):
-    assert value_of(faster(0.5)) == 1.5
-    assert value_of(faster(0.75)) == 1.25
-    assert value_of(faster(0.5)) == 1.5
-    assert len(list(folder.glob("user-*.so"))) == 2
 
 
 # The wheel.

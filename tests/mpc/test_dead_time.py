@@ -1,6 +1,5 @@
 """The dead time is learned while driving: right, certain, within bounds, and only where there is something to learn."""
 
-import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -67,15 +66,6 @@ def test_late_wheel_readings_do_not_change_the_dead_time():
 
     found = driven(controller(), (0.03, 0.03), change=late)[0][-1].dead_time
     np.testing.assert_allclose(found.value, SM.dead_time + 0.03, atol=0.010)
-
-
-def test_gyro_alone_gives_the_dead_time_of_omega():
-    def blind(_, measurement):
-        return replace(measurement, wheel_twist=None)
-
-    found = driven(controller(), (0.06, 0.04), change=blind)[0][-1].dead_time
-    assert np.isnan(found.value[0])
-    assert found.value[1] == pytest.approx(SM.dead_time[1] + 0.04, abs=0.010)
 
 
 def test_learned_dead_time_gives_the_error_of_the_true_one():
@@ -146,16 +136,6 @@ def test_estimate_that_is_not_applied_changes_no_command():
     assert sum("set" in text or "extra_dead_time.omega" in text for text in advice) == 1
     right = driven(controller(apply=False))[0]
     assert not any("looks" in result.message for result in right)
-
-
-def test_pickled_copy_starts_as_configured():
-    by = controller()
-    driven(by, (0.06, 0.06), seconds=4.0)
-    copy = pickle.loads(pickle.dumps(by))
-    assert copy.config == by.config
-    np.testing.assert_array_equal(copy.model.dead_time, SM.dead_time)
-    fresh = driven(controller(), (0.06, 0.06), seconds=2.0)[0]
-    assert np.array_equal(commands(driven(copy, (0.06, 0.06), seconds=2.0)[0]), commands(fresh))
 
 
 def learner(seconds=6.0, **said):

@@ -9,10 +9,8 @@ from pydantic import Field
 
 from diffdrive_mpc import ConfigError, Controller, ControllerConfig, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models import plug_ins
-from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.config.described import commented_yaml, feature_rows
+from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Positive
-from diffdrive_mpc.mpc.features import registry
 from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.hold import Hold
 
@@ -43,12 +41,6 @@ def test_feature_holds_the_robot_and_changes_the_result():
 @pytest.mark.parametrize("overrides", [{}, {"lunch.enabled": False}])
 def test_disabled_feature_is_not_attached(overrides):
     assert not any("step" in message for message in drive(overrides).messages)
-
-
-def test_features_are_in_the_order_of_their_names():
-    assert registry.features_of(load_config("sm")) == {}
-    enabled = load_config("sm", ON | {"online_dead_time.enabled": True})
-    assert list(registry.features_of(enabled)) == ["lunch", "online_dead_time"]
 
 
 def test_named_feature_is_found_on_the_controller():
@@ -90,20 +82,6 @@ def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
     assert dumped["lunch"]["end"] == 2.5
     assert load_config(dumped) == ControllerConfig.model_validate(dumped) == config
     assert config.model_dump(exclude_defaults=True) == {"model": "sm", "lunch": {"end": 2.5}}
-
-
-def test_values_of_a_feature_are_replaced_by_dotted_key():
-    config = replace_values(load_config("sm", ON), {"lunch.end": 2.0})
-    assert (config.features["lunch"].enabled, config.features["lunch"].end) == (True, 2.0)
-    assert replace_values(config, {"horizon": 31}).features == config.features
-
-
-def test_keys_of_features_are_documented():
-    assert [(row.key, row.default, row.unit) for row in feature_rows()] == [
-        ("expert.lunch.enabled", "false", "-"),
-        ("expert.lunch.end", "3.0", "s"),
-        ("expert.lunch.menu", "''", "-"),
-    ]
 
 
 def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_path):

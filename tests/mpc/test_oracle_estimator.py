@@ -260,28 +260,6 @@ def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
     assert found[7] == pytest.approx(slip.load_shift, abs=0.01)
 
 
-@pytest.mark.long
-def test_gyro_bias_is_estimated_next_to_slip():
-    estimator = StateEstimator(MODEL, Estimator())
-    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 2500)
-    assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
-
-
-@pytest.mark.parametrize("command", [(0.0, 0.0), (0.6, 0.0)], ids=["at rest", "straight on"])
-def test_turning_point_stays_constant_without_curves(command):
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=LOADED[0], noise=1.0)
-    run(estimator, robot, 400, command=command)
-    found, deviation = (
-        np.array(part.flat)[4:] for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
-    )
-    s = Estimator()
-    least = [s.side_slip_uncertainty, s.turn_ahead_uncertainty, s.turn_left_uncertainty, s.load_shift_uncertainty]
-    least += [s.slide_uncertainty] * 2
-    assert (np.abs(found) < 0.5 * deviation).all()
-    assert (deviation <= np.array(least) + 1e-12).all()
-    assert (deviation > 0.5 * np.array(least)).all()
-
-
 def test_wheel_gain_is_not_attributed_to_slip():
     """Encoders see what the wheels do: their gain goes into omega_gain, not into yaw_gain."""
 
@@ -381,13 +359,6 @@ def test_innovations_are_chi_squared_distributed():
     assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
 
 
-def test_heading_estimate_is_continuous_through_pi():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([0, 0, 3.0]))
-    assert run(estimator, robot, 400, command=(0.2, 1.0)) == []
-    assert robot.poses[-2][2] > 3 * np.pi
-    assert estimator.estimate.pose[2] == pytest.approx(robot.poses[-2][2], abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
@@ -430,21 +401,3 @@ def test_single_spike_is_rejected_and_lasting_jump_accepted():
     assert "jumps" in told[0][0]
     assert told[1:] == [[]] * 19
     assert estimator.estimate.twist[0] == pytest.approx(speed - 2.0, abs=0.3)
-
-
-def test_late_wheels_and_gyro_are_applied_at_their_stamp():
-    """The same twists late by three ticks: the same estimate as without the last three."""
-    late, short = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
-    queue = []
-
-    def delayed(k, m):
-        queue.append(replace(m, pose=None))
-        return queue[k - 3] if k > 3 else Measurement(pose=m.pose if k == 0 else None)
-
-    def cut(k, m):
-        return replace(m, pose=None) if 0 < k < 57 else Measurement(pose=m.pose if k == 0 else None)
-
-    run(late, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, delayed)
-    run(short, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, cut)
-    assert late.estimate.twist == pytest.approx(short.estimate.twist, abs=1e-12)
-    assert late.estimate.pose == pytest.approx(short.estimate.pose, abs=1e-12)

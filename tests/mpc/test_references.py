@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory, make_plant
 from diffdrive_mpc.mpc import Mode
-from diffdrive_mpc.mpc.reentry.reference_clock import RateProfile, ReferenceClock, settling_profile
+from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock, settling_profile
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 
@@ -61,15 +61,6 @@ def run(clock, seconds, most=FASTEST, start=0.0):
         clock.plan(most, catch_up=True)
         out.append((time, clock.delay, clock.rate))
     return np.array(out).T
-
-
-def test_punctual_reference_clock_equals_the_controller_clock():
-    clock = ReferenceClock(FASTEST, RAMP)
-    for k in range(1000):
-        t = k * 0.0202
-        assert clock.advance(t, driving=True) == t
-        clock.plan(FASTEST, catch_up=True)
-        assert clock.on_time
 
 
 @given(st.floats(0.01, 4.0))
@@ -136,12 +127,6 @@ def test_rate_rises_no_faster_than_the_ramp_after_a_wait():
     assert rate[0] == 0.0
     assert (np.diff(rate) <= RAMP * DT + 1e-12).all()
     assert rate[-1] == pytest.approx(0.5)
-
-
-def test_rate_profile_is_constant_after_its_end():
-    profile = RateProfile((0.0, 1.0), (0.0, 1.0), settles=False)
-    assert profile.rate([0.5, 1.0, 9.0]) == pytest.approx([0.5, 1.0, 1.0])
-    assert profile.progress([0.5, 1.0, 3.0]) == pytest.approx([0.125, 0.5, 2.5])
 
 
 SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}

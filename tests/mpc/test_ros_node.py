@@ -117,14 +117,6 @@ def test_failed_configuration_reports_its_reason():
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
 
 
-def test_trajectory_of_a_fast_robot_uses_its_limits(tmp_path):
-    path = tmp_path / "fast.yaml"
-    path.write_text("segments: [{v: 3.0, omega: 0.0, duration: 2.0}]\n")
-    with stack({"limits.v": 4.1}, autostart=False, trajectory=path) as s:
-        assert s.change(Transition.TRANSITION_CONFIGURE), s.node.failure
-        assert s.node._trajectory.sample([2.5]).twist[0, 0] > 1.5
-
-
 def test_exception_in_a_transition_leaves_the_node_unconfigured(monkeypatch):
     with stack(autostart=False) as s:
         monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.Controller", lambda _: 1 / 0)

@@ -98,13 +98,6 @@ def test_exception_in_recording_ends_the_recording_only(tmp_path, monkeypatch, c
     assert not read_drive_log(path).cut
 
 
-def test_nothing_is_recorded_by_default(tmp_path, monkeypatch):
-    monkeypatch.setenv("HOME", str(tmp_path))
-    with stack(drive=True) as s:
-        s.base.run(3)
-    assert not list(tmp_path.iterdir())
-
-
 def test_replay_of_an_eventful_drive_reproduces_its_commands(tmp_path):
     """Along a path laid to the robot: paused, with other limits, without odometry for a while, and begun anew."""
     folder = tmp_path / "drives"

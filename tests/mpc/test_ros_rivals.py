@@ -12,7 +12,6 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from ros_parts import CONFIG, DT, stack
-from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.node import TrackingNode
@@ -102,17 +101,6 @@ def test_second_publisher_on_an_input_stops_the_robot_until_it_leaves():
         s.base.until(lambda: not s.loop.objection, "the end of it")
         forger.destroy_node()
         assert s.base.run(40)[-1, 0] > 0.1
-
-
-def test_second_publisher_on_a_shared_input_is_reported():
-    with stack(drive=True, exclusive_inputs=False) as s:
-        s.base.run(20)
-        forger = rclpy.create_node("forger", context=s.base.context)
-        forger.create_publisher(Imu, "imu", qos_profile_sensor_data)
-        s.base.until(lambda: s.loop.warning, "the warning")
-        assert s.loop.warning.startswith("/fake_base and /forger publish on /imu")
-        assert s.base.run(20)[-1, 0] > 0.1
-        forger.destroy_node()
 
 
 def test_teleop_publisher_is_reported_while_the_robot_drives_on():

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc import ArgumentError, ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
+from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
 from diffdrive_mpc.mpc.problem.terms import MOST_SOFT_ROWS
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
@@ -165,16 +165,6 @@ def test_shipped_soft_limits_hold_together_with_terms():
     assert farthest[1] < 0.055
 
 
-def test_update_keeps_terms_and_their_parameters():
-    updated, built = (Controller(load_config("ssm", o), terms=[KEEP_OFF]) for o in ({}, {"weights.across": 300.0}))
-    for controller in (updated, built):
-        controller.set_parameters(keep_off=[1.0, 0.3])
-    updated.update(weights={"across": 300.0})
-    one, other = (drive(controller, robot(noise=1.0), LINE, 4.0)[0] for controller in (updated, built))
-    assert (commands(one) == commands(other)).all()
-    assert any(result.solver.soft_limits for result in one)
-
-
 FIRST = Measurement(pose=Stamped(np.array([1.6, 0.0, 0.0]), 0.0))
 
 
@@ -227,11 +217,6 @@ def test_configured_term_equals_the_term_given_in_python(tmp_path, monkeypatch):
         driven.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
     assert (driven[0] == driven[1]).all()
     assert np.abs(driven[0][:, 1]).max() > 0.1
-
-
-def test_two_terms_share_one_function(tmp_path):
-    config = configured(tmp_path, FILE, term_entries(name="left") + term_entries(name="right"))
-    Controller(config).set_parameters(left=[1.0, 0.3], right=[1.0, -0.3])
 
 
 # What is refused.
@@ -335,8 +320,3 @@ def test_term_with_nan_stops_the_robot_with_a_message():
     assert results[-1].mode is Mode.STOPPED
     assert "solve failed" in results[-1].message
     assert poses[-1, 0] < 1.3
-
-
-def test_wrong_entry_of_a_term_list_is_named():
-    with pytest.raises(ArgumentError, match="terms: expected a list of Term, got .*push"):
-        Controller(CONFIG, terms=[KEEP_OFF, "push"])

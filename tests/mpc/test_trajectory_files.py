@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from trajectory_checks import assert_holds_its_ends
 
-from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
@@ -53,11 +53,6 @@ def test_segments_of_a_file_start_at_their_pose(tmp_path: Path) -> None:
     assert trajectory.name == "line"
     pose = trajectory.sample([0.0, trajectory.duration]).pose
     np.testing.assert_allclose(pose, [(1, 2, np.pi / 2), (1, 3, np.pi / 2)], atol=1e-15)
-
-
-def test_name_in_the_file_names_the_trajectory(tmp_path: Path) -> None:
-    path = write(tmp_path, "a.yml", "name: long way\nsegments: [{v: 0.5, omega: 0, duration: 2}]\n")
-    assert load_trajectory(path).name == "long way"
 
 
 def test_limits_argument_replaces_the_limits_of_the_robot() -> None:
@@ -130,13 +125,6 @@ def test_two_rows_give_a_straight_line_at_constant_speed(tmp_path: Path) -> None
     np.testing.assert_allclose(sample.pose, [(2, 1, 0), (2.5, 1, 0), (3, 1, 0), (3, 1, 0)], atol=1e-14)
     np.testing.assert_allclose(sample.twist, [(0.5, 0), (0.5, 0), (0.5, 0), (0, 0)], atol=1e-14)
     np.testing.assert_allclose(sample.arc_length, [0, 0.5, 1, 1], atol=1e-14)
-
-
-def test_timed_poses_can_drive_backwards(tmp_path: Path) -> None:
-    path = write(tmp_path, "back.csv", "t,x,y,theta\n0,0,0,0\n1,-0.5,0,0\n2,-1,0,0\n")
-    sample = load_trajectory(path).sample([1.0, 2.0])
-    np.testing.assert_allclose(sample.twist[:, 0], -0.5)
-    np.testing.assert_allclose(sample.arc_length, [0.5, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -382,11 +370,6 @@ def test_waypoints_are_passed_within_the_limits_of_a_configuration():
 def test_wrong_waypoints_are_reported_in_one_sentence(points, settings, message):
     with pytest.raises(ConfigError, match=f"^trajectory 'waypoints': {message}"):
         Trajectory.from_waypoints(points, **settings)
-
-
-def test_reference_beyond_the_limits_is_rejected_at_start():
-    with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
-        Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
 
 
 def test_start_beyond_the_slew_limit_is_reported():

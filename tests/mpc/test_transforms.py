@@ -52,11 +52,6 @@ def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
     np.testing.assert_allclose(found[:3], share * np.array(start.after(whole)[:3]), atol=1e-9)
 
 
-@given(x=NUMBERS, y=NUMBERS, theta=ANGLES)
-def test_what_lies_in_the_plane_is_read_back(x, y, theta):
-    np.testing.assert_allclose(planar(x, y, theta).planar, [x, y, theta], atol=1e-9)
-
-
 @given(
     transforms=st.lists(rigids(), min_size=5, max_size=5),
     ends=st.tuples(st.integers(0, 5), st.integers(0, 5)),
