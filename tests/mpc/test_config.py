@@ -27,17 +27,10 @@ def test_shipped_configurations_load(name):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"horizn": 20}, "unknown key 'horizn'; did you mean 'horizon'"),
         ({"weights.acros": 1.0}, "did you mean 'weights.across'"),
-        ({"across": 1.0}, "did you mean 'weights.across'"),
         ({"weights.lateral": 1.0}, "did you mean 'weights.across'\\?$"),
-        ({"weights.yaw": 1.0}, "did you mean 'weights.heading' or 'weights.omega'\\?$"),
-        ({"Q": 1.0}, "did you mean 'weights.along', 'weights.across' or 'weights.heading'\\?$"),
         ({"weights.across": -1.0}, "weights.across: .*greater than or equal to 0.*-1.0"),
         ({"horizon": 0}, "horizon: .*greater than or equal to 1"),
-        ({"horizon": 2.5}, "horizon: .*integer"),
-        ({"limits.v": float("nan")}, "limits.v: .*finite"),
-        ({"limits": 3}, "limits: "),
         ({"horizon.steps": 3}, "'horizon' holds one value"),
     ],
 )
@@ -163,22 +156,11 @@ def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     ("text", "message"),
     [
         ("expert: {weights: {along: 3.0}}", "expert.weights.along: write it outside 'expert', as weights.along"),
-        ("limits: 3\nexpert: {limits: {predicted_v: 1.0}}", "limits: expected groups of keys below it"),
-        (
-            "limits: {least_turn_radius: 0.3, min_turn_radius: 0.5}",
-            "limits.min_turn_radius stands twice, as limits.least_turn_radius and limits.min_turn_radius",
-        ),
         (
             "limits: {least_commanded_radius: 0.3}\nexpert: {limits: {min_commanded_radius: 0.5}}",
             "limits.min_commanded_radius stands twice, as limits.least_commanded_radius and "
             "expert.limits.min_commanded_radius",
         ),
-        ("estimator: {history: 0.5}\nexpert: {estimator: {history: 0.4}}", "estimator.history stands twice"),
-        (
-            "expert: {estimator: {histroy: 0.5}}",
-            "unknown key 'expert.estimator.histroy'; did you mean 'expert.estimator",
-        ),
-        ("weights: {acros: 3.0}", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
         ("expert: {estimator: {history: 50}}", "expert.estimator.history: Input should be less than or equal to 5"),
     ],
 )

@@ -182,17 +182,6 @@ def test_reference_beyond_the_limits_raises_error():
         controller(**{"limits.omega": 0.4}).start(load_trajectory("circle"), 0.0)
 
 
-def test_step_result_contains_plan_and_estimate():
-    reference = load_trajectory("circle")
-    results, _, _ = drive(controller(horizon=12), robot_for(reference), reference, 2.0)
-    last = results[-1]
-    assert last.plan.shape == (13, 3)
-    assert last.planned_commands.shape == (12, 2)
-    assert last.planned_commands[0] == pytest.approx(last.command, abs=1e-6)
-    assert last.plan[0] == pytest.approx(last.estimate.pose)
-    assert last.step_time > 0
-
-
 def test_reported_command_replaces_the_sent_one_in_the_estimate():
     """A base that halves every command: told so, the estimator needs no offset to explain it."""
     reference, offsets = load_trajectory("circle"), {}

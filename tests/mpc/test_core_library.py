@@ -264,14 +264,6 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
         assert list(other.iterdir()) == []
 
 
-def test_missing_home_selects_the_private_folder(folder, tmp_path, monkeypatch):
-    for name in (cache.CACHE_VARIABLE, "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(Path, "home", classmethod(lambda cls: (_ for _ in ()).throw(RuntimeError("no home"))))
-    assert answer() == 42
-    assert only(private(tmp_path)).suffix == ".so"
-
-
 # The compiler.
 
 

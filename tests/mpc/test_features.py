@@ -53,9 +53,7 @@ def test_named_feature_is_found_on_the_controller():
     ("name", "message"),
     [
         ("lunch", "feature 'lunch' is not enabled: set expert.lunch.enabled to true"),
-        ("online_dead_time", "feature 'online_dead_time' is not enabled: set online_dead_time.enabled to true"),
         ("rehearsal", "'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
-        ("dinner", "no installed package has it; installed: lunch"),
     ],
 )
 def test_feature_that_is_not_attached_raises_config_error(name, message):
@@ -93,11 +91,8 @@ def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_pa
     ("overrides", "message"),
     [
         ({"lunch.ende": 1.0}, "unknown key 'expert.lunch.ende'; did you mean 'expert.lunch.end'"),
-        ({"lunhc.end": 1.0}, "unknown key 'lunhc'; did you mean 'expert.lunch'"),
         ({"expert.lunch.end": -1.0}, "expert.lunch.end: .*greater than 0.*-1.0"),
-        ({"lunch": 3}, "expert.lunch: "),
         ({"rehearsal.enabled": True}, "feature 'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
-        ({"energy.weight": 0.1}, "feature 'energy' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
 def test_mistake_in_a_feature_is_one_line_with_place_and_remedy(overrides, message):

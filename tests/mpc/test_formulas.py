@@ -509,9 +509,3 @@ def test_function_with_external_calls_raises_error():
 def test_wrong_step_function_raises_error(names, sizes, said):
     with pytest.raises(ConfigError, match=said):
         user_step(a_function(names, sizes), "step")
-
-
-@pytest.mark.parametrize(("names", "sizes", "said"), [(["x"], [3], "two, v and omega"), (["u"], [3], "with 3 entries")])
-def test_wrong_output_function_raises_error(names, sizes, said):
-    with pytest.raises(ConfigError, match=said):
-        user_output(a_function(names, sizes), "output", 3)

@@ -363,15 +363,10 @@ def test_innovations_are_chi_squared_distributed():
     ("pose", "message"),
     [
         (lambda r: Stamped([np.nan, 0, 0], r.time), "finite"),
-        (lambda r: Stamped([0.0, 0.0], r.time), "three finite numbers"),
         (lambda r: Stamped(r.pose + [5, 0, 0], r.time), "jumps by 5.00 m"),
-        (lambda r: Stamped(r.pose + [0, 0, 2], r.time), "2.00 rad"),
         (lambda r: Stamped(r.pose, r.time + 1.0), "future"),
         (lambda r: Stamped(r.pose, r.time - 2.0), "not newer"),
-        (lambda r: Stamped([[1.0, 2.0], [3.0]], r.time), "three finite numbers"),
-        (lambda r: Stamped(r.pose, r.time, 1e200 * np.eye(3)), "covariance"),
         (lambda r: Stamped(r.pose, r.time, [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "covariance"),
-        (lambda r: Stamped(r.pose, float("nan")), "finite"),
         (lambda r: Stamped(r.pose, r.time, -np.eye(3)), "covariance"),
     ],
 )

@@ -192,10 +192,7 @@ def test_path_without_turns_on_the_spot_if_they_are_forbidden():
     ("poses", "words"),
     [
         (np.zeros((0, 3)), "0 poses"),
-        ([(0.0, 0.0, 0.0)], "1 poses"),
         ([(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0)], "pose 1 is not finite"),
-        ([(0.0, 0.0, 0.0), (1.0, math.inf, 0.0)], "pose 1 is not finite"),
-        ([(0.0, 0.0, 0.0), (1e9, 1.0, 0.0)], "are places in m"),
         ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one place"),
     ],
 )

@@ -259,18 +259,6 @@ def test_faulty_reference_stops_the_robot_without_exception(change):
     assert np.isfinite([step.command for step in steps]).all()
 
 
-@pytest.mark.parametrize("whole_numbers", [False, True])
-def test_samples_of_other_number_types_are_accepted(whole_numbers):
-    """Lists and integers have the right shape, and another layout in memory."""
-
-    def listed(sample):
-        kind = np.int64 if whole_numbers else np.float32
-        return sample._replace(pose=np.zeros(sample.pose.shape, kind), twist=np.zeros(sample.twist.shape, kind))
-
-    last = standing(listed)[-1]
-    assert last.mode is Mode.TRACKING and last.plan is not None
-
-
 def test_address_sanitizer_reports_nothing_for_faulty_references(tmp_path):
     """The core reads by its own count: compiled with the sanitizer, a row too few would end the process."""
     library = subprocess.run(["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout

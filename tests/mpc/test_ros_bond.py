@@ -176,15 +176,3 @@ def test_a_manager_that_ends_the_bond_is_answered_and_the_robot_drives_on(manage
     s.base.until(lambda: not manager.heard[-1].active, "the answer")
     s.base.until(lambda: "the lifecycle manager is gone: it has ended the bond" in capfd.readouterr().err, "a warning")
     assert s.base.run(20)[-1, 0] > 0.1
-
-
-def test_bonds_of_others_are_no_concern_of_it(managed):
-    s, manager = managed
-    other = Manager(s, name="controller_server")
-    other.say(active=True)
-    other.say(active=False)
-    for _ in range(50):
-        s.base.spin()
-    assert s.node.parts["bond"].bond.protocol.state is BondState.WAITING
-    assert not s.node.parts["bond"].bond.protocol.lost
-    assert manager.heard[-1].active

@@ -26,7 +26,6 @@ from diffdrive_mpc.mpc.ros.conversions import (
     measured_pose,
     nanoseconds,
     path_bytes,
-    planar_pose,
     pose_message,
     stamped_pose_message,
     time_message,
@@ -170,13 +169,6 @@ def test_wrong_wheel_sides_raise_error(sides):
 
 METRES = st.floats(-1e3, 1e3)
 ANGLES = st.floats(-10, 10)
-
-
-@given(METRES, METRES, ANGLES)
-def test_pose_message_preserves_the_pose(x, y, theta):
-    back = planar_pose(pose_message((x, y, theta)))
-    assert back[:2] == (x, y)
-    assert abs(wrap_angle(back[2] - theta)) < 1e-9
 
 
 @given(ANGLES, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
@@ -362,15 +354,6 @@ def test_side_process_gives_up_after_its_timeout():
         assert aside.failed == ["to read it takes longer than 2 s"]
     finally:
         aside.process.close()
-
-
-def test_newer_message_of_a_kind_replaces_older_ones(aside):
-    aside.ask("first", time.sleep, 0.5)
-    for number in range(3):
-        aside.ask("a", abs, number)
-    aside.wait(4)
-    assert aside.done == [None, 2]
-    assert aside.failed == ["a newer one came before it was read"] * 2
 
 
 def test_closing_a_busy_side_process_ends_it():

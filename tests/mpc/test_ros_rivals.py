@@ -132,23 +132,6 @@ def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, oth
         s.base.until(lambda: not s.loop.warning, "the end of it")
 
 
-def test_missing_odometry_message_names_topic_type_and_publishers():
-    with stack(autostart=False) as s:
-        s.node.trigger_configure()
-        s.node.trigger_activate()
-        asked = "no odometry yet (/odom, nav_msgs/msg/Odometry, best effort: "
-        s.base.until(lambda: "/fake_base" in s.loop.missing(), "the base's publisher")
-        assert s.loop.missing() == f"{asked}/fake_base publishes nav_msgs/msg/Odometry, best effort)"
-        s.base.node.destroy_publisher(s.base.odom)
-        s.base.until(lambda: "nobody" in s.loop.missing(), "its end")
-        assert s.loop.missing().startswith(
-            f"{asked}nobody publishes there; is the base running, and the topic remapped"
-        )
-        s.base.node.create_publisher(TwistStamped, "odom", 1)
-        s.base.until(lambda: "another type" in s.loop.missing(), "the wrong publisher")
-        assert "/fake_base publishes geometry_msgs/msg/TwistStamped, reliable, which is" in s.loop.missing()
-
-
 def test_simulated_clock_with_wrong_steps_is_reported():
     with stack({"sample_time": 0.05}, drive=True) as s:
         for _ in range(80):

@@ -65,23 +65,11 @@ def test_limits_argument_replaces_the_limits_of_the_robot() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("segments: []\n", "segments is empty; give at least one"),
-        ("", "found nothing"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}, {v: 9, omega: 0, duration: 1}]\n", "segments.1.v = 9 m/s"),
         ("segments: [{v: .nan, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a finite number"),
-        ("segments: [{v: 0.5, omega: 0, duration: -1}]\n", "segments.0.duration: Input should be greater than 0"),
         ("segments: [{v: 0.5, omga: 0, omega: 0, duration: 1}]\n", "unknown key 'segments.0.omga'; did you mean"),
-        ("segments: [{v: 0.5, omega: 0}]\n", "key 'segments.0.duration' is missing"),
-        ("segments: [{v: fast, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a valid number"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}\n", "line 2"),
-        ("waypoints: [[0, 0]]\n", "1 waypoints; give at least two"),
         ("waypoints: [[0, 0], [1, 0], [1, 0]]\n", "waypoints.1 and waypoints.2 coincide; remove one"),
-        ("waypoints: [[0, 0], [1, 0]]\nspeed: 2\n", "speed = 2 m/s is beyond the limit of 1.5 m/s; lower it"),
-        ("waypoints: [[0, 0], [1, 0]]\nspeed: -1\n", "speed: Input should be greater than 0"),
-        ("waypoints: [[0, 0], [1, 0], [0, 0]]\n", "add or move waypoints to round the turn"),
-        ("waypoints: [[0, 0], [1, 0], [0.3, 0]]\n", "below 0.02 m between waypoints.0 and waypoints.1; add or move"),
-        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
-        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
     ],
 )
 def test_mistake_in_a_yaml_file_is_reported_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
@@ -132,16 +120,7 @@ def test_two_rows_give_a_straight_line_at_constant_speed(tmp_path: Path) -> None
     [
         (b"", "line 1: column 't' is missing; the header"),
         (b"\xff\xfe\x00", "cannot be read"),
-        (b"0,0,0,0\n1,0,0,0\n", "line 1: column 't' is missing; the header"),
-        (b"t,x,y,theta\n0,0,0,0\n", "1 timed poses; give at least two rows"),
         (b"t,x,y,theta\n0,0,0,0\n1,0.5,zero,0\n", "line 3: y = 'zero' is not a finite number"),
-        (b"t,x,y,theta\n0,0,0,0\n1,0.5\n", "line 3: 2 values are fewer than the header names"),
-        (b"t,x,y,theta\n0,0,0,0\n\n2,1,0,0\n1,0.5,0,0\n", "line 5: t = 1 s does not come after the row before"),
-        (
-            b"t,x,y,theta\n5,0,0,0\n6,3,0,0\n",
-            "v = 3 m/s at t = 5.000 s is beyond the limit of 1.5 m/s; stretch the time",
-        ),
-        (b"t,x,y,theta\n0,0,0,0\n1,0,0,3\n", "omega = 3 rad/s at t = 0.000 s is beyond the limit of 2 rad/s"),
         (
             b"t,x,y,theta\n0,0,0,0\n1,0,0.5,0\n",
             "sideways speed = 0.5 m/s at t = 0.000 s is beyond the limit of 0.05 m/s",
@@ -324,17 +303,10 @@ DATES = pd.date_range("2026-01-01", periods=TIMES.size, freq="100ms")
     ("columns", "message"),
     [
         ({"x": X[:-1]}, "x has 100 values, t has 101; give one for each time"),
-        ({"x": np.column_stack([X, Y])}, r"x: expected one number per time, shape \(n,\), got shape \(101, 2\)"),
         ({"x": np.where(TIMES > 5.0, np.nan, X)}, r"x\[51\] is not a finite number"),
-        ({"t": TIMES[::-1]}, r"t\[1\] = 9.9 s does not come after the time before; sort the rows"),
-        ({"t": ["a"] * TIMES.size}, "t: expected numbers, got list"),
         ({"t": DATES}, r"t: got dates; give seconds, such as \(t - t\[0\]\) / np.timedelta64\(1, 's'\)"),
-        ({"t": TIMES * 1e9}, "it lasts 1e.10 s, the longest is 86400 s; are times in s?"),
-        ({"x": 0 * X, "y": 0 * Y}, "x and y do not change, so they have no direction; give theta"),
         ({"theta": np.degrees(ANGLE)}, r"theta fits the path in degrees, not in rad; give np.radians\(theta\)"),
-        ({"theta": 0 * ANGLE}, "sideways speed = .* let theta point along the direction of travel"),
         ({"v": 3.6 * HALF}, "v = 1.8 m/s at t = .* the poses change by 0.5 m/s; check unit and sign"),
-        ({"omega": np.degrees(HALF)}, "omega = 28.6 rad/s .* change by 0.5 rad/s; check unit and sign"),
     ],
 )
 def test_wrong_column_is_reported_in_one_sentence(columns, message):
@@ -360,10 +332,7 @@ def test_waypoints_are_passed_within_the_limits_of_a_configuration():
     ("points", "settings", "message"),
     [
         (np.zeros((2, 5)), {}, r"points: expected rows x, y of shape \(m, 2\), got shape \(2, 5\)"),
-        ([(0, 0), (1,)], {}, "points: expected numbers, got list"),
-        ("path.csv", {}, "points: expected numbers, got str 'path.csv'"),
         ([(0, 0)], {}, "1 waypoints; give at least two"),
-        ([(0, 0), (1, 0)], {"speed": -1.0}, "speed = -1.0 m/s; give a positive number"),
         ([(0, 0), (1, 0)], {"timing": "fast"}, "timing 'fast'; give stop, commanded or smooth"),
     ],
 )

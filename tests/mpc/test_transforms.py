@@ -166,12 +166,9 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
     ("transform", "stamp", "frames", "words"),
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
-        (planar(0.0, 0.0, 0.0)._replace(qw=0.5), NOW, ("odom", "base_link"), "no unit quaternion"),
         (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
         (IDENTITY, NOW + AHEAD + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
-        (IDENTITY, NOW - KEPT - 1, ("odom", "base_link"), "older than the last"),
         (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
-        (IDENTITY, NOW, ("", "base_link"), "names no two frames"),
     ],
 )
 def test_what_cannot_be_used_is_refused_and_changes_nothing(transform, stamp, frames, words):
