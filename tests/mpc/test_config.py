@@ -128,8 +128,6 @@ def test_curved_slip_is_a_list_that_former_keys_fill():
     ("solver", "method"),
     [
         ("{strategy: backend, backend: osqp}", "osqp"),
-        ("{strategy: backend}", "daqp"),
-        ("{strategy: auto, backend: osqp}", "auto"),
     ],
 )
 def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver, method):
@@ -140,8 +138,6 @@ def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver
     assert read.solver.method == method
     assert read.solver.osqp.check_termination == 25
     assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
-    changed = replace_values(read, {"solver.backend": "osqp", "solver.strategy": "backend"})
-    assert changed.solver.method == "osqp"
 
 
 def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():

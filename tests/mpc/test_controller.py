@@ -108,14 +108,6 @@ def test_robot_that_slides_while_turning_is_tracked(noise):
     assert errors[True] < 0.5 * errors[False]
 
 
-@pytest.mark.parametrize("prior", [0.0, 0.06])
-def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
-    """With a prior that is wrong for it, once it has been learned."""
-    priors = {"estimator.side_slip": prior, "estimator.load_shift": prior}
-    errors, _ = with_and_without_side_slip(begin=0.5 if prior else 0.0, **priors)
-    assert errors[True] < errors[False] + 0.0005
-
-
 @pytest.mark.parametrize("turns", [-2, 1, 3])
 def test_full_turns_of_the_heading_do_not_change_commands(turns):
     reference = load_trajectory("circle")

@@ -136,12 +136,6 @@ def learner(seconds=6.0, **said):
     return by.found
 
 
-def test_exact_responses_give_a_small_deviation():
-    found = learner()
-    np.testing.assert_allclose(found.value, SM.dead_time + 0.05, atol=0.001)
-    assert np.all(found.deviation < 0.002)
-
-
 @pytest.mark.parametrize(
     "said",
     [{"mode": Mode.BRAKING}, {"mode": Mode.STOPPED}, {"blocked_for": 0.2}, {"unused_sensors": ("wheel speed",)}],

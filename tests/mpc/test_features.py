@@ -101,13 +101,6 @@ def test_mistake_in_a_feature_is_one_line_with_place_and_remedy(overrides, messa
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "group", [{"free_space": {"enabled": False, "margin": 0.1}}, {"energy": {"weight": 0.0, "turn_costs": ""}}]
-)
-def test_group_that_asks_for_nothing_needs_no_package(group):
-    assert load_config({"model": "sm", **group}) == load_config({"model": "sm"})
-
-
 class Lunch(FeatureGroup):
     """Group `expert.lunch`."""
 

@@ -204,13 +204,6 @@ def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
     assert "blocked for" in late[-1].message
 
 
-@pytest.mark.parametrize("path", ["s", "circle"])
-def test_turning_poses_are_detected_without_wheels(path):
-    turning = spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t])
-    results, _ = run(lambda k, m: replace(turning(k, m), wheel_twist=None), path)
-    assert first(results, "pose") < 5.0
-
-
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
 def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
     """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""

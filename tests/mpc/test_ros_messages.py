@@ -31,7 +31,6 @@ from diffdrive_mpc.mpc.ros.conversions import (
     time_message,
     yaw_of,
 )
-from diffdrive_mpc.mpc.ros.latency import LoopTimes
 from diffdrive_mpc.mpc.ros.reference_input import read_path, timed_trajectory_reference
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 
@@ -167,7 +166,6 @@ def test_wrong_wheel_sides_raise_error(sides):
         raise ValueError(s.node.failure)
 
 
-METRES = st.floats(-1e3, 1e3)
 ANGLES = st.floats(-10, 10)
 
 
@@ -201,16 +199,6 @@ def test_pose_covariance_is_the_planar_part_and_zero_means_unknown():
     expected = [[0, 1, 5], [6, 7, 11], [30, 31, 35]]
     np.testing.assert_array_equal(measured_pose(message, 0, covariance=True).covariance, expected)
     assert measured_pose(message, 0, covariance=False).covariance is None
-
-
-def test_late_and_long_ticks_count_as_misses():
-    times = LoopTimes(0.02, 100)
-    for begin, duration in ((0.0, 0.001), (0.0201, 0.001), (0.06, 0.001), (0.08, 0.03)):
-        times.begin(begin)
-        times.end(duration, None)
-    assert times.misses == 2
-    assert times.jitter.percentiles().max == pytest.approx(0.0199)
-    assert times.latency.percentiles().count == 0
 
 
 # Long messages, and the process that reads them.

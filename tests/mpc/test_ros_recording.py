@@ -8,7 +8,6 @@ from ros_parts import DT, stack
 from diffdrive_mpc.app.replay.node_log import LoggedConfigs
 from diffdrive_mpc.app.replay.own_log import read_recording
 from diffdrive_mpc.app.replay.replay import replay
-from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
@@ -53,14 +52,6 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     assert there[REFERENCE] == 1 and there[PLAN] >= len(driven) and there[DIAGNOSTICS] >= 1
     assert TRUE_POSE not in there and ("/pose" in there) == pose_topic
     assert log.metadata["case"]["trajectory"] == "circle" and "horizon" in log.metadata["configuration"]["yaml"]
-
-
-def test_recording_is_read_for_identification_without_mapping(tmp_path):
-    path, _ = recorded(tmp_path / "drives", 200)
-    log = read_log(path)
-    (record,) = log.records
-    assert record.dt == pytest.approx(DT, rel=1e-4)
-    assert record.twist is not None and record.yaw_rate is not None and record.pose is None
 
 
 def test_each_activation_writes_a_new_file(tmp_path):

@@ -69,6 +69,8 @@ def test_limits_argument_replaces_the_limits_of_the_robot() -> None:
         ("segments: [{v: .nan, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a finite number"),
         ("segments: [{v: 0.5, omga: 0, omega: 0, duration: 1}]\n", "unknown key 'segments.0.omga'; did you mean"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}\n", "line 2"),
+        ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
+        ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
         ("waypoints: [[0, 0], [1, 0], [1, 0]]\n", "waypoints.1 and waypoints.2 coincide; remove one"),
     ],
 )
@@ -277,7 +279,6 @@ def test_arrays_of_a_circle_give_the_circle(more, error):
     np.testing.assert_allclose(sample.pose, np.column_stack([np.sin(angle), 1 - np.cos(angle), angle]), atol=error)
     np.testing.assert_allclose(sample.twist, RATE, atol=error)
     assert reference.duration == 10.0
-    assert repr(reference) == "Trajectory 'arrays': 10 s, 5 m"
 
 
 def test_lists_and_pandas_columns_are_accepted_as_arrays():

@@ -99,12 +99,6 @@ def test_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Se
     assert trajectory.duration <= stopping.duration + 1e-9
 
 
-def test_commanded_ramps_at_both_ends_keep_the_accelerations() -> None:
-    trajectory = lay_commanded([segment(1.0, 0.5, 4.0)], LIMITS, name="test")
-    assert np.all(largest_shares(trajectory, LIMITS) <= 1 + 1e-8)
-    assert trajectory.duration == pytest.approx(5.0)
-
-
 def test_reference_beyond_the_reachable_speed_of_the_model_raises_error() -> None:
     """A robot that turns 0.7 times as fast as commanded reaches 0.7 of the limit, and that is told at the start."""
     config = load_config("ssm", {"limits.omega": 1.0})
@@ -229,21 +223,15 @@ def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None
     filed = load_trajectory(path)
     assert filed.drawn_distance(instants(filed)).max() == pytest.approx(0.003, rel=0.01)
     assert isinstance(load_trajectory(path, timing="stop"), ArcTrajectory)
-    path.write_text(text.replace("smooth\n", "smoth\n"))
-    with pytest.raises(ConfigError, match="timing: Input should be 'stop', 'commanded' or 'smooth'"):
-        load_trajectory(path)
 
 
 # --- what ships
 
 
 @pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
-def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> None:
+def test_shipped_paths_keep_the_limits_of_the_robot(name: str) -> None:
     trajectory = load_trajectory(name)
     assert trajectory.name == name
-    for model in ("mbm", "sm", "ssm"):
-        config = load_config(model)
-        check_speeds(trajectory, config.limits, config.sample_time)
     speeds = largest_shares(trajectory, LIMITS)
     assert np.all(speeds[: 2 if name == "tight" else 4] <= 1.002)
 
