@@ -159,15 +159,6 @@ def test_nan_in_a_program_is_reported(backend):
     assert not report.status.usable
 
 
-def test_osqp_uses_the_warm_start():
-    for seed in range(5):
-        program = random_program(seed)
-        cold = solve(program, "osqp", check_every=1)
-        warm = solve(program, "osqp", check_every=1, near=(cold.plan, cold.multipliers))
-        assert warm.status is SolverStatus.SOLVED
-        assert warm.iterations < 0.5 * cold.iterations
-
-
 @every_backend
 def test_backend_stops_at_its_iteration_limit(backend):
     """OSQP needs more than 10 iterations to any useful tolerance; DAQP does if enough limits are active."""

@@ -124,18 +124,12 @@ def test_curved_slip_is_a_list_that_former_keys_fill():
             load_config("sm", {"estimator.veer": values})
 
 
-@pytest.mark.parametrize(
-    ("solver", "method"),
-    [
-        ("{strategy: backend, backend: osqp}", "osqp"),
-    ],
-)
-def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver, method):
+def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path):
     path = tmp_path / "old.yaml"
-    path.write_text(f"model: sm\nsolver: {solver}\nexpert: {{solver: {{check_every: 25}}}}\n")
+    path.write_text("model: sm\nsolver: {strategy: backend, backend: osqp}\nexpert: {solver: {check_every: 25}}\n")
     with pytest.warns(FormerNameWarning, match="is solver.method now"):
         read = load_config(path)
-    assert read.solver.method == method
+    assert read.solver.method == "osqp"
     assert read.solver.osqp.check_termination == 25
     assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
 
@@ -172,17 +166,3 @@ def test_a_mistake_names_the_room(tmp_path, text, message):
 def test_rooms_lose_nothing():
     config = ControllerConfig()
     assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()
-
-
-def test_what_identify_writes_is_written_as_it_is_now():
-    from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
-
-    limits = tuple(Setting(name, 1.5) for name in ("v", "omega", "predicted_v", "predicted_omega", "corridor"))
-    rest = {"estimator": (Setting("heading_noise", 0.01),), "reentry": (Setting("band", 0.1),)}
-    failure = (Setting("max_position_error", 1.2),)
-    text = IdentifiedConfiguration("mine", (Setting("model", "ssm"),), limits, (), **rest, failure=failure).text()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        flat = side_by_side(yaml.safe_load(text), "mine.yaml")
-    assert flat["limits"] == {setting.name: 1.5 for setting in limits}
-    assert (flat["reentry"], flat["failure"]) == ({"band": 0.1}, {"max_position_error": 1.2})

@@ -326,19 +326,6 @@ def test_yaw_gains_are_frozen_at_low_yaw_rate():
     assert after.slip.v_offset != before.slip.v_offset
 
 
-def test_foreign_command_does_not_change_slip():
-    """Half a second in which the robot obeys somebody else: its motion is followed, its slip is not blamed."""
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
-    run(estimator, robot, 150)
-    before = estimator.estimate.slip
-    run(estimator, robot, 25, command=(0.5, 0.5), driven=(0.2, -1.5))
-    after = estimator.estimate
-    assert after.twist == pytest.approx(robot.twist, abs=0.1)
-    assert after.pose == pytest.approx(robot.poses[-2], abs=0.05)
-    assert after.slip.yaw_gain == pytest.approx(before.yaw_gain, abs=0.1)
-    assert after.slip.side_slip == pytest.approx(before.side_slip, abs=0.05)
-
-
 def test_innovations_are_chi_squared_distributed():
     """On a robot that is as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
 

@@ -46,14 +46,6 @@ def test_declared_parameters_are_read_back(schema):
     assert read(shelf, schema) == instance
 
 
-def test_missing_time_limit_is_declared_as_zero():
-    shelf = Shelf()
-    declare(shelf, CONFIG)
-    assert shelf.held["solver.time_limit"].value == 0.0
-    assert read(shelf, ControllerConfig, {"solver.time_limit": 0.01}).solver.time_limit == 0.01
-    assert read(shelf, ControllerConfig, {"solver.time_limit": 0.0}).solver.time_limit is None
-
-
 @given(st.sampled_from(sorted(FIELDS)), st.floats(-1e3, 1e3) | st.integers(-1000, 1000).map(float))
 def test_ranges_agree_with_the_schema(name, value):
     """A number that the range of the descriptor excludes is refused by the schema too."""

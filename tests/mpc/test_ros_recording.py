@@ -54,17 +54,6 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     assert log.metadata["case"]["trajectory"] == "circle" and "horizon" in log.metadata["configuration"]["yaml"]
 
 
-def test_each_activation_writes_a_new_file(tmp_path):
-    with stack(record=True, record_folder=str(tmp_path)) as s:
-        s.base.run(5)
-        s.node.trigger_deactivate()
-        assert len(list(tmp_path.iterdir())) == 1
-        s.node.trigger_activate()
-        s.base.until(s.hears, "sensors")
-    files = list(tmp_path.iterdir())
-    assert len(files) == 2 and not any(read_drive_log(path).cut for path in files)
-
-
 def test_unwritable_folder_gives_a_warning_and_the_robot_drives(tmp_path, capfd):
     (tmp_path / "file").touch()
     with stack(drive=True, record=True, record_folder=str(tmp_path / "file")) as s:

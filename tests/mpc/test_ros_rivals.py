@@ -132,14 +132,6 @@ def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, oth
         s.base.until(lambda: not s.loop.warning, "the end of it")
 
 
-def test_simulated_clock_with_wrong_steps_is_reported():
-    with stack({"sample_time": 0.05}, drive=True) as s:
-        for _ in range(80):
-            s.base.silent(1)
-        s.base.until(lambda: s.loop.warning, "the warning")
-        assert "clock does not advance in steps of this node's sample_time, 50 ms" in s.loop.warning
-
-
 def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():
     with stack(drive=True, exclusive_cmd_vel=True, diagnostics_rate=20.0) as s:
         heard = s.listen(DiagnosticArray, "/diagnostics")

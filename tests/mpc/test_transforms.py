@@ -82,16 +82,6 @@ def test_at_a_time_between_two_stamps_it_is_between_them(at):
     np.testing.assert_allclose(found.transform.planar, [at, 0.0, 0.1 * at], atol=1e-6)
 
 
-@given(order=st.permutations(range(12)))
-def test_the_order_of_arrival_does_not_matter(order):
-    buffer = TransformBuffer()
-    for index in order:
-        buffer.insert("odom", "base_link", NOW + index * 10**8, planar(0.1 * index, 0.0, 0.0), NOW + 2 * 10**9)
-    found = buffer.lookup("odom", "base_link", NOW, NOW + 450_000_000)
-    assert found.transform.x == pytest.approx(0.45)
-    assert buffer.lookup("odom", "base_link", NOW).stamp == NOW + 11 * 10**8
-
-
 def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
     """A localisation that is slow, and one that dates its transform ahead."""
     buffer = moving()
