@@ -77,21 +77,16 @@ def random_program(seed, tightness=0.5, softness=1.0):
     return PlainProgram(H, rng.normal(scale=12.0, size=n), lower, upper, softness * rng.normal(size=(5, STEPS, n)))
 
 
-def solver_settings(backend, tolerance=1e-8, max_iterations=100_000, check_every=10):
-    own = {"tolerance": tolerance, "max_iterations": max_iterations}
-    of_osqp = {
-        "eps_abs": tolerance,
-        "eps_rel": tolerance,
-        "max_iter": max_iterations,
-        "check_termination": check_every,
-    }
+def solver_settings(backend, max_iterations=100_000):
+    own = {"tolerance": 1e-8, "max_iterations": max_iterations}
+    of_osqp = {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": max_iterations, "check_termination": 10}
     return load_config("ssm", {"solver": {"method": backend, "osqp": of_osqp, **own}}).solver
 
 
-def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
-    """Solve from a cold start, or from a solution `near` it."""
+def solve(program, backend, **changes):
+    """Solve from a cold start."""
     chosen = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
-    return chosen.solve(program, kinds, *((program.guess, program.multipliers) if near is None else near))
+    return chosen.solve(program, tuple(range(KINDS)), program.guess, program.multipliers)
 
 
 def assert_optimal(program, plan, pressing, within):

@@ -70,14 +70,14 @@ def hurried():
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
-def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
-    """Return position errors after a share `begin` of the drive, by compensation of slip, and the estimate with it."""
+def with_and_without_side_slip(noise, slip):
+    """Return position errors after half of the drive, by compensation of slip, and the estimate with it."""
     reference, errors, estimates = hurried(), {}, {}
     for on in (True, False):
-        driver = controller(**{"compensation.side_slip": on} | settings)
+        driver = controller(**{"compensation.side_slip": on})
         robot = robot_for(reference, slip=slip, noise=noise)
         results, poses, times = drive(driver, robot, reference, reference.duration)
-        first = int(begin * len(times))
+        first = len(times) // 2
         errors[on] = rmse(poses[first:], times[first:], reference)[0]
         estimates[on] = results[-1].estimate
     return errors, estimates[True]

@@ -336,12 +336,6 @@ def test_library_of_each_level_computes(wheel_core):
         assert ffi.dlopen(str(path)).ddmpc_answer() == 42
 
 
-# Declarations.
-
-
-# Functions of the user.
-
-
 # The wheel.
 
 

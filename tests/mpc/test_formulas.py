@@ -467,10 +467,10 @@ def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
     assert (by_window[:, 2:] == 0).all()
 
 
-def a_function(names, sizes, outputs=1, kind=ca.SX):
-    symbols = [kind.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+def a_function(names, sizes):
+    symbols = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
     value = ca.vertcat(*symbols)
-    return ca.Function("mine", symbols, [value] * outputs, names, [f"out{k}" for k in range(outputs)])
+    return ca.Function("mine", symbols, [value], names, ["out"])
 
 
 def test_operation_without_c_equivalent_raises_error():

@@ -336,6 +336,3 @@ def test_false_reports_of_the_base_keep_the_slew_limit(seed):
     steps = np.abs(np.diff([result.command for result in results], axis=0))
     assert (steps <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-12).all()
     assert any("beyond the limits" in result.message for result in results)
-
-
-"""What it has of `models`: readers of files, what loads C, and names on first use. Nothing here moves a robot."""

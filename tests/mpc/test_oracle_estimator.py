@@ -178,10 +178,10 @@ TICKS = np.arange(2500)
 COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS / 25)])
 
 
-def run(estimator, robot, ticks=200, deliver=None, command=None, driven=None, after=None):
+def run(estimator, robot, ticks=200, deliver=None, command=None, after=None):
     """Drive open loop; `deliver(k, measurement)` decides what the estimator gets, `after(k)` looks at it.
 
-    The estimator is told of `command`, or of those above; the robot is `driven` by another one where that is given.
+    The command is `command`, or one of those above.
     """
     messages = []
     for k in range(ticks):
@@ -194,7 +194,7 @@ def run(estimator, robot, ticks=200, deliver=None, command=None, driven=None, af
             after(k)
         sent = COMMANDS[k] if command is None else np.array(command)
         estimator.commands.append(sent)
-        robot.advance(sent if driven is None else np.array(driven))
+        robot.advance(sent)
     return messages
 
 

@@ -147,14 +147,14 @@ def test_trajectory_starts_at_the_robot():
         assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
 
 
-def straight(frame="odom", speed=0.4, seconds=4.0, count=21, sideways=0.0):
+def straight(frame="odom"):
     """Return a path along x from rest to rest."""
-    share = np.linspace(0.0, 1.0, count)
-    along = speed / 1.5 * seconds * (3 * share**2 - 2 * share**3)
+    share = np.linspace(0.0, 1.0, 21)
+    along = 0.4 / 1.5 * 4.0 * (3 * share**2 - 2 * share**3)
     path = Path()
     path.header.frame_id = frame
-    for x, t in zip(along, share * seconds, strict=True):
-        path.poses.append(stamped_pose_message((x, sideways * x, 0.0), 10**12 + round(t * 1e9), frame))
+    for x, t in zip(along, share * 4.0, strict=True):
+        path.poses.append(stamped_pose_message((x, 0.0, 0.0), 10**12 + round(t * 1e9), frame))
     return path
 
 
