@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
 from typer.core import TyperGroup
 
 from diffdrive_mpc.models.plug_ins import check_package
@@ -16,6 +15,8 @@ from diffdrive_mpc.models.plug_ins import check_package
 @cache
 def former_names(kind: str) -> Mapping[str, str]:
     """Return the lines for former names by the words that were typed; `kind` is `commands` or `options`."""
+    import yaml  # noqa: PLC0415 - --help does without it
+
     data = yaml.safe_load(Path(__file__).with_name("former_names.yaml").read_text(encoding="utf-8"))
     return data[kind] or {}
 

@@ -32,6 +32,7 @@ DEFERRED_CIRCLES = {
     "diffdrive_mpc.models.velocity_model",
     "diffdrive_mpc.mpc.core.library",
     "diffdrive_mpc.mpc.trajectories.trajectory",
+    "diffdrive_mpc_extras.worlds.world",
     "diffdrive_mpc.bench.peers",
     "diffdrive_mpc.bench.case",
 }

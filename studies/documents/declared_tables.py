@@ -64,7 +64,8 @@ def parameter_tables() -> str:
         groups.setdefault(row.key.rpartition(".")[0], []).append(row)
     tables = [_table("The node", node_rows(), advice)]
     tables += [_table(f"Part {name} of the node", rows, advice) for name, rows in part_rows().items()]
-    return "\n\n".join([*tables, *(_table(_title(group), rows, advice) for group, rows in groups.items())])
+    tables += [_table(_title(group), rows, advice) for group, rows in groups.items()]
+    return "\n\n".join([*tables, _table("Lists: in the file only, no parameters of the node", _list_rows(), advice)])
 
 
 def node_rows() -> list[FieldRow]:
@@ -86,9 +87,18 @@ def _title(group: str) -> str:
 
 
 def _controller_rows() -> list[FieldRow]:
-    """Return keys of the configuration and of installed features that are parameters; lists come by file only."""
+    """Return keys of the configuration and of installed features that are parameters."""
+    return [row for row in _keys() if not row.default.startswith("[")]
+
+
+def _list_rows() -> list[FieldRow]:
+    """Return keys whose value is a list; they come by file only."""
+    return [row for row in _keys() if row.default.startswith("[")]
+
+
+def _keys() -> list[FieldRow]:
     rows = (*schema_rows(ControllerConfig), *feature_rows())
-    return [row for row in rows if not (row.key.startswith("terms") or row.default.startswith("["))]
+    return [row for row in rows if not row.key.startswith("terms")]
 
 
 def with_tables(name: str, page: str) -> str:

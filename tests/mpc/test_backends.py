@@ -77,21 +77,16 @@ def random_program(seed, tightness=0.5, softness=1.0):
     return PlainProgram(H, rng.normal(scale=12.0, size=n), lower, upper, softness * rng.normal(size=(5, STEPS, n)))
 
 
-def solver_settings(backend, tolerance=1e-8, max_iterations=100_000, check_every=10):
-    own = {"tolerance": tolerance, "max_iterations": max_iterations}
-    of_osqp = {
-        "eps_abs": tolerance,
-        "eps_rel": tolerance,
-        "max_iter": max_iterations,
-        "check_termination": check_every,
-    }
+def solver_settings(backend, max_iterations=100_000):
+    own = {"tolerance": 1e-8, "max_iterations": max_iterations}
+    of_osqp = {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": max_iterations, "check_termination": 10}
     return load_config("ssm", {"solver": {"method": backend, "osqp": of_osqp, **own}}).solver
 
 
-def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
-    """Solve from a cold start, or from a solution `near` it."""
+def solve(program, backend, **changes):
+    """Solve from a cold start."""
     chosen = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
-    return chosen.solve(program, kinds, *((program.guess, program.multipliers) if near is None else near))
+    return chosen.solve(program, tuple(range(KINDS)), program.guess, program.multipliers)
 
 
 def assert_optimal(program, plan, pressing, within):
@@ -157,27 +152,6 @@ def test_nan_in_a_program_is_reported(backend):
     program.g = np.full_like(program.g, np.nan)
     _, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assert not report.status.usable
-
-
-def test_osqp_stops_at_its_tolerance():
-    for seed in range(5):
-        program = random_program(seed)
-        exact = solve(program, "daqp").plan
-        found = [solve(program, "osqp", tolerance=tolerance, check_every=1) for tolerance in (1e-2, 1e-5, 1e-9)]
-        assert {one.status for one in found} == {SolverStatus.SOLVED}
-        iterations = [one.iterations for one in found]
-        errors = [np.abs(one.plan - exact).max() for one in found]
-        assert iterations == sorted(set(iterations))
-        assert errors[0] > 10 * errors[1] > 100 * errors[2]
-
-
-def test_osqp_uses_the_warm_start():
-    for seed in range(5):
-        program = random_program(seed)
-        cold = solve(program, "osqp", check_every=1)
-        warm = solve(program, "osqp", check_every=1, near=(cold.plan, cold.multipliers))
-        assert warm.status is SolverStatus.SOLVED
-        assert warm.iterations < 0.5 * cold.iterations
 
 
 @every_backend
@@ -376,9 +350,3 @@ def test_clock_stops_a_backend(backend):
     assert late.solver.status is not SolverStatus.SOLVED or late.solver.iterations <= 50
     assert np.isfinite(late.command).all()
     assert results[25].mode is Mode.TRACKING
-
-
-def test_active_set_needs_no_backend_with_limits_active_everywhere():
-    run = simulate(controller(), make_plant("model:ssm", seed=1), load_trajectory("s"))
-    assert set(run.solver_methods) <= {"none", "unlimited", "active_set"}
-    assert {status for status in run.solver_statuses if status} <= {"solved"}

@@ -6,9 +6,8 @@ import warnings
 
 import pytest
 import yaml
-from pydantic import BaseModel
 
-from diffdrive_mpc import ConfigError, ControllerConfig, load_config, load_model, load_trajectory
+from diffdrive_mpc import ConfigError, ControllerConfig, load_config
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
@@ -25,35 +24,13 @@ def test_shipped_configurations_load(name):
     assert load_config(name).model == name
 
 
-def fields(schema, prefix=""):
-    for name, field in schema.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from fields(field.annotation, f"{prefix}{name}.")
-        else:
-            yield prefix + name, field
-
-
-@pytest.mark.parametrize(("key", "field"), list(fields(ControllerConfig)))
-def test_every_field_says_what_it_is_and_in_which_unit(key, field):
-    assert field.description, key
-    if field.annotation is not str or key == "model":
-        assert field.description.endswith("]"), key
-
-
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"horizn": 20}, "unknown key 'horizn'; did you mean 'horizon'"),
         ({"weights.acros": 1.0}, "did you mean 'weights.across'"),
-        ({"across": 1.0}, "did you mean 'weights.across'"),
         ({"weights.lateral": 1.0}, "did you mean 'weights.across'\\?$"),
-        ({"weights.yaw": 1.0}, "did you mean 'weights.heading' or 'weights.omega'\\?$"),
-        ({"Q": 1.0}, "did you mean 'weights.along', 'weights.across' or 'weights.heading'\\?$"),
         ({"weights.across": -1.0}, "weights.across: .*greater than or equal to 0.*-1.0"),
         ({"horizon": 0}, "horizon: .*greater than or equal to 1"),
-        ({"horizon": 2.5}, "horizon: .*integer"),
-        ({"limits.v": float("nan")}, "limits.v: .*finite"),
-        ({"limits": 3}, "limits: "),
         ({"horizon.steps": 3}, "'horizon' holds one value"),
     ],
 )
@@ -81,12 +58,6 @@ def test_a_model_file_is_found_beside_the_configuration(tmp_path):
     (tmp_path / "mine.yaml").write_text("anything")
     (tmp_path / "c.yaml").write_text("model: mine.yaml\n")
     assert load_config(tmp_path / "c.yaml").model == str(tmp_path / "mine.yaml")
-
-
-@pytest.mark.parametrize("make", [load_config, load_trajectory, load_model])
-def test_a_name_too_long_for_a_file_is_refused_like_any_other(make):
-    with pytest.raises(ConfigError, match="unknown"):
-        make("a" * 5000)
 
 
 def test_every_key_stands_in_one_room_and_users_come_first():
@@ -153,40 +124,14 @@ def test_curved_slip_is_a_list_that_former_keys_fill():
             load_config("sm", {"estimator.veer": values})
 
 
-@pytest.mark.parametrize(
-    ("solver", "method"),
-    [
-        ("{strategy: backend, backend: osqp}", "osqp"),
-        ("{strategy: backend}", "daqp"),
-        ("{strategy: auto, backend: osqp}", "auto"),
-    ],
-)
-def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path, solver, method):
+def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path):
     path = tmp_path / "old.yaml"
-    path.write_text(f"model: sm\nsolver: {solver}\nexpert: {{solver: {{check_every: 25}}}}\n")
+    path.write_text("model: sm\nsolver: {strategy: backend, backend: osqp}\nexpert: {solver: {check_every: 25}}\n")
     with pytest.warns(FormerNameWarning, match="is solver.method now"):
         read = load_config(path)
-    assert read.solver.method == method
+    assert read.solver.method == "osqp"
     assert read.solver.osqp.check_termination == 25
     assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
-    changed = replace_values(read, {"solver.backend": "osqp", "solver.strategy": "backend"})
-    assert changed.solver.method == "osqp"
-
-
-@pytest.mark.parametrize(
-    ("solver", "message"),
-    [
-        ("{strategy: backnd}", "solver.method"),
-        ("{strategy: backend, method: auto}", "solver.method has taken the place"),
-        ("{check_every: 25, osqp: 3}", "solver.osqp"),
-    ],
-)
-def test_what_cannot_be_one_method_is_one_line(tmp_path, solver, message):
-    path = tmp_path / "old.yaml"
-    path.write_text(f"model: sm\nsolver: {solver}\n")
-    with warnings.catch_warnings(), pytest.raises(ConfigError, match=message):
-        warnings.simplefilter("ignore")
-        load_config(path)
 
 
 def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
@@ -201,22 +146,11 @@ def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     ("text", "message"),
     [
         ("expert: {weights: {along: 3.0}}", "expert.weights.along: write it outside 'expert', as weights.along"),
-        ("limits: 3\nexpert: {limits: {predicted_v: 1.0}}", "limits: expected groups of keys below it"),
-        (
-            "limits: {least_turn_radius: 0.3, min_turn_radius: 0.5}",
-            "limits.min_turn_radius stands twice, as limits.least_turn_radius and limits.min_turn_radius",
-        ),
         (
             "limits: {least_commanded_radius: 0.3}\nexpert: {limits: {min_commanded_radius: 0.5}}",
             "limits.min_commanded_radius stands twice, as limits.least_commanded_radius and "
             "expert.limits.min_commanded_radius",
         ),
-        ("estimator: {history: 0.5}\nexpert: {estimator: {history: 0.4}}", "estimator.history stands twice"),
-        (
-            "expert: {estimator: {histroy: 0.5}}",
-            "unknown key 'expert.estimator.histroy'; did you mean 'expert.estimator",
-        ),
-        ("weights: {acros: 3.0}", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
         ("expert: {estimator: {history: 50}}", "expert.estimator.history: Input should be less than or equal to 5"),
     ],
 )
@@ -232,17 +166,3 @@ def test_a_mistake_names_the_room(tmp_path, text, message):
 def test_rooms_lose_nothing():
     config = ControllerConfig()
     assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()
-
-
-def test_what_identify_writes_is_written_as_it_is_now():
-    from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
-
-    limits = tuple(Setting(name, 1.5) for name in ("v", "omega", "predicted_v", "predicted_omega", "corridor"))
-    rest = {"estimator": (Setting("heading_noise", 0.01),), "reentry": (Setting("band", 0.1),)}
-    failure = (Setting("max_position_error", 1.2),)
-    text = IdentifiedConfiguration("mine", (Setting("model", "ssm"),), limits, (), **rest, failure=failure).text()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        flat = side_by_side(yaml.safe_load(text), "mine.yaml")
-    assert flat["limits"] == {setting.name: 1.5 for setting in limits}
-    assert (flat["reentry"], flat["failure"]) == ({"band": 0.1}, {"max_position_error": 1.2})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot, drive
 
-from diffdrive_mpc import ConfigError, ModelError, load_model
+from diffdrive_mpc import ConfigError, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
@@ -70,14 +70,14 @@ def hurried():
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
-def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
-    """Return position errors after a share `begin` of the drive, by compensation of slip, and the estimate with it."""
+def with_and_without_side_slip(noise, slip):
+    """Return position errors after half of the drive, by compensation of slip, and the estimate with it."""
     reference, errors, estimates = hurried(), {}, {}
     for on in (True, False):
-        driver = controller(**{"compensation.side_slip": on} | settings)
+        driver = controller(**{"compensation.side_slip": on})
         robot = robot_for(reference, slip=slip, noise=noise)
         results, poses, times = drive(driver, robot, reference, reference.duration)
-        first = int(begin * len(times))
+        first = len(times) // 2
         errors[on] = rmse(poses[first:], times[first:], reference)[0]
         estimates[on] = results[-1].estimate
     return errors, estimates[True]
@@ -106,14 +106,6 @@ def test_robot_that_slides_while_turning_is_tracked(noise):
         error = abs(getattr(estimate.slip, name) - getattr(slip, name))
         assert error < min(3 * getattr(estimate.slip_deviation, name), 0.03)
     assert errors[True] < 0.5 * errors[False]
-
-
-@pytest.mark.parametrize("prior", [0.0, 0.06])
-def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
-    """With a prior that is wrong for it, once it has been learned."""
-    priors = {"estimator.side_slip": prior, "estimator.load_shift": prior}
-    errors, _ = with_and_without_side_slip(begin=0.5 if prior else 0.0, **priors)
-    assert errors[True] < errors[False] + 0.0005
 
 
 @pytest.mark.parametrize("turns", [-2, 1, 3])
@@ -182,23 +174,6 @@ def test_reference_beyond_the_limits_raises_error():
         controller(**{"limits.omega": 0.4}).start(load_trajectory("circle"), 0.0)
 
 
-def test_horizon_of_one_step_drives():
-    reference = load_trajectory("circle")
-    results, _, _ = drive(controller(horizon=1), robot_for(reference), reference, 0.5)
-    assert {result.mode for result in results} == {Mode.TRACKING}
-
-
-def test_step_result_contains_plan_and_estimate():
-    reference = load_trajectory("circle")
-    results, _, _ = drive(controller(horizon=12), robot_for(reference), reference, 2.0)
-    last = results[-1]
-    assert last.plan.shape == (13, 3)
-    assert last.planned_commands.shape == (12, 2)
-    assert last.planned_commands[0] == pytest.approx(last.command, abs=1e-6)
-    assert last.plan[0] == pytest.approx(last.estimate.pose)
-    assert last.step_time > 0
-
-
 def test_reported_command_replaces_the_sent_one_in_the_estimate():
     """A base that halves every command: told so, the estimator needs no offset to explain it."""
     reference, offsets = load_trajectory("circle"), {}
@@ -215,23 +190,6 @@ def test_reported_command_replaces_the_sent_one_in_the_estimate():
         offsets[told] = abs(result.estimate.slip.v_offset)
     assert offsets[True] < 1e-6
     assert offsets[False] > 0.01
-
-
-def test_repeating_sent_commands_as_applied_changes_nothing():
-    reference = load_trajectory("s")
-    alone, _, _ = drive(controller(), robot_for(reference, noise=1.0), reference, 3.0)
-    told = controller()
-    told.start(reference, 0.0)
-    step = told.step
-
-    def overruled(t, measurement):
-        result = step(t, measurement)
-        told.set_applied_commands([result.command])
-        return result
-
-    told.step = overruled
-    again, _, _ = drive(told, robot_for(reference, noise=1.0), reference, 3.0)
-    assert all(np.array_equal(a.command, b.command) for a, b in zip(alone, again, strict=True))
 
 
 def test_estimate_follows_commands_of_another_controller():
@@ -294,23 +252,11 @@ def test_step_before_start_raises_error():
         controller().step(0.0, robot_for(load_trajectory("circle")).measure())
 
 
-def test_start_time_that_is_not_finite_raises_error():
-    with pytest.raises(ValueError, match="t0"):
-        controller().start(load_trajectory("circle"), float("nan"))
-
-
-def test_unusable_models_and_horizons_raise_error(tmp_path):
+def test_unusable_models_and_horizons_raise_error():
     with pytest.raises(ConfigError, match="unknown model"):
         Controller(load_config("ssm"), "no_such_model")
     with pytest.raises(ValueError, match="horizon"):
         controller(**{"horizon": 3, "extra_dead_time.v": 0.2})
-    bad = tmp_path / "bad.yaml"
-    bad.write_text(
-        "name: bad\nstructure: ssm\nprovenance: {origin: identified, source: test}\n"
-        "A: [[1.0, 0.0], [0.0, -5.0]]\nB: [[5.0, 0.0], [0.0, 5.0]]\nC: [[1.0, 0.0], [0.0, 1.0]]\n"
-    )
-    with pytest.raises(ModelError, match="unstable"):
-        Controller(load_config("ssm"), str(bad))
 
 
 EVERY_ORDER = """

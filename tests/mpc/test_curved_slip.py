@@ -94,16 +94,6 @@ def test_every_setting_reaches_the_estimate_in_its_own_place(name):
     assert getattr(slip.slip_deviation, name) == pytest.approx(0.02)
 
 
-def test_an_uncertainty_alone_makes_room_and_nothing_else_does():
-    plain = Controller(load_config("ssm"))
-    roomy = Controller(load_config("ssm", {"estimator.veer_uncertainty": 0.01}))
-    for controller, more in ((plain, 0), (roomy, 5)):
-        controller.start(load_trajectory("s"), 0.0)
-        estimate = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
-        assert len(estimate.mean) == 2 + 14 + more
-        assert estimate.state.shape == (2,)
-
-
 def learned(surface, seed):
     """Estimate after the diagnostic drive of 90 s, from a start that knows nothing of the floor."""
     still = {"longitudinal_gain": 2e-4, "turn_ahead": 1e-3, "turn_left": 1e-3, "side_slip": 2e-3, "yaw_gain": 1.5e-3}
@@ -171,17 +161,3 @@ def test_heading_is_the_sum_of_mean_rates():
     twist = (prediction.from_plan @ plan).reshape(-1, 2)
     trapezoid = np.concatenate([[0], np.cumsum(0.05 * 0.5 * (twist[:-1, 1] + twist[1:, 1]))])
     assert prediction.heading_from_plan @ plan == pytest.approx(trapezoid, abs=1e-12)
-
-
-def test_nothing_acts_before_its_dead_time():
-    model = SSM.with_extra_dead_time([0.0606, 0.0202]).discretise(0.0202)
-    plan = build_prediction(model, 8).from_plan.reshape(9, 2, 8, 2)
-    for k in range(9):
-        for j in range(8):
-            assert plan[k, :, j, 0].any() == (j + 3 < k)
-            assert plan[k, :, j, 1].any() == (j + 1 < k)
-
-
-def test_no_horizon_no_prediction():
-    with pytest.raises(ValueError, match="horizon = 0"):
-        build_prediction(SSM.discretise(0.02), 0)

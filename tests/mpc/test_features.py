@@ -9,10 +9,8 @@ from pydantic import Field
 
 from diffdrive_mpc import ConfigError, Controller, ControllerConfig, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models import plug_ins
-from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.config.described import commented_yaml, feature_rows
+from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Positive
-from diffdrive_mpc.mpc.features import registry
 from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.hold import Hold
 
@@ -45,12 +43,6 @@ def test_disabled_feature_is_not_attached(overrides):
     assert not any("step" in message for message in drive(overrides).messages)
 
 
-def test_features_are_in_the_order_of_their_names():
-    assert registry.features_of(load_config("sm")) == {}
-    enabled = load_config("sm", ON | {"online_dead_time.enabled": True})
-    assert list(registry.features_of(enabled)) == ["lunch", "online_dead_time"]
-
-
 def test_named_feature_is_found_on_the_controller():
     controller = Controller(load_config("sm", ON))
     assert controller.feature("lunch") is controller.features["lunch"]
@@ -61,9 +53,7 @@ def test_named_feature_is_found_on_the_controller():
     ("name", "message"),
     [
         ("lunch", "feature 'lunch' is not enabled: set expert.lunch.enabled to true"),
-        ("online_dead_time", "feature 'online_dead_time' is not enabled: set online_dead_time.enabled to true"),
         ("rehearsal", "'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
-        ("dinner", "no installed package has it; installed: lunch"),
     ],
 )
 def test_feature_that_is_not_attached_raises_config_error(name, message):
@@ -92,20 +82,6 @@ def test_group_of_a_feature_is_read_shown_and_compared(tmp_path):
     assert config.model_dump(exclude_defaults=True) == {"model": "sm", "lunch": {"end": 2.5}}
 
 
-def test_values_of_a_feature_are_replaced_by_dotted_key():
-    config = replace_values(load_config("sm", ON), {"lunch.end": 2.0})
-    assert (config.features["lunch"].enabled, config.features["lunch"].end) == (True, 2.0)
-    assert replace_values(config, {"horizon": 31}).features == config.features
-
-
-def test_keys_of_features_are_documented():
-    assert [(row.key, row.default, row.unit) for row in feature_rows()] == [
-        ("expert.lunch.enabled", "false", "-"),
-        ("expert.lunch.end", "3.0", "s"),
-        ("expert.lunch.menu", "''", "-"),
-    ]
-
-
 def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_path):
     (tmp_path / "config.yaml").write_text("model: sm\nexpert: {lunch: {menu: pasta.yaml}}\n")
     assert load_config(tmp_path / "config.yaml").features["lunch"].menu == str(tmp_path / "pasta.yaml")
@@ -115,24 +91,14 @@ def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_pa
     ("overrides", "message"),
     [
         ({"lunch.ende": 1.0}, "unknown key 'expert.lunch.ende'; did you mean 'expert.lunch.end'"),
-        ({"lunhc.end": 1.0}, "unknown key 'lunhc'; did you mean 'expert.lunch'"),
         ({"expert.lunch.end": -1.0}, "expert.lunch.end: .*greater than 0.*-1.0"),
-        ({"lunch": 3}, "expert.lunch: "),
         ({"rehearsal.enabled": True}, "feature 'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
-        ({"energy.weight": 0.1}, "feature 'energy' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
 def test_mistake_in_a_feature_is_one_line_with_place_and_remedy(overrides, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_config("sm", overrides)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    "group", [{"free_space": {"enabled": False, "margin": 0.1}}, {"energy": {"weight": 0.0, "turn_costs": ""}}]
-)
-def test_group_that_asks_for_nothing_needs_no_package(group):
-    assert load_config({"model": "sm", **group}) == load_config({"model": "sm"})
 
 
 class Lunch(FeatureGroup):

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from failing_solver import SpoiltReference
 from ideal_robot import IdealRobot
-from side_by_side import ACTIVE_SET, Pair, changed, numbers
+from side_by_side import ACTIVE_SET, Pair, changed
 
-from diffdrive_mpc import ConfigError, Controller, ControllerConfig, Measurement, Stamped, load_config, load_model
-from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc import ControllerConfig, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
@@ -97,46 +96,6 @@ def route():
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="route")
 
 
-class Recorder(Pair):
-    """A pair that remembers what it was given."""
-
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        self.calls = []
-
-    def start(self, reference, t0):
-        self.calls.append(("start", reference, t0))
-        super().start(reference, t0)
-
-    def reset(self):
-        self.calls.append(("reset",))
-        super().reset()
-
-    def step(self, t, measurement, hold=None):
-        # Whether the reference is spoilt belongs to what it was given.
-        spoilt = self.calls and next(call for call in self.calls[::-1] if call[0] == "start")[1].spoilt
-        self.calls.append(("step", t, measurement, hold, spoilt))
-        return super().step(t, measurement, hold)
-
-
-def replay(calls, config, model):
-    """Return the results of another configuration for the same calls."""
-    controller, said, reference = Controller(config, model), [], None
-    for kind, *rest in calls:
-        if kind == "step":
-            t, measurement, hold, spoilt = rest
-            reference.spoilt = spoilt
-            result = controller.step(t, measurement, hold)
-            estimate = () if result.estimate is None else numbers(result.estimate)
-            said.append((str(result.mode), result.message, *np.round(result.command, 6), *np.round(estimate, 8)))
-        elif kind == "start":
-            reference, t0 = rest
-            controller.start(reference, t0)
-        else:
-            controller.reset()
-    return repr(said)
-
-
 class Troubles:
     """A noisy robot in slip, of which everything that can go wrong with measurements goes wrong at some time."""
 
@@ -209,7 +168,7 @@ class Troubles:
 def driven(name, seed):
     """Return a pair of controllers after its drives, on which the two agreed."""
     config, model = distinct(seed), load_model(name).with_extra_dead_time(MODELS[name])
-    both, reference = Recorder(config, model, accuracy=BY_DAQP), SpoiltReference(route())
+    both, reference = Pair(config, model, accuracy=BY_DAQP), SpoiltReference(route())
     troubles, command = Troubles(config, model, seed), np.zeros(2)
     both.start(reference, 0.0)
     for k in range(TICKS):
@@ -250,42 +209,3 @@ def test_a_drive_on_which_every_field_matters(name, seed):
 )
 def test_everything_happens_on_the_drives(words):
     assert any(words in driven(name, seed)[0].words for name in MODELS for seed in SEEDS)
-
-
-# Only re-entry has them, and it is not in the core.
-OUTSIDE = {key for key, _ in numeric_fields() if key.startswith("reentry.") and key != "reentry.blocked_share"}
-NEIGHBOURS = [
-    (one, other)
-    for (one, a), (other, b) in zip(list(numeric_fields()), list(numeric_fields())[1:], strict=False)
-    if one.split(".")[0] == other.split(".")[0] and type(a) is type(b) and not {one, other} & OUTSIDE
-]
-
-
-@pytest.mark.parametrize(("one", "other"), NEIGHBOURS)
-def test_the_drives_tell_two_fields_apart(one, other):
-    """Else exchanging them on the way into the core would not be seen above: the drives have to stay that rich."""
-    assert any(told_apart(name, seed, one, other) for name in MODELS for seed in SEEDS)
-
-
-def told_apart(name, seed, one, other):
-    both, config, model = driven(name, seed)
-    (a, x), (b, y) = ((key, value_of(config, key)) for key in (one, other))
-    try:
-        exchanged = replace_values(config, {a: y, b: x})
-    except ConfigError:
-        exchanged = replace_values(config, {a: 1.01 * x})
-    try:
-        return replay(both.calls, exchanged, model) != said(name, seed)
-    except ValueError:  # a reference faster than its limits, or nothing but NaN to rejoin
-        return True
-
-
-@cache
-def said(name, seed):
-    both, config, model = driven(name, seed)
-    return replay(both.calls, config, model)
-
-
-def value_of(config, key):
-    group, name = key.split(".")
-    return getattr(getattr(config, group), name)

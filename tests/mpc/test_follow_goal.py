@@ -113,15 +113,6 @@ def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhe
     assert loop.told == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
 
 
-def test_a_robot_at_the_start_of_a_closed_path_drives_it(made):
-    loop, beside, following = made
-    angle = np.linspace(0.0, 2 * np.pi, 80)
-    loop_path = np.column_stack([np.sin(angle), 1.0 - np.cos(angle), angle])
-    following.take(FollowGoal(loop_path, "odom"))
-    beside.answer()
-    assert loop.told == ["follow"]
-
-
 def test_a_newer_goal_ends_one_that_has_not_begun(made):
     loop, beside, following = made
     first, second = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
@@ -150,19 +141,6 @@ def test_cancelling_what_has_not_begun_ends_the_drive_that_it_was_to_replace(mad
     assert loop.told == ["follow", "brake", "release"]
 
 
-def test_a_goal_that_is_being_cancelled_stays_cancelled_when_a_newer_one_begins(made):
-    loop, beside, following = made
-    old, newer = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
-    following.take(old)
-    beside.answer()
-    old.cancelled = True
-    following.after(LoopTick(np.array([0.3, 0.0]), LoopState.DRIVING, ""))
-    assert loop.told[-1] == "brake" and old.end is None
-    following.take(newer)
-    beside.answer()
-    assert old.end.outcome is GoalOutcome.CANCELED
-
-
 def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
     _, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")
@@ -173,26 +151,6 @@ def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
     following.take(slow := FollowGoal(STRAIGHT, "odom"))
     beside.asked[-1][2]("to read it takes longer than 10 s")
     assert slow.end.code is Code.CONTROLLER_TIMED_OUT
-
-
-def test_a_path_that_takes_too_long_for_a_robot_that_moves_is_begun_when_it_stands(made):
-    loop, beside, following = made
-    following.take(old := FollowGoal(STRAIGHT, "odom"))
-    beside.answer()
-    loop.whereabouts = lambda: (np.zeros(3), (0.3, 0.0))
-    following.take(slow := FollowGoal(STRAIGHT, "odom"))
-    for _ in range(follow_goal._MOST_OUTDATED):
-        assert loop.told == ["follow"]
-        loop.inbox.now += 1.0
-        beside.answer()
-    assert loop.told == ["follow", "brake"] and slow.end is None
-    loop.whereabouts = lambda: (np.zeros(3), (0.0, 0.0))
-    following.after(standing())
-    loop.inbox.now += 1.0
-    beside.answer()
-    beside.answer()
-    assert loop.told == ["follow", "brake", "release", "follow"] and slow.laid is not None
-    assert "too long to prepare" in old.end.words
 
 
 def test_a_fault_of_the_loop_ends_the_goal(made):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -205,20 +204,6 @@ def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
     assert "blocked for" in late[-1].message
 
 
-@pytest.mark.parametrize("path", ["s", "circle"])
-def test_turning_poses_are_detected_without_wheels(path):
-    turning = spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t])
-    results, _ = run(lambda k, m: replace(turning(k, m), wheel_twist=None), path)
-    assert first(results, "pose") < 5.0
-
-
-def test_repeated_readings_against_the_commands_are_not_used():
-    """A gyro that is stuck before a curve is left out before poses have told whose fault it is."""
-    results, apart = run(stuck("yaw_rate"), "cane", seconds=6.0)
-    assert accused(results) <= {"yaw rate"}
-    assert apart.max() < 0.05
-
-
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
 def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
     """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""
@@ -255,35 +240,6 @@ def test_recovered_sensor_is_used_again(name, field):
     back = next(k for k in range(FAULT + 75, len(results)) if not results[k].unused_sensors)
     assert 0.9 < (back - FAULT - 75) * DT < 2.0
     assert apart.max() < 0.1
-
-
-@pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.0312]], ids=["position", "heading"])
-def test_reported_scatter_of_poses_equals_the_noise_ratio(scale):
-    """Noise of six stated deviations beside the stated one: the root of 37 times as far, on average."""
-    rng = np.random.default_rng(0)
-
-    def noisy(k, m):
-        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * scale))
-
-    results, _ = run(noisy)
-    factors = [re.search(r"scatter ([\d.]+) times", result.message)[1] for result in results[100:]]
-    assert np.sqrt(np.mean(np.square(np.array(factors, dtype=float)))) == pytest.approx(np.sqrt(37.0), rel=0.1)
-
-
-@pytest.mark.parametrize("scale", [[0.03, 0.03, 0.0], [0.0, 0.0, 0.05]], ids=["position", "heading"])
-def test_detected_pose_noise_raises_the_deviation_at_once(scale):
-    """Noise of position or of heading alone raises its deviation only."""
-    rng = np.random.default_rng(0)
-
-    def noisy(k, m):
-        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * scale))
-
-    results, _ = run(noisy, seconds=0.5)
-    at = next(k for k, result in enumerate(results) if "poses scatter" in result.message)
-    rises = results[at].estimate.pose_deviation / results[at - 1].estimate.pose_deviation
-    is_noisy = np.array(scale) > 0
-    assert (rises[is_noisy] > 1.8).all()
-    assert (rises[~is_noisy] < 1.1).all()
 
 
 def test_poses_later_than_their_stamps_are_reported_but_not_accused():
@@ -380,6 +336,3 @@ def test_false_reports_of_the_base_keep_the_slew_limit(seed):
     steps = np.abs(np.diff([result.command for result in results], axis=0))
     assert (steps <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-12).all()
     assert any("beyond the limits" in result.message for result in results)
-
-
-"""What it has of `models`: readers of files, what loads C, and names on first use. Nothing here moves a robot."""

@@ -1,22 +1,20 @@
 """Parts of the node: their parameters, their hooks, and the package that has them."""
 
-from collections.abc import Mapping
 from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from pydantic import Field, SerializeAsAny
+from pydantic import Field
 from rclpy.parameter import Parameter
 from ros_parts import stack
 
 from diffdrive_mpc.models import plug_ins
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
-from diffdrive_mpc.mpc.config.group import Group
 from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.node_part import NodePart
-from diffdrive_mpc.mpc.ros.parameters import declare, fields, name_parts, read
+from diffdrive_mpc.mpc.ros.parameters import declare, name_parts, read
 from diffdrive_mpc.mpc.ros.settings import NodeSettings, PartSettings
 
 
@@ -144,18 +142,6 @@ def test_former_parameter_is_taken_with_a_line_that_names_the_new_one(parts):
     ]
 
 
-class WithFeatures(StrictModel):
-    """Configuration with the groups of features."""
-
-    features: Mapping[str, SerializeAsAny[Group]] = {}
-
-
-def test_groups_of_features_are_parameters_of_an_instance():
-    names = [name for name, _ in fields(WithFeatures(features={"probe": ProbeSettings()}))]
-    assert names == [f"probe.{key}" for key in ("enabled", "refuse", "refuse_activation", "current")]
-    assert fields(WithFeatures) == []
-
-
 def test_hooks_are_called_in_the_order_of_the_lifecycle(parts, tmp_path):
     with stack(drive=True, record=True, record_folder=str(tmp_path), **{"parts.probe.current": 2.5}) as s:
         probe, statuses = s.node.parts["probe"], []
@@ -191,9 +177,3 @@ def test_part_refuses_a_transition_and_the_node_recovers(parts, hook):
         s.node.trigger_activate()
         s.base.until(s.hears, "sensors")
         assert s.node.label == "active"
-
-
-def test_disabled_part_is_not_built(parts):
-    with stack(**{"parts.probe.enabled": False}) as s:
-        assert "probe" not in s.node.parts
-        assert s.node.get_parameter("parts.probe.current").value == 1.5

@@ -178,10 +178,10 @@ TICKS = np.arange(2500)
 COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS / 25)])
 
 
-def run(estimator, robot, ticks=200, deliver=None, command=None, driven=None, after=None):
+def run(estimator, robot, ticks=200, deliver=None, command=None, after=None):
     """Drive open loop; `deliver(k, measurement)` decides what the estimator gets, `after(k)` looks at it.
 
-    The estimator is told of `command`, or of those above; the robot is `driven` by another one where that is given.
+    The command is `command`, or one of those above.
     """
     messages = []
     for k in range(ticks):
@@ -194,7 +194,7 @@ def run(estimator, robot, ticks=200, deliver=None, command=None, driven=None, af
             after(k)
         sent = COMMANDS[k] if command is None else np.array(command)
         estimator.commands.append(sent)
-        robot.advance(sent if driven is None else np.array(driven))
+        robot.advance(sent)
     return messages
 
 
@@ -258,28 +258,6 @@ def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
     assert (np.abs(found - slip.flat) < 2 * deviation).all()
     assert found[5:7] == pytest.approx([slip.turn_ahead, slip.turn_left], abs=0.015)
     assert found[7] == pytest.approx(slip.load_shift, abs=0.01)
-
-
-@pytest.mark.long
-def test_gyro_bias_is_estimated_next_to_slip():
-    estimator = StateEstimator(MODEL, Estimator())
-    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 2500)
-    assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
-
-
-@pytest.mark.parametrize("command", [(0.0, 0.0), (0.6, 0.0)], ids=["at rest", "straight on"])
-def test_turning_point_stays_constant_without_curves(command):
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=LOADED[0], noise=1.0)
-    run(estimator, robot, 400, command=command)
-    found, deviation = (
-        np.array(part.flat)[4:] for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
-    )
-    s = Estimator()
-    least = [s.side_slip_uncertainty, s.turn_ahead_uncertainty, s.turn_left_uncertainty, s.load_shift_uncertainty]
-    least += [s.slide_uncertainty] * 2
-    assert (np.abs(found) < 0.5 * deviation).all()
-    assert (deviation <= np.array(least) + 1e-12).all()
-    assert (deviation > 0.5 * np.array(least)).all()
 
 
 def test_wheel_gain_is_not_attributed_to_slip():
@@ -348,19 +326,6 @@ def test_yaw_gains_are_frozen_at_low_yaw_rate():
     assert after.slip.v_offset != before.slip.v_offset
 
 
-def test_foreign_command_does_not_change_slip():
-    """Half a second in which the robot obeys somebody else: its motion is followed, its slip is not blamed."""
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
-    run(estimator, robot, 150)
-    before = estimator.estimate.slip
-    run(estimator, robot, 25, command=(0.5, 0.5), driven=(0.2, -1.5))
-    after = estimator.estimate
-    assert after.twist == pytest.approx(robot.twist, abs=0.1)
-    assert after.pose == pytest.approx(robot.poses[-2], abs=0.05)
-    assert after.slip.yaw_gain == pytest.approx(before.yaw_gain, abs=0.1)
-    assert after.slip.side_slip == pytest.approx(before.side_slip, abs=0.05)
-
-
 def test_innovations_are_chi_squared_distributed():
     """On a robot that is as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
 
@@ -381,26 +346,14 @@ def test_innovations_are_chi_squared_distributed():
     assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
 
 
-def test_heading_estimate_is_continuous_through_pi():
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([0, 0, 3.0]))
-    assert run(estimator, robot, 400, command=(0.2, 1.0)) == []
-    assert robot.poses[-2][2] > 3 * np.pi
-    assert estimator.estimate.pose[2] == pytest.approx(robot.poses[-2][2], abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
         (lambda r: Stamped([np.nan, 0, 0], r.time), "finite"),
-        (lambda r: Stamped([0.0, 0.0], r.time), "three finite numbers"),
         (lambda r: Stamped(r.pose + [5, 0, 0], r.time), "jumps by 5.00 m"),
-        (lambda r: Stamped(r.pose + [0, 0, 2], r.time), "2.00 rad"),
         (lambda r: Stamped(r.pose, r.time + 1.0), "future"),
         (lambda r: Stamped(r.pose, r.time - 2.0), "not newer"),
-        (lambda r: Stamped([[1.0, 2.0], [3.0]], r.time), "three finite numbers"),
-        (lambda r: Stamped(r.pose, r.time, 1e200 * np.eye(3)), "covariance"),
         (lambda r: Stamped(r.pose, r.time, [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "covariance"),
-        (lambda r: Stamped(r.pose, float("nan")), "finite"),
         (lambda r: Stamped(r.pose, r.time, -np.eye(3)), "covariance"),
     ],
 )
@@ -430,21 +383,3 @@ def test_single_spike_is_rejected_and_lasting_jump_accepted():
     assert "jumps" in told[0][0]
     assert told[1:] == [[]] * 19
     assert estimator.estimate.twist[0] == pytest.approx(speed - 2.0, abs=0.3)
-
-
-def test_late_wheels_and_gyro_are_applied_at_their_stamp():
-    """The same twists late by three ticks: the same estimate as without the last three."""
-    late, short = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
-    queue = []
-
-    def delayed(k, m):
-        queue.append(replace(m, pose=None))
-        return queue[k - 3] if k > 3 else Measurement(pose=m.pose if k == 0 else None)
-
-    def cut(k, m):
-        return replace(m, pose=None) if 0 < k < 57 else Measurement(pose=m.pose if k == 0 else None)
-
-    run(late, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, delayed)
-    run(short, IdealRobot(MODEL, np.zeros(3), noise=1.0), 60, cut)
-    assert late.estimate.twist == pytest.approx(short.estimate.twist, abs=1e-12)
-    assert late.estimate.pose == pytest.approx(short.estimate.pose, abs=1e-12)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc import VelocityModel, load_config, load_model
+from diffdrive_mpc import load_config, load_model
 from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem, roll_out
@@ -171,15 +171,3 @@ def test_feed_forward_leads_by_one_lag():
     ramp = np.outer(np.arange(feed_forward.samples) * DT, [1.0, 1.0])
     twist = feed_forward.commands(ramp, Slip()) @ model.dc_gain.T
     assert twist == pytest.approx(np.arange(10)[:, None] * DT + model.lag, abs=1e-9)
-
-
-def test_feed_forward_of_a_leading_model_does_not_look_back():
-    """A zero near the origin gives a negative lag; there is no twist before now."""
-    # v: (1 + 0.4 s) / ((1 + s / 5) (1 + s / 6)), by partial fractions.
-    A, B = np.diag([-5.0, -6.0, -10.0]), np.array([[-30.0, 0.0], [42.0, 0.0], [0.0, 10.0]])
-    model = VelocityModel("leading", "ssm", A, B, np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
-    assert model.lag[0] < 0
-    feed_forward = FeedForward(model, DT, 5)
-    twist = np.column_stack([np.arange(feed_forward.samples, dtype=float), np.zeros(feed_forward.samples)])
-    wanted = feed_forward.commands(twist, Slip()) @ model.dc_gain.T
-    assert wanted[:, 0] == pytest.approx(np.arange(5))

@@ -181,23 +181,6 @@ def test_way_back_to_a_moving_reference_keeps_course_and_joins_its_twist(where, 
     assert speeds.min() > 0.1
 
 
-def test_robot_facing_backwards_turns_on_the_spot_first():
-    _, way, _ = connect("circle", 4.0, 0.3, np.pi)
-    times = np.linspace(0.0, way.connection.duration, 1000)
-    sample = way.connection.sample(times)
-    moving = np.abs(sample.twist[:, 0]) > 0.05
-    assert np.abs(wrap_angle(sample.pose[:, 2] - sample.pose[0, 2]))[moving].min() > 1.0
-    assert (sample.twist[:, 0] > -1e-9).all()
-
-
-def test_small_displacement_costs_a_small_delay():
-    """Beside a reference that it could follow, the robot need not fall behind much."""
-    for across in (-0.2, 0.2):
-        twist = REFERENCES["circle"].sample([4.0]).twist[0]
-        _, way, _ = connect("circle", 4.0, across, 0.0, *twist)
-        assert abs(4.0 - way.begins) < 0.25
-
-
 DT = 0.0202
 MODEL = load_model("ssm").discretise(DT)
 BAND = 0.05
@@ -368,15 +351,6 @@ def test_robot_pushed_near_the_end_still_arrives():
     assert len(delays) == 1
 
 
-def test_backward_reference_is_rejoined_backwards():
-    reference = lay_segments([Segment(v=-0.4, omega=0.2, duration=9.0)], TrajectoryLimits.of_robot(), name="backwards")
-    results, poses, times = drive(reference, 7.0, start=(0.2, 0.2), noise=1.0)
-    back, over = back_and_overshoot(lateral(reference, results, poses, times), times, 0.0)
-    assert back <= 3.0
-    assert over <= BAND
-    assert np.mean([r.command[0] for r in results]) < -0.2
-
-
 def test_robot_carried_ahead_waits_instead_of_reversing():
     reference = load_trajectory("circle")
 
@@ -403,16 +377,6 @@ def test_displacement_by_a_turn_on_the_spot_does_not_start_reentry(slip):
     ends = np.flatnonzero(straight[:-1] & ~straight[1:])
     assert ends.size == 4
     assert (away[ends] < 0.5 * away.max()).all()
-
-
-def test_late_reference_is_tracked_at_its_own_clock():
-    """Held for a second, on the circle: every plan begins at the sample of the time that the delay says."""
-    reference = load_trajectory("circle")
-    results, _, times = drive(reference, 4.0, held=(1.5, 2.5))
-    assert results[-1].reference_delay > 0.5
-    for result, time in zip(results, times, strict=True):
-        expected = reference.sample([time - result.reference_delay]).pose[0]
-        assert result.reference[0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_robot_too_far_from_the_reference_stops_and_reports_the_distance():

@@ -176,32 +176,3 @@ def test_a_manager_that_ends_the_bond_is_answered_and_the_robot_drives_on(manage
     s.base.until(lambda: not manager.heard[-1].active, "the answer")
     s.base.until(lambda: "the lifecycle manager is gone: it has ended the bond" in capfd.readouterr().err, "a warning")
     assert s.base.run(20)[-1, 0] > 0.1
-
-
-def test_bonds_of_others_are_no_concern_of_it(managed):
-    s, manager = managed
-    other = Manager(s, name="controller_server")
-    other.say(active=True)
-    other.say(active=False)
-    for _ in range(50):
-        s.base.spin()
-    assert s.node.parts["bond"].bond.protocol.state is BondState.WAITING
-    assert not s.node.parts["bond"].bond.protocol.lost
-    assert manager.heard[-1].active
-
-
-def test_without_a_period_there_is_no_bond(ros_types):
-    with stack(bond_heartbeat_period=0.0) as s:
-        assert s.node.parts["bond"].bond is None
-
-
-def test_where_bond_is_not_installed_it_says_so_once(monkeypatch, capfd):
-    monkeypatch.setattr("diffdrive_mpc.mpc.ros.bond.message_type", lambda *_: None)
-    with stack(autostart=False) as s:
-        s.node.get_logger().set_level(20)
-        s.node.trigger_configure()
-        s.node.trigger_activate()
-        s.node.get_logger().set_level(30)
-        said = capfd.readouterr().err
-        assert said.count("no bond with a lifecycle manager: bond is not installed") == 1
-        assert s.node.parts["bond"].bond is None

@@ -142,29 +142,6 @@ def test_missing_transforms_brake_the_robot_until_they_return(localised, missing
     assert (np.abs(np.diff(np.vstack([late, stopped, again]), axis=0)) <= SLEW).all()
 
 
-def test_faults_of_transforms_appear_in_diagnostics(localised):
-    robot = localised(pose_source="tf", trajectory="circle", diagnostics_rate=20.0)
-    s = robot.s
-    heard = s.listen(DiagnosticArray, "/diagnostics")
-
-    def told(word):
-        heard.clear()
-        s.base.until(lambda: s.base.silent(1) is not None and heard and word in str(heard[-1].status[0].values), word)
-
-    robot.published.clear()
-    robot.dynamic.publish(robot.type(transforms=[transform("a", "odom", s.base.now, (0.0, 0.0, 0.0))]))
-    robot.dynamic.publish(robot.type(transforms=[transform("map", "odom", s.base.now, (0.0, 0.0, 0.0))]))
-    told("by turns")
-    robot.dynamic.publish(robot.type(transforms=[transform("base_link", "map", s.base.now, (0.0, 0.0, 0.0))]))
-    told("frames loop")
-    s.base.silent(math.ceil(CONFIG.failure.max_pose_age / DT) + 2)
-    answer = s.trigger("start")
-    assert not answer.success
-    assert "frames loop" in answer.message
-    robot.dynamic.publish(robot.type(transforms=[transform("m" * 300_000, "odom", s.base.now, (0.0, 0.0, 0.0))]))
-    told("bytes, and none of its kind")
-
-
 def test_path_in_the_map_follows_corrections_of_the_localisation(localised):
     """Control in odom, and a localisation that corrects itself: by little, by more than the band, and far too much."""
     start = (1.0, 1.0, 0.5)
@@ -252,11 +229,6 @@ def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
 
 def refused_for(s, reason, capfd):
     s.base.until(lambda: reason in capfd.readouterr().err, f"the refusal: {reason}")
-
-
-def test_contradicting_pose_sources_raise_error():
-    with pytest.raises(ValueError, match="use_pose_topic means pose_source topic"):
-        Stack(autostart=True, pose_source="tf", use_pose_topic=True)
 
 
 def test_follow_path_goal_in_the_map_is_driven_in_odom(ros_types):

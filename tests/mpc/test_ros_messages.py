@@ -8,16 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion, Transform, Twist
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import serialize_message
 from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import Float64MultiArray
-from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
-from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.config.schema import Limits
@@ -28,16 +26,13 @@ from diffdrive_mpc.mpc.ros.conversions import (
     measured_pose,
     nanoseconds,
     path_bytes,
-    planar_pose,
     pose_message,
     stamped_pose_message,
     time_message,
     yaw_of,
 )
-from diffdrive_mpc.mpc.ros.latency import Durations, LoopTimes
 from diffdrive_mpc.mpc.ros.reference_input import read_path, timed_trajectory_reference
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
-from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 RADIUS = 0.0675
 
@@ -164,12 +159,6 @@ def test_wheel_speeds_keep_limits_and_slew():
         assert rim[-1, 0] > rim[-1, 1] > 0.0
 
 
-def test_missing_wheel_radius_raises_error():
-    with pytest.raises(Exception, match="needs wheel_radius"), wheels(wheel_radius=0.0) as s:
-        s.node.trigger_configure()
-        raise ValueError(s.node.failure)
-
-
 @pytest.mark.parametrize("sides", ["left", "left,middle", "", "left,left"])
 def test_wrong_wheel_sides_raise_error(sides):
     with pytest.raises(Exception, match="wheel_sides"), wheels(wheel_sides=f"'{sides}'") as s:
@@ -177,20 +166,7 @@ def test_wrong_wheel_sides_raise_error(sides):
         raise ValueError(s.node.failure)
 
 
-METRES = st.floats(-1e3, 1e3)
 ANGLES = st.floats(-10, 10)
-
-
-@given(METRES, METRES, ANGLES)
-def test_pose_message_preserves_the_pose(x, y, theta):
-    back = planar_pose(pose_message((x, y, theta)))
-    assert back[:2] == (x, y)
-    assert abs(wrap_angle(back[2] - theta)) < 1e-9
-
-
-@given(st.integers(0, 2**31 * 10**9 - 1))
-def test_time_message_preserves_the_time(time):
-    assert nanoseconds(time_message(time)) == time
 
 
 @given(ANGLES, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
@@ -225,40 +201,6 @@ def test_pose_covariance_is_the_planar_part_and_zero_means_unknown():
     assert measured_pose(message, 0, covariance=False).covariance is None
 
 
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=50), st.integers(1, 20))
-def test_percentiles_cover_the_window(values, window):
-    durations = Durations(window)
-    for value in values:
-        durations.add(value)
-    found, kept = durations.percentiles(), values[-window:]
-    assert found.count == len(kept)
-    assert found.max == max(kept)
-    assert min(kept) <= found.p50 <= found.p99 <= found.max
-
-
-def test_late_and_long_ticks_count_as_misses():
-    times = LoopTimes(0.02, 100)
-    for begin, duration in ((0.0, 0.001), (0.0201, 0.001), (0.06, 0.001), (0.08, 0.03)):
-        times.begin(begin)
-        times.end(duration, None)
-    assert times.misses == 2
-    assert times.jitter.percentiles().max == pytest.approx(0.0199)
-    assert times.latency.percentiles().count == 0
-
-
-@given(METRES, METRES, ANGLES)
-def test_moved_reference_starts_at_the_given_pose_and_keeps_its_shape(x, y, theta):
-    original = load_trajectory("s")
-    moved = starting_at(original, (x, y, theta))
-    times = np.linspace(0.0, original.duration, 7)
-    before, after = original.sample(times), moved.sample(times)
-    np.testing.assert_allclose(after.pose[0], [x, y, theta], atol=1e-9)
-    np.testing.assert_array_equal(after.twist, before.twist)
-    distance = np.hypot(*np.diff(before.pose[:, :2], axis=0).T)
-    np.testing.assert_allclose(np.hypot(*np.diff(after.pose[:, :2], axis=0).T), distance, atol=1e-9)
-    np.testing.assert_allclose(np.diff(after.pose[:, 2]), np.diff(before.pose[:, 2]), atol=1e-9)
-
-
 # Long messages, and the process that reads them.
 
 PATIENCE = 60.0
@@ -280,15 +222,6 @@ def test_bound_of_bytes_covers_every_usable_path(poses, name, other):
     for pose in path.poses:
         pose.header.frame_id = "y" * other
     assert len(serialize_message(path)) <= path_bytes(poses)
-
-
-@settings(deadline=None, max_examples=10)
-@given(points=st.integers(1, 50))
-def test_bound_of_bytes_covers_trajectories_with_velocities_and_accelerations(points):
-    point = MultiDOFJointTrajectoryPoint(transforms=[Transform()], velocities=[Twist()], accelerations=[Twist()])
-    message = MultiDOFJointTrajectory(joint_names=["base_link"], points=[point] * points)
-    message.header.frame_id = "x" * LONGEST_NAME
-    assert len(serialize_message(message)) <= path_bytes(points)
 
 
 def test_too_long_path_is_rejected_unread_and_the_robot_drives_on(capfd):
@@ -409,15 +342,6 @@ def test_side_process_gives_up_after_its_timeout():
         assert aside.failed == ["to read it takes longer than 2 s"]
     finally:
         aside.process.close()
-
-
-def test_newer_message_of_a_kind_replaces_older_ones(aside):
-    aside.ask("first", time.sleep, 0.5)
-    for number in range(3):
-        aside.ask("a", abs, number)
-    aside.wait(4)
-    assert aside.done == [None, 2]
-    assert aside.failed == ["a newer one came before it was read"] * 2
 
 
 def test_closing_a_busy_side_process_ends_it():

@@ -1,6 +1,5 @@
 """Lifecycle, services, references by topic and what the node publishes, over DDS."""
 
-import gc
 import math
 
 import numpy as np
@@ -79,9 +78,7 @@ def test_lifecycle_passes_every_state():
     ("asked", "named"),
     [
         (Transition(id=Transition.TRANSITION_CONFIGURE), "1"),
-        (Transition(id=Transition.TRANSITION_ACTIVATE), "3"),
         (Transition(id=0), "0"),
-        (Transition(id=99), "99"),
         (Transition(label="activate"), "'activate'"),
     ],
 )
@@ -99,30 +96,11 @@ def test_disallowed_transition_is_rejected_and_the_node_drives_on(asked, named, 
         assert s.change(Transition.TRANSITION_DEACTIVATE)
 
 
-def test_active_node_keeps_few_objects_for_the_garbage_collector():
-    """Counted, not timed: what was built before is set aside, and comes back."""
-    with stack(autostart=False) as s:
-        assert s.change(Transition.TRANSITION_CONFIGURE)
-        before = len(gc.get_objects())
-        assert s.change(Transition.TRANSITION_ACTIVATE)
-        assert len(gc.get_objects()) < 0.1 * before
-        assert s.change(Transition.TRANSITION_DEACTIVATE)
-        assert len(gc.get_objects()) > 0.9 * before
-
-
 def test_failed_configuration_reports_its_reason():
     with stack(autostart=False, trajectory="circel") as s:
         assert not s.change(Transition.TRANSITION_CONFIGURE)
         assert "unknown trajectory 'circel'" in s.node.failure
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
-
-
-def test_trajectory_of_a_fast_robot_uses_its_limits(tmp_path):
-    path = tmp_path / "fast.yaml"
-    path.write_text("segments: [{v: 3.0, omega: 0.0, duration: 2.0}]\n")
-    with stack({"limits.v": 4.1}, autostart=False, trajectory=path) as s:
-        assert s.change(Transition.TRANSITION_CONFIGURE), s.node.failure
-        assert s.node._trajectory.sample([2.5]).twist[0, 0] > 1.5
 
 
 def test_exception_in_a_transition_leaves_the_node_unconfigured(monkeypatch):
@@ -169,14 +147,14 @@ def test_trajectory_starts_at_the_robot():
         assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
 
 
-def straight(frame="odom", speed=0.4, seconds=4.0, count=21, sideways=0.0):
+def straight(frame="odom"):
     """Return a path along x from rest to rest."""
-    share = np.linspace(0.0, 1.0, count)
-    along = speed / 1.5 * seconds * (3 * share**2 - 2 * share**3)
+    share = np.linspace(0.0, 1.0, 21)
+    along = 0.4 / 1.5 * 4.0 * (3 * share**2 - 2 * share**3)
     path = Path()
     path.header.frame_id = frame
-    for x, t in zip(along, share * seconds, strict=True):
-        path.poses.append(stamped_pose_message((x, sideways * x, 0.0), 10**12 + round(t * 1e9), frame))
+    for x, t in zip(along, share * 4.0, strict=True):
+        path.poses.append(stamped_pose_message((x, 0.0, 0.0), 10**12 + round(t * 1e9), frame))
     return path
 
 
@@ -222,9 +200,6 @@ def no_times():
     ("path", "reason"),
     [
         (straight(frame="map"), "its frame_id is 'map', expected 'odom'"),
-        (straight(speed=3.0), "beyond the limit"),
-        (straight(sideways=0.5), "sideways speed"),
-        (straight(count=1), "it has 1 poses"),
         (no_times(), "does not come after the one before"),
     ],
 )
@@ -285,9 +260,3 @@ def test_diagnostics_contain_times_ages_and_faults():
         s.base.until(lambda: heard, "diagnostics")
         assert heard[-1].status[0].level == DiagnosticStatus.WARN
         assert "TRACKING: imu is 0." in heard[-1].status[0].message
-        s.base.tamper = lambda odometry: None
-        s.base.run(40)
-        heard.clear()
-        s.base.until(lambda: heard, "diagnostics")
-        assert heard[-1].status[0].level == DiagnosticStatus.ERROR
-        assert "odometry is" in heard[-1].status[0].message

@@ -84,14 +84,6 @@ def test_failed_start_is_reported_in_one_line(words, line):
     assert line in result.stderr and result.stderr.count("\n") == 1
 
 
-def test_wrong_parameter_ends_the_process_with_one_line():
-    words = ["--ros-args", "-p", "weights.across:=-1.0"]
-    result = subprocess.run([COMMAND, "node", *words], capture_output=True, text=True, timeout=60, check=False)
-    (error,) = (text for text in result.stderr.splitlines() if text.startswith("error: "))
-    assert result.returncode == 2
-    assert "weights.across" in error
-
-
 NODE_YAML = Path(__file__).parents[2] / "ros" / "config" / "node.yaml"
 PATHS = {"r1": "circle", "r2": "reverse_slalom", "r3": "cane"}
 TICKS = 150

@@ -12,7 +12,6 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from ros_parts import CONFIG, DT, stack
-from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.node import TrackingNode
@@ -104,17 +103,6 @@ def test_second_publisher_on_an_input_stops_the_robot_until_it_leaves():
         assert s.base.run(40)[-1, 0] > 0.1
 
 
-def test_second_publisher_on_a_shared_input_is_reported():
-    with stack(drive=True, exclusive_inputs=False) as s:
-        s.base.run(20)
-        forger = rclpy.create_node("forger", context=s.base.context)
-        forger.create_publisher(Imu, "imu", qos_profile_sensor_data)
-        s.base.until(lambda: s.loop.warning, "the warning")
-        assert s.loop.warning.startswith("/fake_base and /forger publish on /imu")
-        assert s.base.run(20)[-1, 0] > 0.1
-        forger.destroy_node()
-
-
 def test_teleop_publisher_is_reported_while_the_robot_drives_on():
     with stack(drive=True, diagnostics_rate=20.0) as s:
         heard = s.listen(DiagnosticArray, "/diagnostics")
@@ -142,31 +130,6 @@ def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, oth
         deaf.destroy_node()
         rclpy.shutdown(context=context)
         s.base.until(lambda: not s.loop.warning, "the end of it")
-
-
-def test_missing_odometry_message_names_topic_type_and_publishers():
-    with stack(autostart=False) as s:
-        s.node.trigger_configure()
-        s.node.trigger_activate()
-        asked = "no odometry yet (/odom, nav_msgs/msg/Odometry, best effort: "
-        s.base.until(lambda: "/fake_base" in s.loop.missing(), "the base's publisher")
-        assert s.loop.missing() == f"{asked}/fake_base publishes nav_msgs/msg/Odometry, best effort)"
-        s.base.node.destroy_publisher(s.base.odom)
-        s.base.until(lambda: "nobody" in s.loop.missing(), "its end")
-        assert s.loop.missing().startswith(
-            f"{asked}nobody publishes there; is the base running, and the topic remapped"
-        )
-        s.base.node.create_publisher(TwistStamped, "odom", 1)
-        s.base.until(lambda: "another type" in s.loop.missing(), "the wrong publisher")
-        assert "/fake_base publishes geometry_msgs/msg/TwistStamped, reliable, which is" in s.loop.missing()
-
-
-def test_simulated_clock_with_wrong_steps_is_reported():
-    with stack({"sample_time": 0.05}, drive=True) as s:
-        for _ in range(80):
-            s.base.silent(1)
-        s.base.until(lambda: s.loop.warning, "the warning")
-        assert "clock does not advance in steps of this node's sample_time, 50 ms" in s.loop.warning
 
 
 def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():

@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from trajectory_checks import assert_holds_its_ends
 
-from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
@@ -55,11 +55,6 @@ def test_segments_of_a_file_start_at_their_pose(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose, [(1, 2, np.pi / 2), (1, 3, np.pi / 2)], atol=1e-15)
 
 
-def test_name_in_the_file_names_the_trajectory(tmp_path: Path) -> None:
-    path = write(tmp_path, "a.yml", "name: long way\nsegments: [{v: 0.5, omega: 0, duration: 2}]\n")
-    assert load_trajectory(path).name == "long way"
-
-
 def test_limits_argument_replaces_the_limits_of_the_robot() -> None:
     slow = TrajectoryLimits(v=0.5, omega=0.5, v_acceleration=0.1, omega_acceleration=2.0)
     assert load_trajectory("circle", slow).duration == pytest.approx(4 * np.pi + 5.0)
@@ -70,23 +65,13 @@ def test_limits_argument_replaces_the_limits_of_the_robot() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("segments: []\n", "segments is empty; give at least one"),
-        ("", "found nothing"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}, {v: 9, omega: 0, duration: 1}]\n", "segments.1.v = 9 m/s"),
         ("segments: [{v: .nan, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a finite number"),
-        ("segments: [{v: 0.5, omega: 0, duration: -1}]\n", "segments.0.duration: Input should be greater than 0"),
         ("segments: [{v: 0.5, omga: 0, omega: 0, duration: 1}]\n", "unknown key 'segments.0.omga'; did you mean"),
-        ("segments: [{v: 0.5, omega: 0}]\n", "key 'segments.0.duration' is missing"),
-        ("segments: [{v: fast, omega: 0, duration: 1}]\n", "segments.0.v: Input should be a valid number"),
         ("segments: [{v: 0.5, omega: 0, duration: 1}\n", "line 2"),
-        ("waypoints: [[0, 0]]\n", "1 waypoints; give at least two"),
-        ("waypoints: [[0, 0], [1, 0], [1, 0]]\n", "waypoints.1 and waypoints.2 coincide; remove one"),
-        ("waypoints: [[0, 0], [1, 0]]\nspeed: 2\n", "speed = 2 m/s is beyond the limit of 1.5 m/s; lower it"),
-        ("waypoints: [[0, 0], [1, 0]]\nspeed: -1\n", "speed: Input should be greater than 0"),
-        ("waypoints: [[0, 0], [1, 0], [0, 0]]\n", "add or move waypoints to round the turn"),
-        ("waypoints: [[0, 0], [1, 0], [0.3, 0]]\n", "below 0.02 m between waypoints.0 and waypoints.1; add or move"),
         ("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n", "are times in s"),
         ("waypoints: [[0, 0], [1.0e+200, 0]]\n", "less than or equal to 1000000"),
+        ("waypoints: [[0, 0], [1, 0], [1, 0]]\n", "waypoints.1 and waypoints.2 coincide; remove one"),
     ],
 )
 def test_mistake_in_a_yaml_file_is_reported_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
@@ -132,28 +117,12 @@ def test_two_rows_give_a_straight_line_at_constant_speed(tmp_path: Path) -> None
     np.testing.assert_allclose(sample.arc_length, [0, 0.5, 1, 1], atol=1e-14)
 
 
-def test_timed_poses_can_drive_backwards(tmp_path: Path) -> None:
-    path = write(tmp_path, "back.csv", "t,x,y,theta\n0,0,0,0\n1,-0.5,0,0\n2,-1,0,0\n")
-    sample = load_trajectory(path).sample([1.0, 2.0])
-    np.testing.assert_allclose(sample.twist[:, 0], -0.5)
-    np.testing.assert_allclose(sample.arc_length, [0.5, 1.0])
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         (b"", "line 1: column 't' is missing; the header"),
         (b"\xff\xfe\x00", "cannot be read"),
-        (b"0,0,0,0\n1,0,0,0\n", "line 1: column 't' is missing; the header"),
-        (b"t,x,y,theta\n0,0,0,0\n", "1 timed poses; give at least two rows"),
         (b"t,x,y,theta\n0,0,0,0\n1,0.5,zero,0\n", "line 3: y = 'zero' is not a finite number"),
-        (b"t,x,y,theta\n0,0,0,0\n1,0.5\n", "line 3: 2 values are fewer than the header names"),
-        (b"t,x,y,theta\n0,0,0,0\n\n2,1,0,0\n1,0.5,0,0\n", "line 5: t = 1 s does not come after the row before"),
-        (
-            b"t,x,y,theta\n5,0,0,0\n6,3,0,0\n",
-            "v = 3 m/s at t = 5.000 s is beyond the limit of 1.5 m/s; stretch the time",
-        ),
-        (b"t,x,y,theta\n0,0,0,0\n1,0,0,3\n", "omega = 3 rad/s at t = 0.000 s is beyond the limit of 2 rad/s"),
         (
             b"t,x,y,theta\n0,0,0,0\n1,0,0.5,0\n",
             "sideways speed = 0.5 m/s at t = 0.000 s is beyond the limit of 0.05 m/s",
@@ -310,7 +279,6 @@ def test_arrays_of_a_circle_give_the_circle(more, error):
     np.testing.assert_allclose(sample.pose, np.column_stack([np.sin(angle), 1 - np.cos(angle), angle]), atol=error)
     np.testing.assert_allclose(sample.twist, RATE, atol=error)
     assert reference.duration == 10.0
-    assert repr(reference) == "Trajectory 'arrays': 10 s, 5 m"
 
 
 def test_lists_and_pandas_columns_are_accepted_as_arrays():
@@ -336,17 +304,10 @@ DATES = pd.date_range("2026-01-01", periods=TIMES.size, freq="100ms")
     ("columns", "message"),
     [
         ({"x": X[:-1]}, "x has 100 values, t has 101; give one for each time"),
-        ({"x": np.column_stack([X, Y])}, r"x: expected one number per time, shape \(n,\), got shape \(101, 2\)"),
         ({"x": np.where(TIMES > 5.0, np.nan, X)}, r"x\[51\] is not a finite number"),
-        ({"t": TIMES[::-1]}, r"t\[1\] = 9.9 s does not come after the time before; sort the rows"),
-        ({"t": ["a"] * TIMES.size}, "t: expected numbers, got list"),
         ({"t": DATES}, r"t: got dates; give seconds, such as \(t - t\[0\]\) / np.timedelta64\(1, 's'\)"),
-        ({"t": TIMES * 1e9}, "it lasts 1e.10 s, the longest is 86400 s; are times in s?"),
-        ({"x": 0 * X, "y": 0 * Y}, "x and y do not change, so they have no direction; give theta"),
         ({"theta": np.degrees(ANGLE)}, r"theta fits the path in degrees, not in rad; give np.radians\(theta\)"),
-        ({"theta": 0 * ANGLE}, "sideways speed = .* let theta point along the direction of travel"),
         ({"v": 3.6 * HALF}, "v = 1.8 m/s at t = .* the poses change by 0.5 m/s; check unit and sign"),
-        ({"omega": np.degrees(HALF)}, "omega = 28.6 rad/s .* change by 0.5 rad/s; check unit and sign"),
     ],
 )
 def test_wrong_column_is_reported_in_one_sentence(columns, message):
@@ -372,21 +333,13 @@ def test_waypoints_are_passed_within_the_limits_of_a_configuration():
     ("points", "settings", "message"),
     [
         (np.zeros((2, 5)), {}, r"points: expected rows x, y of shape \(m, 2\), got shape \(2, 5\)"),
-        ([(0, 0), (1,)], {}, "points: expected numbers, got list"),
-        ("path.csv", {}, "points: expected numbers, got str 'path.csv'"),
         ([(0, 0)], {}, "1 waypoints; give at least two"),
-        ([(0, 0), (1, 0)], {"speed": -1.0}, "speed = -1.0 m/s; give a positive number"),
         ([(0, 0), (1, 0)], {"timing": "fast"}, "timing 'fast'; give stop, commanded or smooth"),
     ],
 )
 def test_wrong_waypoints_are_reported_in_one_sentence(points, settings, message):
     with pytest.raises(ConfigError, match=f"^trajectory 'waypoints': {message}"):
         Trajectory.from_waypoints(points, **settings)
-
-
-def test_reference_beyond_the_limits_is_rejected_at_start():
-    with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
-        Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
 
 
 def test_start_beyond_the_slew_limit_is_reported():

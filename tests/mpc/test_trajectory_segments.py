@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
 
-from diffdrive_mpc import ConfigError, load_trajectory
+from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.models import pose as pose_kinematics
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
@@ -70,14 +70,6 @@ def test_arc_length_never_falls_and_ends_hold(segments: list[Segment]) -> None:
     assert_holds_its_ends(trajectory)
 
 
-@given(_segments)
-def test_time_is_only_added_and_no_more_than_a_stop_per_segment_costs(segments: list[Segment]) -> None:
-    trajectory = lay_segments(segments, LIMITS, name="test")
-    nominal = sum(s.duration for s in segments)
-    stops = sum(max(abs(s.v) / LIMITS.v_acceleration, abs(s.omega) / LIMITS.omega_acceleration) for s in segments)
-    assert nominal - 1e-12 <= trajectory.duration <= nominal + stops + 1e-9
-
-
 # Length over cruise speed, plus cruise speed over acceleration for each run between two stops.
 @pytest.mark.parametrize(
     ("name", "duration", "end", "length"),
@@ -107,49 +99,6 @@ def test_equal_curvature_is_joined_without_a_stop() -> None:
     inside = trajectory.sample(np.linspace(speed_up, trajectory.duration - slow_down, 500)).twist[:, 0]
     assert inside.min() == pytest.approx(0.4, abs=1e-12)
     assert inside.max() == pytest.approx(1.0, abs=1e-12)
-
-
-def test_short_fast_segment_does_not_reach_its_cruise_speed() -> None:
-    trajectory = lay((1.5, 0.0, 0.1))
-    assert trajectory.duration == pytest.approx(2 * np.sqrt(0.15))
-    assert trajectory.sample([trajectory.duration / 2]).twist[0, 0] == pytest.approx(np.sqrt(0.15))
-
-
-def test_yaw_acceleration_binds_on_a_tight_arc() -> None:
-    trajectory = lay((0.5, 2.0, 3.0))
-    assert trajectory.duration == pytest.approx(3.0 + 2.0 / LIMITS.omega_acceleration)
-
-
-def test_arc_length_grows_while_reversing() -> None:
-    trajectory = lay((0.5, 0.5, 2.0), (-0.5, -0.5, 2.0))
-    sample = trajectory.sample([trajectory.duration / 2, trajectory.duration])
-    np.testing.assert_allclose(sample.pose[1], 0.0, atol=1e-15)
-    np.testing.assert_allclose(sample.arc_length, [1.0, 2.0], rtol=1e-14)
-    assert trajectory.sample([0.75 * trajectory.duration]).twist[0, 0] == pytest.approx(-0.5)
-
-
-def test_waiting_rests_for_its_duration() -> None:
-    trajectory = lay((0.5, 0.0, 2.0), (0.0, 0.0, 3.0), (0.5, 0.0, 2.0))
-    sample = trajectory.sample(np.linspace(2.5, 5.5, 50))
-    np.testing.assert_allclose(sample.pose, np.tile([1.0, 0.0, 0.0], (50, 1)), atol=1e-15)
-    np.testing.assert_allclose(sample.twist, 0.0, atol=1e-14)
-    assert trajectory.duration == pytest.approx(8.0)
-
-
-def test_nan_time_gives_a_nan_pose() -> None:
-    assert np.isnan(load_trajectory("circle").sample([np.nan]).pose).all()
-
-
-@pytest.mark.parametrize(("v", "omega", "named"), [(1.6, 0.0, "segments.1.v"), (0.0, -2.1, "segments.1.omega")])
-def test_segment_beyond_the_speed_limits_is_named(v: float, omega: float, named: str) -> None:
-    with pytest.raises(ConfigError, match=rf"{named} = .* beyond the limit"):
-        lay((0.5, 0.0, 1.0), (v, omega, 1.0))
-
-
-@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-def test_limit_that_is_not_positive_and_finite_raises_error(bad: float) -> None:
-    with pytest.raises(ValueError, match="omega_acceleration"):
-        TrajectoryLimits(v=1.0, omega=1.0, v_acceleration=1.0, omega_acceleration=bad)
 
 
 @st.composite

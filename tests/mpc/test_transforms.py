@@ -52,11 +52,6 @@ def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
     np.testing.assert_allclose(found[:3], share * np.array(start.after(whole)[:3]), atol=1e-9)
 
 
-@given(x=NUMBERS, y=NUMBERS, theta=ANGLES)
-def test_what_lies_in_the_plane_is_read_back(x, y, theta):
-    np.testing.assert_allclose(planar(x, y, theta).planar, [x, y, theta], atol=1e-9)
-
-
 @given(
     transforms=st.lists(rigids(), min_size=5, max_size=5),
     ends=st.tuples(st.integers(0, 5), st.integers(0, 5)),
@@ -73,11 +68,11 @@ def test_along_any_tree_it_is_the_product_of_matrices(transforms, ends, parents)
     np.testing.assert_allclose(matrix(found.transform), np.linalg.inv(world[target]) @ world[source], atol=1e-8)
 
 
-def moving(period=0.1, count=20, child="base_link", parent="odom", speed=1.0):
+def moving(count=20):
     buffer = TransformBuffer()
     for index in range(count):
-        stamp = NOW + round(index * period * 1e9)
-        buffer.insert(parent, child, stamp, planar(speed * index * period, 0.0, 0.1 * index * period), stamp)
+        stamp = NOW + index * 10**8
+        buffer.insert("odom", "base_link", stamp, planar(0.1 * index, 0.0, 0.01 * index), stamp)
     return buffer
 
 
@@ -85,16 +80,6 @@ def moving(period=0.1, count=20, child="base_link", parent="odom", speed=1.0):
 def test_at_a_time_between_two_stamps_it_is_between_them(at):
     found = moving().lookup("odom", "base_link", NOW, NOW + round(at * 1e9))
     np.testing.assert_allclose(found.transform.planar, [at, 0.0, 0.1 * at], atol=1e-6)
-
-
-@given(order=st.permutations(range(12)))
-def test_the_order_of_arrival_does_not_matter(order):
-    buffer = TransformBuffer()
-    for index in order:
-        buffer.insert("odom", "base_link", NOW + index * 10**8, planar(0.1 * index, 0.0, 0.0), NOW + 2 * 10**9)
-    found = buffer.lookup("odom", "base_link", NOW, NOW + 450_000_000)
-    assert found.transform.x == pytest.approx(0.45)
-    assert buffer.lookup("odom", "base_link", NOW).stamp == NOW + 11 * 10**8
 
 
 def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
@@ -171,12 +156,9 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
     ("transform", "stamp", "frames", "words"),
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
-        (planar(0.0, 0.0, 0.0)._replace(qw=0.5), NOW, ("odom", "base_link"), "no unit quaternion"),
         (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
         (IDENTITY, NOW + AHEAD + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
-        (IDENTITY, NOW - KEPT - 1, ("odom", "base_link"), "older than the last"),
         (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
-        (IDENTITY, NOW, ("", "base_link"), "names no two frames"),
     ],
 )
 def test_what_cannot_be_used_is_refused_and_changes_nothing(transform, stamp, frames, words):
