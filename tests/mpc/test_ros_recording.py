@@ -54,15 +54,6 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     assert log.metadata["case"]["trajectory"] == "circle" and "horizon" in log.metadata["configuration"]["yaml"]
 
 
-<<<<<<< HEAD
-def test_recording_is_read_for_identification_without_mapping(tmp_path):
-    path, _ = recorded(tmp_path / "drives", 200)
-    log = read_log(path)
-    (record,) = log.records
-    assert record.dt == pytest.approx(DT, rel=1e-4)
-    assert record.twist is not None and record.yaw_rate is not None and record.pose is None
-
-
 def test_each_activation_writes_a_new_file(tmp_path):
     with stack(record=True, record_folder=str(tmp_path)) as s:
         s.base.run(5)
@@ -75,8 +66,6 @@ def test_each_activation_writes_a_new_file(tmp_path):
     assert len(files) == 2 and not any(read_drive_log(path).cut for path in files)
 
 
-=======
->>>>>>> c1
 def test_unwritable_folder_gives_a_warning_and_the_robot_drives(tmp_path, capfd):
     (tmp_path / "file").touch()
     with stack(drive=True, record=True, record_folder=str(tmp_path / "file")) as s:

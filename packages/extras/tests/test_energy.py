@@ -15,10 +15,10 @@ from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.sim import Run, make_plant, simulate
 from diffdrive_mpc_extras.energy import identify_constants, logged_energy
-from diffdrive_mpc_extras.torque.torque_curves import predict_energy
 from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
 from diffdrive_mpc_extras.terrain import load_terrain, side_torques
 from diffdrive_mpc_extras.torque import TorqueCurves
+from diffdrive_mpc_extras.torque.torque_curves import predict_energy
 from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_vehicle
 
 BOT, OURS = load_drive_constants("fsu_bot"), load_drive_constants()

@@ -7,10 +7,9 @@ import yaml
 
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.slip_laws import polynomial_twist
-from diffdrive_mpc_extras.torque.torque_curves import predict_energy
 from diffdrive_mpc_extras.terrain import load_terrain
 from diffdrive_mpc_extras.torque import TorqueCurves
-from diffdrive_mpc_extras.torque.torque_curves import costs_of_curves
+from diffdrive_mpc_extras.torque.torque_curves import costs_of_curves, predict_energy
 from diffdrive_mpc_extras.turn_costs import (
     identify_slip,
     load_drive_constants,
