@@ -14,7 +14,6 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
 from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -141,14 +140,3 @@ def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     (sentence,) = other_robots([fast_robot])
     assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
     assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []
-
-
-def test_config_check_names_what_is_left_to_the_papers_robot(files):
-    (files / "mine.yaml").write_text(model_path("sm").read_text())
-    (files / "config.yaml").write_text("model: mine.yaml\nsample_time: 0.05\nlimits: {v: 4.1}\n")
-    printed = run("config", "check", "config.yaml")
-    assert (
-        "limits.omega 2 rad/s, limits.wheel_speed 2.205 m/s, wheels.track 0.4 m, wheels.encoder_track 0.33" in printed
-    )
-    assert "limits.v" not in printed and "sample_time" not in printed
-    assert "papers" not in run("config", "check", "fast.yaml")
