@@ -8,13 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from log_parts import TEXTS, read_columns
-from typer.testing import CliRunner
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.report_folder import CONTENTS
-
-runner = CliRunner()
 
 
 def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:

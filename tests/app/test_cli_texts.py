@@ -99,19 +99,3 @@ def test_the_script_for_a_shell_is_shown(shell: str) -> None:
     asked = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     shown = subprocess.run([COMMAND, "--show-completion", shell], env=asked, capture_output=True, text=True, check=True)
     assert "_DIFFDRIVE_MPC_COMPLETE" in shown.stdout
-
-
-@pytest.mark.parametrize("width", [60, 80])
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("models", "list"),
-        ("models", "show", "mbm"),
-        ("models", "show", "lstm"),
-        ("config", "schema"),
-    ],
-)
-def test_commands_keep_to_columns(width: int, words: tuple[str, ...]) -> None:
-    result = CliRunner().invoke(app, list(words), env={"COLUMNS": str(width)})
-    assert result.exit_code == 0, result.stderr
-    assert max(map(len, result.stdout.splitlines())) <= width

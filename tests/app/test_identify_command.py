@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from log_parts import MAPPING, drive, write_csv, write_mapping
 from opened_report import check_report
 from typer.testing import CliRunner
 
@@ -86,17 +86,6 @@ def test_the_report_has_the_agreed_keys(mine):
     assert any("10 s" in warning for warning in report["warnings"])  # no drive is that long between two poses
 
 
-def test_the_configuration_was_driven_on_stand_ins_and_the_report_says_how(mine):
-    out, screen = mine
-    words = (out / "report.md").read_text()
-    _, _, driving = words.partition("## Driving with it")
-    rows = [line.split(" | ") for line in driving.splitlines() if line.startswith(("| the model", "| a model"))]
-    assert [row[1] for row in rows] == 2 * ["circle", "square", "s", "cane"]
-    assert all(float(row[4]) < 5.0 and row[5] == "0" and row[6].startswith("yes") for row in rows)
-    assert "Driving with it" in screen
-    assert "does not drive" not in screen
-
-
 def test_the_report_ends_with_the_first_drive_on_the_robot(mine, monkeypatch):
     """Its command runs where the files are, slowly, and what it points at exists."""
     out, _ = mine
@@ -152,16 +141,6 @@ def test_the_same_log_gives_the_same_files(third_order, tmp_path):
 
 def without_times(path: Path) -> bytes:
     return b"\n".join(line for line in path.read_bytes().split(b"\n") if not line.startswith(b"* Estimation took"))
-
-
-def test_a_bag_gives_the_model_of_the_csv_of_the_same_drive(tmp_path):
-    columns = drive(seconds=20.0)
-    _, of_csv = identified(tmp_path, columns, NO_POSE)
-    identify(write_bag(tmp_path / "bag", bag_topics(columns), "mcap")).write(tmp_path / "mcap")
-    of_bag = json.loads((tmp_path / "mcap" / "report.json").read_text())
-    assert of_csv["parameters"] == of_bag["parameters"]
-    assert of_bag["validation_fit_percent"]["v"] > 95.0
-    assert any("limits.wheel_speed" in warning for warning in of_bag["warnings"])
 
 
 def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_path):

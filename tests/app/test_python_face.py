@@ -4,7 +4,6 @@ import re
 import warnings
 from pathlib import Path
 
-import casadi as ca
 import control
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from diffdrive_mpc import (
     Controller,
     Measurement,
     Stamped,
-    Term,
     Trajectory,
     VelocityModel,
     load_config,
@@ -30,8 +28,6 @@ from diffdrive_mpc import (
 STRAIGHT = Trajectory.from_waypoints([(0, 0), (0.3, 0)], name="straight")
 PLANT = "model:ssm"
 SYSTEM = control.tf([1.0], [0.1, 1.0])
-POSE = ca.SX.sym("pose", 3)
-TERM = Term("x", ca.Function("x", [POSE], [POSE[0]], ["pose"], ["value"]))
 
 
 @pytest.fixture(scope="module")

@@ -102,22 +102,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
     tables = {table.title: table for table in report_of(made_up()).tables}
-    assert list(tables) == [
-        "Findings",
-        "FIT of motors and of SM",
-        "Position errors of open-loop odometry",
-        "Heading errors of open-loop odometry",
-        "SSM by order",
-        "SSM velocity on free drives",
-        "SSM odometry on free drives",
-        "SSM velocity on fast free drives",
-        "SSM odometry on fast free drives",
-        "The nine networks",
-        "SSM and LSTM velocity",
-        "SSM and LSTM odometry",
-        "Cost of a simulation",
-        "Virtual track",
-    ]
     for table in tables.values():
         assert table.rows
         assert all(cell for cells in table.rows for cell in cells)
@@ -127,17 +111,6 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
     order_5 = tables["SSM by order"].rows[4]
     assert order_5[:5] == ("5", "97.41", "85.23", "0.03", "0.09")
     assert order_5[5:7] == ("97.00", "80.00")
-
-
-def test_averages_of_the_free_drives_are_the_paper_s():
-    tables = {table.title: table for table in report_of(made_up()).tables}
-    averages = [cells for cells in tables["SSM odometry on free drives"].rows if cells[1] == "average"]
-    assert averages[0][2:6] == ("0.85", "0.67", "0.53", "1.65")
-    averages = [cells for cells in tables["SSM velocity on free drives"].rows if cells[1] == "average"]
-    assert averages[0][2:4] == ("94.70", "91.71")
-    for title, paper in (("SSM and LSTM velocity", ("93.10", "90.95")), ("SSM and LSTM odometry", ("1.09", "0.80"))):
-        (average,) = [cells for cells in tables[title].rows if cells[:2] == ("published LSTM", "average")]
-        assert average[2:4] == paper
 
 
 def test_the_report_has_every_figure_and_the_verdicts(report: Path):

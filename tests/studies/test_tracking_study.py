@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from pathlib import Path
@@ -25,27 +24,6 @@ from studies.tracking.measured import decompose, measured
 from studies.tracking.study import TrackingStudy, judge, load_study, target_table
 
 MODELS, TRAJECTORIES = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane")
-
-
-def cases_of(study, only=()):
-    return {name: [drive.case for drive in drives] for name, drives in study.drives(only).items()}
-
-
-def test_what_was_asked_for_is_driven_by_every_model_along_every_trajectory_with_ten_seeds():
-    targets = set(cases_of(load_study())["targets"])
-    everything = itertools.product(MODELS, TRAJECTORIES, range(20, 30))
-    places = {(case.surface, case.sensors, case.scenario) for case in targets}
-    assert places == {
-        ("default", "default", "none"),
-        ("slippery", "default", "none"),
-        ("grippy", "default", "none"),
-        ("default", "slam", "none"),
-        ("default", "default", "start_offset"),
-        ("default", "default", "false_command"),
-    }
-    driven = {(c.model, c.trajectory, c.seed, (c.surface, c.sensors, c.scenario)) for c in targets}
-    assert driven == {(*one, place) for one in everything for place in places}
-    assert all(case.plant == "mujoco" for case in targets)
 
 
 @pytest.mark.parametrize(
