@@ -21,7 +21,6 @@ from diffdrive_mpc.app.schemas import json_schema
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path
 
-ROOT = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {
     "controller": load_config,
     "trajectory": load_trajectory,

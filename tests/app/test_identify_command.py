@@ -158,29 +158,3 @@ def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_pa
     config = load_config(out / "config.yaml")
     assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
     assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)
-
-
-def test_what_the_base_does_around_the_model_goes_into_both_files(tmp_path):
-    """A base that follows its commands with slopes of 1.2 m/s^2 and 2.4 rad/s^2, then with a lag of 0.1 s."""
-    dt, slopes = 0.05, np.array([1.2, 2.4])
-    columns = drive(seconds=30.0, dt=dt)
-    asked = np.column_stack([columns["v_ref"], columns["omega_ref"]])
-    fine, per = dt / 10, 10
-    limited, twist = np.zeros(2), np.zeros((len(asked), 2))
-    state = np.zeros(2)
-    for k, command in enumerate(asked):
-        twist[k] = state
-        for _ in range(per):
-            limited = limited + np.clip(command - limited, -slopes * fine, slopes * fine)
-            state = state + (1 - np.exp(-fine / 0.1)) * (limited - state)
-    noise = np.random.default_rng(0).normal(0, 0.004, (3, len(asked)))
-    columns |= {"v": twist[:, 0] + noise[0], "omega_wheels": 1.5 * twist[:, 1] + noise[1]}
-    columns["gyro"] = twist[:, 1] + noise[2]
-    identified(tmp_path, columns, NO_POSE, effects=True)
-    slew = read_model_file(tmp_path / "out" / "model.yaml").base_effects.twist_slew
-    assert (slew.v, slew.omega) == pytest.approx(tuple(slopes), rel=0.05)
-    config = load_config(tmp_path / "out" / "config.yaml")
-    # Inside what the base follows, by no more than it is uncertain.
-    assert 0.9 * slew.v < config.limits.v_slew < slew.v
-    assert 0.9 * slew.omega < config.limits.omega_slew < slew.omega
-    assert "| twist slew | " in (tmp_path / "out" / "report.md").read_text()

@@ -23,8 +23,6 @@ from studies.cli import app
 from studies.tracking.measured import decompose, measured
 from studies.tracking.study import TrackingStudy, judge, load_study, target_table
 
-MODELS, TRAJECTORIES = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane")
-
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
