@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import signal
@@ -10,7 +9,6 @@ import subprocess
 import sys
 import time
 import tracemalloc
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -26,7 +24,6 @@ from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc.sim import Run, simulate
 from processes import run_command
 
 COMMANDS = [
@@ -103,21 +100,6 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp
     assert result.stdout == ""
     assert not out.exists()
     assert sorted(folder.rglob("*")) == before
-
-
-def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def displaced(*parts: object, **options: object) -> Run:
-        run = simulate(*parts, **options)  # type: ignore[arg-type]
-        return replace(run, true_pose=run.true_pose + 1.0)
-
-    monkeypatch.setattr("diffdrive_mpc.bench.controllers.simulate", displaced)
-    arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
-    result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split(), code=1)
-    assert re.fullmatch(r"error: 1 of 1 runs of mpc did not complete, the first: ssm on cane[^\n]*\n", result.stderr)
-    (run,) = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
-    assert run["completed"] is False
 
 
 def test_program_fault_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:

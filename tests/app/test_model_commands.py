@@ -44,17 +44,3 @@ def test_every_identification_is_announced_against_the_right_total(tmp_path: Pat
     assert seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
     assert load_model(tmp_path / "sm.yaml").order == 4
     assert load_model(tmp_path / "mbm.yaml").order == 8
-
-
-@pytest.mark.usefixtures("quick_parts")
-def test_an_interrupted_fit_leaves_the_old_files(tmp_path: Path) -> None:
-    (tmp_path / "sm.yaml").write_text("old")
-
-    def interrupt(done: int, total: int) -> None:
-        if done == total:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_models(tmp_path, on_progress=interrupt)
-    assert [path.name for path in tmp_path.iterdir()] == ["sm.yaml"]
-    assert (tmp_path / "sm.yaml").read_text() == "old"

@@ -1,9 +1,5 @@
 """A robot that is not that of the papers: its configuration rules wherever it is given."""
 
-import re
-import shlex
-from dataclasses import replace
-
 import pytest
 import yaml
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
@@ -12,8 +8,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
-from diffdrive_mpc.bench.table import number
+from diffdrive_mpc.bench.controllers import load_reference
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -98,24 +93,6 @@ def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
     assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in screen
 
 
-def test_the_printed_next_command_gives_the_figure_of_the_table_where_it_is_pasted(identified, monkeypatch):
-    folder, screen = identified
-    monkeypatch.chdir(folder)
-    (figure,) = re.findall(r"the model itself +circle +(\S+)", screen)
-    _, *words = shlex.split(screen[screen.rindex("  diffdrive-mpc simulate") :].replace("\\\n", " "))
-    run(*words)
-    option = dict(zip(words[1:-1:2], words[2::2], strict=True))
-    case = Case(
-        model=str(folder / "my robot" / "model.yaml"),
-        config=option["--config"],
-        plant=option["--plant"],
-        surface=option["--surface"],
-        scaled=True,
-    )
-    assert words[-1] == "--scale-to-robot"
-    assert number(run_case(case).metrics.position_rmse_m, 4) == figure
-
-
 def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     topics = {name.replace("/", "/base/"): rows for name, rows in bag_topics(drive()).items()}
     bag = write_bag(tmp_path / "bag", topics)
@@ -128,15 +105,3 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
     assert parameters == {"stamped": False, "use_imu": True, "pose_source": "odometry"}
     assert NodeSettings(**parameters)
-
-
-def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
-    wide = load_config("sm", {"wheels.encoder_track": 0.6}).model_dump(mode="json")
-    (files / "wide.yaml").write_text(yaml.safe_dump(wide))
-    wide_robot, fast_robot = Case(model="sm", config="wide.yaml"), Case(model="sm", config="fast.yaml")
-    (sentence,) = other_robots([wide_robot, wide_robot])
-    assert "'mujoco' is another robot" in sentence
-    assert "its track is 0.33 m, the configuration's 0.6 m" in sentence
-    (sentence,) = other_robots([fast_robot])
-    assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
-    assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []

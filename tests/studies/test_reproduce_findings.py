@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from reproduce_parts import (
-    lstm,
     made_up,
     mbm_sm,
     report_of,
@@ -79,15 +78,6 @@ def test_an_exchange_explains_what_few_others_do_and_what_the_radii_side_with(ch
     assert verdict(replace(results, virtual_track=track), "exchanged by mistake") == expected
     not_given = replace(track, fitted_exchanged=track.fitted)
     assert verdict(replace(results, virtual_track=not_given), "exchanged by mistake") == "no"
-
-
-def test_lstm_and_ssm_are_compared_by_repetition():
-    results = made_up()
-    better, worse = lstm(1, ssm=95.0, lstm=93.0), lstm(2, ssm=93.0, lstm=95.0)
-    for pair, expected in (((better, better), "yes"), ((better, worse), "1 of 2"), ((worse, worse), "no")):
-        found = replace(results, lstm=pair)
-        assert verdict(found, "SSM explains v and omega better than LSTM") == expected
-        assert verdict(found, "odometry of SSM has the smaller errors") == expected
 
 
 FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
