@@ -1,5 +1,7 @@
 """A robot that is not that of the papers: its configuration rules wherever it is given."""
 
+from dataclasses import replace
+
 import pytest
 import yaml
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
@@ -8,7 +10,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import load_reference
+from diffdrive_mpc.bench.controllers import load_reference, other_robots
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -105,3 +107,15 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
     assert parameters == {"stamped": False, "use_imu": True, "pose_source": "odometry"}
     assert NodeSettings(**parameters)
+
+
+def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
+    wide = load_config("sm", {"wheels.encoder_track": 0.6}).model_dump(mode="json")
+    (files / "wide.yaml").write_text(yaml.safe_dump(wide))
+    wide_robot, fast_robot = Case(model="sm", config="wide.yaml"), Case(model="sm", config="fast.yaml")
+    (sentence,) = other_robots([wide_robot, wide_robot])
+    assert "'mujoco' is another robot" in sentence
+    assert "its track is 0.33 m, the configuration's 0.6 m" in sentence
+    (sentence,) = other_robots([fast_robot])
+    assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
+    assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []
