@@ -204,10 +204,6 @@ def test_reports_are_of_todays_commands_or_say_that_they_are_older():
         assert (twelve_drives.OLDER in report) == (shown.name not in known["reports"]), shown.name
 
 
-def test_the_readme_is_read_in_one_go():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 100
-
-
 @pytest.mark.parametrize("page", ["README.md", "docs/reproduce.md"])
 def test_the_stated_number_of_findings_that_hold_is_that_of_the_report(page):
     report = (ROOT / "docs" / "reproduce" / "reproduce.md").read_text(encoding="utf-8")

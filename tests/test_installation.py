@@ -1,6 +1,5 @@
 """What says how to install the project names things that are there."""
 
-import json
 import os
 import re
 import shlex
@@ -32,12 +31,6 @@ def test_an_image_copies_only_what_is_there():
     assert not {"requirements.txt", "ros", "docker", "src", "pyproject.toml"} & set(ignored)
 
 
-def test_an_image_starts_with_what_it_copied():
-    (entry, _) = instructions("ENTRYPOINT")
-    assert (ROOT / "docker" / json.loads(entry)[0]).is_file()
-    assert instructions("USER")[-1] != "root"
-
-
 def test_pins_of_the_image_are_those_of_the_project():
     """The image's own command makes them of the file with hashes."""
     (command,) = re.findall(r"sed .*?> \S+", DOCKERFILE)
@@ -53,16 +46,6 @@ def test_pins_of_the_image_are_those_of_the_project():
 def test_scripts_of_the_image_can_be_run(script):
     assert os.access(script, os.X_OK)
     subprocess.run(["/bin/bash", "-n", script], check=True, **SHELL)
-
-
-def test_the_devcontainer_is_a_stage_of_the_image():
-    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
-    build = container["build"]
-    assert (ROOT / ".devcontainer" / build["dockerfile"]).resolve() == ROOT / "Dockerfile"
-    assert f"AS {build['target']}" in DOCKERFILE
-    assert container["remoteUser"] == instructions("USER")[-1]
-    (target,) = re.findall(r"make .* (\w+)$", container["postCreateCommand"])
-    assert re.search(rf"^{target}: ", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
 
 
 def test_wheels_are_tried_with_every_python_that_is_promised():

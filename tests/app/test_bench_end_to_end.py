@@ -7,15 +7,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 from log_parts import TEXTS, read_columns
-from typer.testing import CliRunner
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.report_folder import CONTENTS
-
-runner = CliRunner()
 
 
 def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
@@ -57,43 +53,6 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
     for column, values in logs[0].items():
         assert np.array_equal(values, logs[1][column], equal_nan=True), column
     assert np.isfinite(logs[0]["wheel_fl_rad_s"][5:]).all()
-
-
-SUMMARY = (
-    r"completed: (SSM|pursuit) along s on model:ssm, \d+\.\d s",
-    r"errors: position RMSE [\d.]+ mm, max [\d.]+ mm; lateral RMSE [\d.]+ mm, max [\d.]+ mm",
-    r"step time: p50 [\d.]+ ms, p99 [\d.]+ ms, max [\d.]+ ms; \d+ steps above 20\.2 ms",
-    r"solver: (none|no active limit [\d.]+ %.*)",
-    r"final mode: [A-Z]+; 0 steps in a fall-back mode",
-    r"(next: --details .*|report: out/report\.html; --details prints the tables)",
-)
-
-
-@pytest.mark.parametrize("words", [[], ["--controller", "pursuit"], ["--out", "out"]])
-def test_simulate_prints_six_lines_of_80_characters(
-    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    arguments = ["simulate", "--trajectory", "s", "--plant", "model:ssm", *words]
-    lines = runner.invoke(app, arguments, env={"COLUMNS": "80"}).stdout.splitlines()
-    assert len(lines) == len(SUMMARY)
-    for line, pattern in zip(lines, SUMMARY, strict=True):
-        assert re.fullmatch(pattern, line)
-    assert (tmp_path / "out" / "report.html").exists() == ("--out" in words)
-
-
-def test_simulate_shows_the_recovery_from_a_scenario() -> None:
-    arguments = ["--trajectory", "cane", "--plant", "model:ssm"]
-    plain, offset = (
-        runner.invoke(app, ["simulate", *arguments, "--scenario", scenario, "--details"])
-        for scenario in ("none", "start_offset")
-    )
-    assert plain.exit_code == offset.exit_code == 0, offset.stderr
-    assert "recovery" not in plain.stdout
-    assert "recovery" in offset.stdout
-    # Turned away from its path by 20 degrees, it gets a little further off before the smooth way back turns it in.
-    largest = float(re.findall(r"start_offset.*", offset.stdout)[-1].split()[5])
-    assert 0.2 <= largest < 0.3
 
 
 TIPPING = "description: tips\npushes: [{force: 200.0, direction: 1.5708, height: 0.4, start: 1.0, duration: 1.0}]\n"

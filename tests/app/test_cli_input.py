@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import signal
@@ -10,7 +9,6 @@ import subprocess
 import sys
 import time
 import tracemalloc
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,14 +20,11 @@ from commands import invoke
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import combinations
-from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
 from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.reading import read_log
-from diffdrive_mpc.sim import Run, simulate
 from processes import run_command
-from studies.cli import app as studies_app
 
 COMMANDS = [
     ["simulate"],
@@ -58,9 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "nan.yaml": ssm.replace("-7.381", ".nan"),
         "empty.yaml": "",
         "negative.yaml": "model: ssm\nweights: {across: -3}\n",
-        "no_plan.yaml": "structure: [ssm]\n",
         "tilted.yaml": "description: cliff\nslope: {angle: 1.5}\n",
-        "no_segments.yaml": "segments: []\n",
         "too_fast.yaml": "segments:\n- {v: 3.0, omega: 0.0, duration: 2.0}\n",
         "blocked/bench.md/mine": "a file in a folder",
     }
@@ -74,49 +67,27 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("simulate --model foo", "unknown model 'foo'"),
         ("simulate --trajectory cirle", "did you mean 'circle'"),
-        ("simulate --plant foo", "unknown plant 'foo'"),
-        ("simulate --scenario pusch", "did you mean 'push'?"),
         ("simulate --scenario {folder}/tilted.yaml", "slope.angle: Input should be less than or equal to 0.6"),
         ("simulate --scenario push --plant model:ssm", "needs a plant with mass, wheels and motors (pushes)"),
-        ("simulate --controller foo", "unknown controller 'foo'"),
         ("simulate --config missing.yaml", "missing.yaml"),
         ("simulate --set weights.acros=1", "did you mean 'weights.across'"),
-        ("simulate --set weights.across=-1", "weights.across"),
-        ("simulate --trajectory spline-3 --scale-to-robot", "unknown trajectory 'spline-3'"),
-        ("simulate --set horizon=5,10", "use 'bench'"),
         ("simulate --seed -1", "--seed"),
-        ("simulate --log {folder}/taken/run.csv", "--log {folder}/taken/run.csv: cannot be written to"),
         ("simulate --log {folder}", "--log {folder}: not a regular file"),
         ("simulate --out ''", "'--out': it is empty"),
-        ("simulate --model ''", "--model: it is empty"),
         ("simulate --model {folder}/unstable.yaml", "unstable"),
         ("simulate --model {folder}/nan.yaml", "A.0.0: Input should be a finite number"),
         ("simulate --trajectory {folder}/empty.yaml", "empty.yaml: expected keys and values, found nothing"),
         ("simulate --trajectory {folder}/too_fast.yaml", "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit"),
-        ("simulat", "simulat"),
         ("bench --out {folder}/blocked --models ssm", "'bench.md' there is in the way"),
-        ("bench --out {out} --models ''", "--models"),
         ("bench --out {out} --models ssm,{folder}/ssm.yaml", "rename one file"),
         ("bench --out {out} --controller kanayama --models nope", "takes no --models, --config, --set or --horizons"),
-        ("bench --out {out} --models ssm,foo", "unknown model 'foo'"),
-        ("bench --out {out} --models ssm,ssm", "given twice"),
-        ("bench --out {out} --models ssm --scenario push,foo", "unknown scenario 'foo'"),
-        ("bench --out {out} --models ssm --scenario push --plant model:ssm", "use 'mujoco'"),
-        ("bench --out {out} --horizons 0,5", "at least 1"),
         ("bench --out {out} --horizons 5 --set horizon=5,10", "give one of them"),
-        ("bench --out {out} --jobs 0", "--jobs"),
-        ("config check missing.yaml", "missing.yaml"),
-        ("models check missing.yaml", "missing.yaml"),
         ("simulate --out {folder}/taken", "--out {folder}/taken: cannot be written to"),
-        ("simulate --models smm", "unknown model 'smm'"),
         ("simulate --seeds 3", "No such option: --seeds (Possible options: --seed,"),
-        ("bench --out {out} --seed 3", "No such option: --seed (Possible options: --seeds"),
         ("bench --out {out} --seeds 1000000000", "--seeds 1000000000: give at most 10000 seeds"),
         ("config check {folder}/negative.yaml", "negative.yaml: weights.across"),
         ("config schema weights.acros", "unknown key 'weights.acros'; did you mean 'weights.across'?"),
-        ("config schema weights --json", "there is no schema of 'weights'; give controller, model, trajectory"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path, folder: Path) -> None:
@@ -129,21 +100,6 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp
     assert result.stdout == ""
     assert not out.exists()
     assert sorted(folder.rglob("*")) == before
-
-
-def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def displaced(*parts: object, **options: object) -> Run:
-        run = simulate(*parts, **options)  # type: ignore[arg-type]
-        return replace(run, true_pose=run.true_pose + 1.0)
-
-    monkeypatch.setattr("diffdrive_mpc.bench.controllers.simulate", displaced)
-    arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
-    result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split(), code=1)
-    assert re.fullmatch(r"error: 1 of 1 runs of mpc did not complete, the first: ssm on cane[^\n]*\n", result.stderr)
-    (run,) = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
-    assert run["completed"] is False
 
 
 def test_program_fault_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,18 +115,6 @@ def test_program_fault_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     result = invoke(app, *command, "--help")
     assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
-
-
-@pytest.mark.parametrize("command", ["tracking", "speed", "monitor", "models truths"])
-def test_every_study_has_help_with_an_example(command: str) -> None:
-    result = invoke(studies_app, *command.split(), "--help")
-    assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
-
-
-@pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)
-def test_group_without_a_command_shows_usage(group: list[str]) -> None:
-    result = invoke(app, *group, code=2)
-    assert "Usage" in result.stdout
 
 
 def test_version() -> None:
@@ -205,12 +149,6 @@ def test_project_error_has_exit_code_1(kind: type[Exception], monkeypatch: pytes
     assert (result.exit_code, result.stderr) == (1, "error: no compiler; get one\n")
 
 
-def test_the_console_command_runs_as_a_program() -> None:
-    done = run_command("models", "show", "foo")
-    assert done.returncode == 2
-    assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)
-
-
 def test_a_grid_is_counted_before_it_is_listed() -> None:
     """10^12 combinations of four settings, and of four dimensions."""
     tracemalloc.start()
@@ -223,13 +161,6 @@ def test_a_grid_is_counted_before_it_is_listed() -> None:
     assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
     assert len(combinations(seed=range(5), model=["a", "b"])) == 10
-
-
-def test_a_bench_counts_its_controllers_and_settings_too() -> None:
-    """Places alone would be few enough."""
-    asked = read_options({"seeds": "10000", "trajectories": "circle,s"}, settings=["weights.across=1,2,3,4,5,6"])
-    with pytest.raises(ValueError, match="480,000 runs"):
-        plan_cases(asked)
 
 
 def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:

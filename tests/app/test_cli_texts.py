@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,8 +15,6 @@ from commands import invoke
 from diffdrive_mpc import ControllerConfig, load_config, load_model
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import parse_seeds
-from diffdrive_mpc.bench.progress import output_console
-from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.load import ROBOT_NAMES, model_names
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.config.rooms import side_by_side
@@ -87,17 +84,9 @@ def completed(words: str, shell: str = "bash") -> list[str]:
         ("simulate --trajectory ", set(BUILT_IN)),
         ("simulate --model ", {*model_names(), *ROBOT_NAMES}),
         ("models show s", {"sm", "ssm"}),
-        ("bench --models sm,s", {"sm,ssm"}),
-        ("simulate --surface grip", {"grippy"}),
-        ("simulate --sensors sl", {"slam"}),
-        ("simulate --scenario weak", {"weak_motor"}),
         ("simulate --plant mujoco:long", {"mujoco:long", "mujoco:long_naive"}),
-        ("simulate --controller lqr", {"lqr", "lqr+slip"}),
-        ("simulate --timing st", {"stop"}),
         ("identify drive.csv --mapping simu", {"simulate", "simulated_robot"}),
         ("simulate --set weights.acr", {"weights.across=700.0"}),
-        ("simulate --set solver.method", {"solver.method=auto", "solver.method=osqp", "solver.method=daqp"}),
-        ("config sh", {"show"}),
         ("tun", {"tune"}),
     ],
 )
@@ -110,64 +99,3 @@ def test_the_script_for_a_shell_is_shown(shell: str) -> None:
     asked = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     shown = subprocess.run([COMMAND, "--show-completion", shell], env=asked, capture_output=True, text=True, check=True)
     assert "_DIFFDRIVE_MPC_COMPLETE" in shown.stdout
-
-
-WIDE = Table(
-    "Errors of everything that was driven, with a title that is long, too",
-    ("controller", "trajectory", *(f"position {i} [m]" for i in range(12))),
-    (
-        ("mpc", "a_long_name_without_spaces", *(f"{100 + i}.{i:04d}" for i in range(12))),
-        ("pursuit+slip", "circle", *(f"{200 + i}.{i:04d}" for i in range(12))),
-    ),
-    text_columns=2,
-    note="A note that is longer than the terminal is wide, and so has to continue on the next line below the table.",
-)
-SENTENCES = Table("", ("key", "meaning"), (("first", "word " * 40 + "end"), ("x" * 90, "short")), text_columns=2)
-
-
-def printed(table: Table, capsys: pytest.CaptureFixture[str]) -> str:
-    output_console().print(table.rich())
-    return capsys.readouterr().out
-
-
-@pytest.mark.parametrize("width", [40, 60, 80, 200])
-def test_a_table_keeps_to_columns_and_no_cell_is_lost(
-    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", str(width))
-    for table in (WIDE, SENTENCES):
-        text = printed(table, capsys)
-        assert max(map(len, text.splitlines())) <= width
-        assert "…" not in text
-    numbers = re.findall(r"\d+\.\d+", printed(WIDE, capsys))
-    assert sorted(numbers) == sorted(cell for row in WIDE.rows for cell in row[2:])
-    assert printed(SENTENCES, capsys).split().count("word") == 40
-    assert printed(SENTENCES, capsys).count("x") == 90
-
-
-def test_columns_that_do_not_fit_continue_below_with_the_names(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    text = printed(WIDE, capsys)
-    parts = text.count("pursuit+slip")
-    assert parts > 1
-    assert text.count("Errors of everything") == text.count("A note") == 1
-    monkeypatch.setenv("COLUMNS", "200")
-    assert printed(WIDE, capsys).count("pursuit+slip") == 1
-
-
-@pytest.mark.parametrize("width", [60, 80])
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("models", "list"),
-        ("models", "show", "mbm"),
-        ("models", "show", "lstm"),
-        ("config", "schema"),
-    ],
-)
-def test_commands_keep_to_columns(width: int, words: tuple[str, ...]) -> None:
-    result = CliRunner().invoke(app, list(words), env={"COLUMNS": str(width)})
-    assert result.exit_code == 0, result.stderr
-    assert max(map(len, result.stdout.splitlines())) <= width

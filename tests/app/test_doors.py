@@ -22,7 +22,6 @@ import pytest
 import yaml
 from mcap.writer import Writer
 from pyarrow import parquet
-from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
@@ -32,7 +31,6 @@ from diffdrive_mpc.models.logs.table_file import read_table
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.log_csv import read_rows
-from studies.site.notebooks import write_all
 
 ROOT = Path(__file__).parents[2]
 NETWORK = model_path("lstm")
@@ -218,19 +216,6 @@ def _messages(stranger, _):
     assert not [name for name, _ in fields(ControllerConfig) if name.startswith("terms")]
 
 
-def _definition(stranger, door):
-    """A .msg file that a mapping names: the library makes code of it."""
-    text = f"string X=\"'\\n__import__('os').mkdir('{stranger}/marker')#\"\nfloat64 x\n"
-    store = get_typestore(Stores.ROS2_JAZZY)
-    from rosbags.typesys import get_types_from_msg
-
-    try:
-        store.register(get_types_from_msg(text, "a_msgs/msg/Odd"))
-        store.deserialize_cdr(bytes(12), "a_msgs/msg/Odd")
-    except Exception:
-        pass
-
-
 def _weights(stranger, door):
     """Pickles and libraries in place of the weights of a network."""
     objects = io.BytesIO()
@@ -250,15 +235,6 @@ def _model(stranger, door):
         call("models", "show", door / "model.yaml")
 
 
-def _notebooks(stranger, door):
-    """Notebooks are made of the pages; one that lies beside them is not run."""
-    cell = {"cell_type": "code", "source": [TERM.replace("__file__", f"'{stranger}/x'")], "outputs": [], "metadata": {}}
-    book = {"cells": [cell], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}
-    (door / "page.ipynb").write_text(json.dumps(book))
-    (door / "page.md").write_text("# A page\n\nIts [notebook](page.ipynb).\n")
-    write_all(door)
-
-
 DOORS = {
     **{name: partial(_yaml, command, TAGS[0]) for name, command in YAML.items()},
     **{tag.split()[0]: partial(_yaml, YAML["model"], tag) for tag in TAGS[1:]},
@@ -269,10 +245,8 @@ DOORS = {
     "a log of a drive and its attachments": _drive_log,
     "records of ticks": _ticks,
     "messages of ROS": _messages,
-    "a definition of messages": _definition,
     "weights of a network": _weights,
     "a model file": _model,
-    "notebooks of the site": _notebooks,
 }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,7 @@ from diffdrive_mpc.app.command_line.file_kinds import KINDS, SCHEMAS
 from diffdrive_mpc.app.schemas import json_schema
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path
-from diffdrive_mpc.models.named_file import EDITOR_LINE, kept_editor_line
 
-ROOT = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {
     "controller": load_config,
     "trajectory": load_trajectory,
@@ -88,15 +85,6 @@ def test_shipped_schema_equals_schema_of_reader(kind: str) -> None:
 @pytest.mark.parametrize(("kind", "path"), FILES, ids=IDS)
 def test_shipped_file_fits_its_schema(kind: str, path: Path) -> None:
     assert [error.message for error in validator(kind).iter_errors(read_yaml(path))] == []
-
-
-def test_editor_lines_of_shipped_files_name_the_schema_of_their_kind() -> None:
-    rooms = ("models", "mpc", "sim", "bench", "app", "extras")
-    files = {path for room in rooms for path in (ROOT / room).rglob("*.yaml") if kept_editor_line(path)}
-    named = {path: path.parent / kept_editor_line(path).removeprefix(EDITOR_LINE).strip() for path in files}
-    wanted = {path.resolve(): str(SCHEMAS[kind].resolve()) for kind, path in FILES if path.resolve() in files}
-    assert {path: os.path.normpath(schema) for path, schema in named.items()} == wanted
-    assert {str(schema.resolve()) for schema in SCHEMAS.values()} == set(wanted.values())
 
 
 EXAMPLES = [(kind, max(KINDS[kind].files, key=lambda path: path.stat().st_size)) for kind in SCHEMAS]

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.app.identification.figures import envelope
 from diffdrive_mpc.models.identification.log_data import divide, read_data
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import firmware_track, wheel_geometry
@@ -72,11 +71,3 @@ def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
     assert tuple(doubt.words for doubt in data.warnings) == (
         "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 5; the stretch is not used to validate on",
     )
-
-
-def test_an_envelope_keeps_extremes_and_gaps():
-    values = np.sin(np.linspace(0.0, 20.0, 10_000))
-    values[3000], values[7000], values[5000] = 9.0, -9.0, np.nan
-    rows = envelope(values, 100)
-    assert {3000, 5000, 7000} <= set(rows) and len(rows) <= 103
-    assert list(envelope(values[:50], 100)) == list(range(50))

@@ -4,7 +4,7 @@ import shlex
 
 import numpy as np
 import pytest
-from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from log_parts import MAPPING, drive, write_csv, write_mapping
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
@@ -36,29 +36,20 @@ def folder(tmp_path_factory):
     """Logs with mistakes."""
     folder = tmp_path_factory.mktemp("logs")
     write_mapping(folder / "map.yaml")
-    write_mapping(folder / "two_clocks.yaml", MAPPING.replace("{yaw_rate: gyro}", "{yaw_rate: gyro, time: stamp}"))
-    write_mapping(folder / "no_gyro.yaml", MAPPING.replace("  gyro: {yaw_rate: gyro}\n", ""))
     write_mapping(folder / "no_pose.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
     write_mapping(folder / "evil.yaml", EVIL.format(folder=folder))
     logs = {
         "good": COLUMNS,
         "missing": {name: column for name, column in COLUMNS.items() if name != "gyro"},
         "degrees": COLUMNS | {"gyro": np.degrees(COLUMNS["gyro"])},
-        "constant": COLUMNS | {"v_ref": np.full(600, 0.5), "omega_ref": np.full(600, 0.2)},
         "short": {name: column[:30] for name, column in COLUMNS.items()},
-        "ten": {name: column[:10] for name, column in COLUMNS.items()},
         "nan": COLUMNS | {"v_ref": np.full(600, np.nan)},
-        "stamped": COLUMNS | {"stamp": COLUMNS["t"] + 1.7e9},
         "slow": COLUMNS | {"t": 50.0 * COLUMNS["t"]},
         "reversed": COLUMNS | {"gyro": -COLUMNS["gyro"]},
     }
     for name, columns in logs.items():
         write_csv(folder / f"{name}.csv", columns)
     (folder / "evil.csv").write_text(EVIL.format(folder=folder))
-    topics = bag_topics(COLUMNS)
-    write_bag(folder / "silent", {"/cmd_vel": topics["/cmd_vel"]})
-    damaged = write_bag(folder / "damaged", topics) / "damaged.db3"
-    damaged.write_bytes(damaged.read_bytes()[:3000])
     return folder
 
 
@@ -71,20 +62,12 @@ def folder(tmp_path_factory):
             "slow.csv --mapping no_pose.yaml",
             "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
         ),
-        ("none.csv", "none.csv: there is no such file or folder"),
         ("good.csv", "which column is what? Give a mapping file"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
-        ("good.csv --mapping map.yaml --structure mbm", "wheels"),
-        ("good.csv --mapping map.yaml --structure ssm --order 7", "--order '7': give auto, or 1 to 5"),
-        ("good.csv --mapping map.yaml --structure ssm --effects", "--effects: they stand around an sm"),
-        ("good.csv --mapping map.yaml --fit-share 1", "--fit-share 1: give 0.1 to 0.9"),
-        ("good.csv --mapping map.yaml --fit-share 0.5 --validate ten.csv", "--fit-share: with --validate"),
         ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
-        ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
-        ("", "LOG"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, message, folder, tmp_path, monkeypatch):
@@ -134,55 +117,6 @@ def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
     assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == files
     assert runner.invoke(app, [*words, "--force", "--out", str(tmp_path / "o")]).exit_code == 0
     assert (tmp_path / "o" / "config.yaml").exists()
-
-
-def test_a_folder_that_is_a_file_is_refused_before_the_logs_are_read(folder, tmp_path):
-    (tmp_path / "taken").write_text("mine")
-    result = runner.invoke(app, ["identify", str(folder / "none.csv"), "--out", str(tmp_path / "taken")])
-    assert result.exit_code == 2
-    assert "taken: cannot be written to" in result.stderr
-    assert (tmp_path / "taken").read_text() == "mine"
-
-
-@pytest.fixture(scope="module")
-def forgiven(folder, tmp_path_factory):
-    """A log with cells that are no numbers; the folder, and what was printed."""
-    out = tmp_path_factory.mktemp("forgiven") / "out"
-    columns = COLUMNS | {"v": np.where(np.arange(600) % 50 == 7, np.nan, COLUMNS["v"])}
-    log = write_csv(out.parent / "nan.csv", columns)
-    words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(out)]
-    result = runner.invoke(app, words)
-    assert result.exit_code == 0, result.stderr
-    return out, result
-
-
-def test_rows_without_numbers_are_left_out_and_said(forgiven):
-    out, result = forgiven
-    line = (
-        "nan.csv, line 9, 59, 109, 159, 209 and 7 more places: column 'v' is not finite in 12 rows; they are left out"
-    )
-    assert f"warning: {line}" in result.stdout
-    assert line in (out / "report.md").read_text()
-    assert line in (out / "report.json").read_text()
-
-
-def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = ["identify", str(folder / "good.csv"), "--mapping", str(folder / "map.yaml"), "--structure", "sm"]
-    result = runner.invoke(app, words)
-    assert result.exit_code == 0
-    assert result.stderr == ""
-    assert sorted(path.name for path in (tmp_path / "identified").iterdir()) == [
-        CONTENTS,
-        "config.yaml",
-        "figures",
-        "first_circle.yaml",
-        "model.yaml",
-        "report.html",
-        "report.json",
-        "report.md",
-        "surface.yaml",
-    ]
 
 
 DRAFT_COLUMNS = drive(seconds=8.0)

@@ -51,17 +51,6 @@ def test_the_configuration_without_its_model_is_refused_and_not_driven_with_anot
         Controller(load_config(found.config))
 
 
-def test_the_report_prints_as_tables_and_is_data(found):
-    text = str(found.report)
-    assert text == str(found)
-    assert "FIT validation [%]" in text
-    assert "v.natural_frequency" in text
-    assert all(f"warning: {warning}" in text for warning in found.report.warnings)
-    report = found.report.as_json()
-    assert report["validation_fit_percent"]["v"] == found.report.fitted.validation.fit_percent[0]
-    assert report["parameters"]["v.gain"]["value"] == found.report.fitted.identified.parameters.value("v.gain")
-
-
 def test_one_path_is_a_log_and_progress_is_told(folder):
     told, findings = [], []
     one = identify(
@@ -77,19 +66,3 @@ def test_one_path_is_a_log_and_progress_is_told(folder):
     assert told[0] == "reading"
     assert told[1].startswith("identification")
     assert "the last 50 %" in one.content.provenance.notes
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"structure": "smm"}, "structure 'smm': give one of mbm, sm, ssm"),
-        ({"structure": "ssm", "order": 7}, "order '7': give auto, or 1 to 5"),
-        ({"order": 2}, "order 2: only ssm has a choice of order"),
-        ({"structure": "ssm", "effects": True}, "effects: they stand around an sm, not an ssm"),
-        ({"fit_share": 1.0}, "fit_share 1: give 0.1 to 0.9"),
-        ({"name": " "}, "name: it is empty"),
-    ],
-)
-def test_an_argument_that_cannot_be_used_is_named(folder, options, message):
-    with pytest.raises(ConfigError, match=message):
-        identify([folder / "one.csv"], folder / "map.yaml", **options)

@@ -1,7 +1,5 @@
 """A robot that is not that of the papers: its configuration rules wherever it is given."""
 
-import re
-import shlex
 from dataclasses import replace
 
 import pytest
@@ -12,9 +10,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
-from diffdrive_mpc.bench.table import number
-from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.bench.controllers import load_reference, other_robots
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
@@ -99,24 +95,6 @@ def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
     assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in screen
 
 
-def test_the_printed_next_command_gives_the_figure_of_the_table_where_it_is_pasted(identified, monkeypatch):
-    folder, screen = identified
-    monkeypatch.chdir(folder)
-    (figure,) = re.findall(r"the model itself +circle +(\S+)", screen)
-    _, *words = shlex.split(screen[screen.rindex("  diffdrive-mpc simulate") :].replace("\\\n", " "))
-    run(*words)
-    option = dict(zip(words[1:-1:2], words[2::2], strict=True))
-    case = Case(
-        model=str(folder / "my robot" / "model.yaml"),
-        config=option["--config"],
-        plant=option["--plant"],
-        surface=option["--surface"],
-        scaled=True,
-    )
-    assert words[-1] == "--scale-to-robot"
-    assert number(run_case(case).metrics.position_rmse_m, 4) == figure
-
-
 def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     topics = {name.replace("/", "/base/"): rows for name, rows in bag_topics(drive()).items()}
     bag = write_bag(tmp_path / "bag", topics)
@@ -141,14 +119,3 @@ def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     (sentence,) = other_robots([fast_robot])
     assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
     assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []
-
-
-def test_config_check_names_what_is_left_to_the_papers_robot(files):
-    (files / "mine.yaml").write_text(model_path("sm").read_text())
-    (files / "config.yaml").write_text("model: mine.yaml\nsample_time: 0.05\nlimits: {v: 4.1}\n")
-    printed = run("config", "check", "config.yaml")
-    assert (
-        "limits.omega 2 rad/s, limits.wheel_speed 2.205 m/s, wheels.track 0.4 m, wheels.encoder_track 0.33" in printed
-    )
-    assert "limits.v" not in printed and "sample_time" not in printed
-    assert "papers" not in run("config", "check", "fast.yaml")

@@ -5,7 +5,6 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from commands import invoke
-from diffdrive_mpc.app import former_names
 from diffdrive_mpc.app.cli import command_line
 from diffdrive_mpc.models import plug_ins
 
@@ -55,11 +54,3 @@ def test_plug_in_of_another_command_is_not_imported(registered):
     registered(greet="broken:GREET")
     names = [command.name for command in command_line(["bench"]).registered_commands]
     assert names == ["bench"]
-
-
-def test_former_commands_and_options_print_their_line(registered):
-    registered()
-    for kind in ("commands", "options"):
-        for words, line in former_names.former_names(kind).items():
-            result = invoke(command_line(), *words.split(), code=2)
-            assert " ".join(result.stderr.split()) == f"error: {words}: {line}"

@@ -169,9 +169,6 @@ def test_broken_log_is_read_or_refused_with_one_line(name, log):
     [
         ((), "the log does not hold a configuration; give --config or --model"),
         (("--model", "ssm", "--set", "sample_time=0.1"), "its ticks come every 20.2 ms, sample_time is 100 ms"),
-        (("--model", "ssm", "--trajectory", "nowhere"), "nowhere"),
-        (("--model", "nothing"), "nothing"),
-        (("--model", "ssm", "--set", "horizon=10,20"), "one value for each key"),
     ],
 )
 def test_bad_option_is_refused_with_one_line(words, expected, log):

@@ -34,34 +34,18 @@ def test_the_models_that_are_left_are_listed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "package", "extra"),
+    ("words", "subject", "package"),
     [
-        (("plan", "--from", "0,0,0"), "diffdrive-mpc-extras", "extras"),
-        (("models", "compare", "drive.csv"), "diffdrive-mpc-extras", "extras"),
-        (("monitor", "--ros-args"), "diffdrive-mpc-monitor", "monitor"),
+        (("plan", "--from", "0,0,0"), "command 'plan'", "extras"),
+        (("models", "compare", "drive.csv"), "command 'models compare'", "extras"),
+        (("monitor", "--ros-args"), "command 'monitor'", "monitor"),
+        (("identify", "drive.csv", "--for", "nav2"), "parameter writer 'nav2'", "extras"),
+        (("simulate", "--model", "lstm"), "model 'lstm'", "extras"),
     ],
 )
-def test_command_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words, package, extra):
+def test_part_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words, subject, package):
     done = run(tmp_path, *words)
-    name = " ".join(words[:2] if words[0] == "models" else words[:1])
-    line = f"error: command '{name}' is in the package {package}: pip install 'diffdrive-mpc[{extra}]'\n"
-    assert (done.returncode, done.stderr) == (1, line)
-
-
-def test_parameters_of_another_package_need_the_plug_in(tmp_path):
-    done = run(tmp_path, "identify", "drive.csv", "--for", "nav2")
-    line = (
-        "error: parameter writer 'nav2' is in the package diffdrive-mpc-extras: pip install 'diffdrive-mpc[extras]'\n"
-    )
-    assert (done.returncode, done.stderr) == (1, line)
-
-
-@pytest.mark.parametrize(
-    "words", [("simulate", "--model", "lstm"), ("config", "show", "lstm"), ("models", "show", "lstm")]
-)
-def test_model_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words):
-    done = run(tmp_path, *words)
-    line = "error: model 'lstm' is in the package diffdrive-mpc-extras: pip install 'diffdrive-mpc[extras]'\n"
+    line = f"error: {subject} is in the package diffdrive-mpc-{package}: pip install 'diffdrive-mpc[{package}]'\n"
     assert (done.returncode, done.stderr) == (1, line)
 
 

@@ -18,7 +18,7 @@ from fuzz.controller import CONFIGS, EXTRAS
 from fuzz.core import build_core
 from fuzz.fuzzers import FUZZERS
 from fuzz.live.judge import Account, Allowed, Heard, faults
-from fuzz.runner import Order, Ran, inside
+from fuzz.runner import Order, inside
 
 FOUND = saved_findings()
 
@@ -114,31 +114,6 @@ def test_hang_is_a_finding(gentle, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "_SMALLER_FOR", 0.0)
     (finding,) = lived(8, tmp_path)
     assert "hangs: it takes longer than 0.2 s" in finding
-
-
-def test_killed_process_is_a_finding_and_the_next_case_follows(tmp_path, monkeypatch):
-    """The parent is told of a child's death by its exit code alone."""
-    monkeypatch.setitem(FUZZERS, "planted", Planted())
-    Planted.worst = 9
-    pid_of_child = []
-
-    def child(order, folder):
-        pid = os.fork()
-        if pid == 0:
-            try:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-                inside(FUZZERS["planted"], order, tmp_path / "report", folder)
-            finally:
-                os._exit(0)
-        pid_of_child.append(pid)
-        _, status = os.waitpid(pid, 0)
-        begun = max(json.loads(line)["begun"] for line in (tmp_path / "report").read_text().splitlines())
-        return Ran(begun), f"process killed by {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else ""
-
-    monkeypatch.setattr(runner, "_in_process", child)
-    ran = runner.run(Order("planted", 1, 0, 3, 60.0), tmp_path)
-    assert ran.cases == len(ran.lines) == len(pid_of_child) == 3
-    assert all("killed by 9" in line for line in ran.lines)
 
 
 def test_configurations_cover_the_schema_and_half_are_valid():

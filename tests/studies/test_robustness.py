@@ -7,19 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tracking_parts import recovery, statistics
 
 from commands import invoke
 from diffdrive_mpc import make_plant
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
-from diffdrive_mpc.bench.experiment import frame
-from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from diffdrive_mpc_extras.campaign.campaign_file import load_conditions
 from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
 from studies.cli import app
-from studies.robustness.results import market_cases, measured, study_tables
+from studies.robustness.results import market_cases, measured
 from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()
@@ -35,46 +32,6 @@ def test_every_condition_has_a_plant_and_settings_that_exist(name: str) -> None:
     plant.measure()
     plant.advance([0.1, 0.0])
     assert plant.time == plant.sample_time
-
-
-def _row(condition: str, case: Case, error: float, **changes: object) -> dict[str, object]:
-    rate = dict(case.overrides).get("monitor.false_alarm_rate", 0.02)
-    return {
-        "case": case,
-        "driver": who_drives(case),
-        **case.as_row(),
-        **statistics(position_rmse_m=error, behind_max_s=0.0),
-        **recovery(),
-        "recovery_command_rate_omega": 1.0,
-        "condition": condition,
-        "late_lateral_m": 0.01,
-        "heading_nees": 1.0,
-        "given_up": 0,
-        "within_room": True,
-        "rate": f"{rate:.2f}",
-        "ended": "",
-        "message": "",
-        "message_percent": 0.0,
-        "driven_s": 0.0,
-    } | changes
-
-
-def test_tables_show_every_condition_and_what_was_said() -> None:
-    ours, peer = Case(), Case(controller="kanayama", model="none")
-    rows = [
-        _row("a", ours, 0.004, message="the reference waits", message_percent=40.0, behind_max_s=1.0),
-        _row("a", replace(ours, seed=1), 0.006, message="braking", message_percent=10.0, behind_max_s=2.0),
-        _row("a", peer, 0.010),
-        _row("b", ours, 0.020, ended="tipped over", completed=False),
-        _row("b", peer, 0.010),
-    ]
-    errors, behind, said = study_tables(frame(rows))
-    assert errors.rows[0][:3] == ("a", "SSM", "5.0")
-    assert errors.rows[0][-1] == "2/2"
-    assert errors.rows[2][-1] == "0/1"
-    assert [row[errors.columns.index("time behind [s]")] for row in errors.rows[:3]] == ["1.50", "0.00", "0.00"]
-    assert behind.rows == (("a", "1.00", "2.00"), ("b", "2.00", "1.00"))
-    assert [row[:3] for row in said.rows] == [("a", "SSM", "the reference waits"), ("b", "SSM", "tipped over")]
 
 
 def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() -> None:

@@ -26,12 +26,9 @@ DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (
     ("document", "link", "on_site"),
     [
         ("README.md", "docs/models.md#a-b", "models.md#a-b"),
-        ("README.md", "CONTRIBUTING.md", "contributing.md"),
         ("docs/why.md", "../README.md#how-well-it-tracks", "index.md#how-well-it-tracks"),
-        ("docs/why.md", "results.md", "results.md"),
         ("docs/tutorials/own-plant.md", "../simulated-robot.md", "../simulated-robot.md"),
         ("docs/tutorials/own-cost.md", "../../examples/own_cost.py", "../files/examples/own_cost.py.md"),
-        ("docs/bench.md", "bench/speed.png", "bench/speed.png"),
         ("README.md", "https://example.org/docs/models.md", "https://example.org/docs/models.md"),
         ("docs/why.md", "#here", "#here"),
     ],

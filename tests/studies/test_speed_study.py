@@ -1,62 +1,23 @@
 """The speed study: what it measures, the cost of its closed loops, its report, and runs of it."""
 
 import json
-import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bench_parts import META
 from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc import load_config, load_model
-from diffdrive_mpc.bench.study import carry_out, write_report
+from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.interface import ReferenceSample
 from studies.speed.measure import closed_loop_cost
 from studies.speed.results import (
-    Missing,
-    SpeedRecord,
-    SpeedResults,
     growth_exponent,
-    speed_tables,
     time_statistics,
 )
 from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
 from studies.speed.study import SpeedStudy
-
-
-def measured(solver, horizon, whole, inside=1e-4, model="ssm", clean=1.0):
-    times = np.full((2, 4), whole)
-    return SpeedRecord(
-        solver=solver,
-        model=model,
-        horizon=horizon,
-        iterations_p50=3.0,
-        iterations_max=5,
-        closed_loop_cost=0.25,
-        gap_v_p50=1e-6,
-        gap_v_max=1e-5,
-        gap_omega_p50=math.nan,
-        gap_omega_max=math.nan,
-        active_share=0.5,
-        unsolved=0,
-        samples=8,
-        clean_share=clean,
-        ticks=4,
-        build_s=0.1,
-        memory_bytes=5e7,
-        memory_growth_bytes=1e6,
-        whole=times,
-        **time_statistics(times, np.full((2, 4), inside)),
-    )
-
-
-def results():
-    records = [measured("ours", n, 1e-5 * n) for n in (20, 50, 100)]
-    records += [measured("acados", n, 4e-5 * n, inside=2e-5 * n) for n in (20, 50, 100)]
-    missing = (Missing("do-mpc", "ssm", 20, "no network"), Missing("do-mpc", "ssm", 50, "no network"))
-    return SpeedResults(tuple(records), missing, 0, (0.0, 1.0))
 
 
 @given(st.floats(0.2, 3.0), st.floats(1e-6, 1.0))
@@ -74,33 +35,6 @@ def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
     assert statistics["tick_max_s"] == 5e-3
     assert statistics["step_p50_s"] == 1e-3
     assert statistics["solver_p50_s"] == 5e-4
-
-
-def test_a_median_with_disturbed_steps_is_marked_and_they_do_not_count():
-    whole = np.array([[1e-3, np.nan, 3e-3], [np.nan, np.nan, 5e-3]])
-    statistics = time_statistics(whole, whole / 2)
-    assert (statistics["step_p50_s"], statistics["step_max_s"], statistics["solver_max_s"]) == (3e-3, 5e-3, 2.5e-3)
-    assert statistics["tick_max_s"] == 4e-3
-    (table, *_) = speed_tables(SpeedResults((measured("ours", 30, 1e-3, clean=0.9), measured("b", 30, 1e-3)), ()))
-    assert table.rows == (("ours", "1.000* (0.100)"), ("b", "1.000 (0.100)"))
-
-
-def test_the_files_hold_every_record_and_say_what_is_unknown(tmp_path):
-    study = SpeedStudy(load_speed_settings(quick=True))
-    report = study.report(results(), 1.0)
-    write_report(study, report, META | {"revision": None} | report.meta, tmp_path)
-    content = json.loads((tmp_path / "speed.json").read_text())
-    assert len(content["records"]) == 6
-    wanted = {"solver", "model", "horizon", "step_p50_s", "step_p95_s", "step_p99_s", "step_max_s", "solver_p50_s"}
-    assert wanted | {"iterations_p50", "closed_loop_cost"} <= set(content["records"][0])
-    assert content["records"][0]["gap_omega_p50"] is None
-    assert content["growth"][0] == {"solver": "ours", "model": "ssm", "exponent": 1.0}
-    assert content["missing"][0]["reason"] == "no network"
-    text = (tmp_path / "speed.md").read_text()
-    assert "Missing: do-mpc (no network)." in text
-    for name in ("horizon.png", "tail.png"):
-        assert f"(figures/{name})" in text
-        assert (tmp_path / "figures" / name).stat().st_size > 10_000
 
 
 @pytest.fixture(scope="module")
