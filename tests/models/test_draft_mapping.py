@@ -79,12 +79,6 @@ def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
     assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
 
 
-def test_a_row_counter_is_no_time(tmp_path):
-    columns = {name: values for name, values in COLUMNS.items() if name != "t"}
-    log = write_csv(tmp_path / "log.csv", {"seq": np.arange(len(COLUMNS["t"]))} | columns)
-    assert "sample_time:    # fill in the time between rows" in draft_mapping(log)
-
-
 def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled_in(tmp_path):
     counts = np.round(1e4 * COLUMNS["t"])
     columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}
@@ -109,10 +103,3 @@ def test_topics_are_guessed_by_type_and_name(tmp_path):
     ]
     assert "it could also be /joy/cmd_vel" in draft_mapping(bag)
     assert len(read_log(bag, tmp_path / "draft.yaml").records) == 1
-
-
-def test_a_log_without_a_command_says_so(tmp_path):
-    log = write_csv(tmp_path / "log.csv", {"t": COLUMNS["t"], "gyro": COLUMNS["gyro"]})
-    assert "# command: no whole group of columns, but it is needed" in draft_mapping(log)
-    with pytest.raises(ConfigError, match=r"key 'columns\.command' is missing"):
-        load_mapping(draft_of(log, tmp_path))

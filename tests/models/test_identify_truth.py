@@ -131,22 +131,6 @@ def test_a_pole_too_fast_to_see_is_said():
     assert {doubt.kind for doubt in doubts} == {"divided lag"}
 
 
-def test_two_poles_that_meet_are_said():
-    twin = two_channels((1.0, 8.0, 1.01), (1.0, 7.0, 0.7))
-    said = [
-        warning
-        for seed in (9, 10, 11, 12)
-        for warning in identify_sm([noisy_drive(twin, seed, count=1000, noise=(0.05, 0.05))], limits=False).warnings
-    ]
-    assert any("cannot be told apart" in warning.words for warning in said)
-
-
-def test_a_dead_time_longer_than_the_search_is_said():
-    late = two_channels((1.0, 10.0, 0.9), (1.0, 7.0, 0.7), dead_time=(0.9, 0.03))
-    found = identify_sm([noisy_drive(late, 13, count=1500)], limits=False)
-    assert any("v: dead time" in doubt.words and "bound" in doubt.words for doubt in found.warnings)
-
-
 def test_ssm_finds_the_published_model():
     model = published_ssm()
     drive = noisy_drive(model, 14)
