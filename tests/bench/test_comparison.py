@@ -13,6 +13,7 @@ from bench_parts import quick_case, quick_outcome
 from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config, make_plant
+from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.case import COMPARED, DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
 from diffdrive_mpc.bench.comparison.plan import (

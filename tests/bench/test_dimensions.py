@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 
 import pytest
-from bench_parts import quick_outcome
-from bench_parts import rows as rows_of
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -14,8 +12,6 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension, parse_seeds
 from diffdrive_mpc.bench.comparison.plan import default_settings, read_options
-from diffdrive_mpc.bench.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.comparison.tables import path_table
 from diffdrive_mpc.bench.controllers import check_cases, load_reference
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -51,22 +47,6 @@ def test_timing_makes_another_reference_of_a_trajectory() -> None:
     assert commanded.duration < filed.duration < stopping.duration
     with pytest.raises(ConfigError, match="timing 'fast': give stop, commanded or smooth"):
         check_cases([Case(), Case(timing="fast")])
-
-
-def test_rows_and_tables_tell_of_timing_and_smoothing_only_where_they_matter() -> None:
-    plain, smooth = quick_outcome(trajectory="cane"), quick_outcome(trajectory="cane", timing="smooth")
-    silent = default_settings()
-    rows = ComparisonResults(silent, rows_of(plain)).rows()
-    assert not {"timing", "drawn_max_m"} & set(rows[0])
-    assert "drawn" not in path_table(rows_of(plain)).markdown()
-    asked = silent.model_copy(update={"timings": ("file", "smooth")})
-    rows = ComparisonResults(asked, rows_of(plain, smooth)).rows()
-    assert [row["timing"] for row in rows] == ["file", "smooth"]
-    assert rows[0]["drawn_max_m"] == 0.0
-    assert 0.005 < rows[1]["drawn_rms_m"] * 2 < rows[1]["drawn_max_m"] * 2 <= 0.04
-    text = path_table(rows_of(plain, smooth)).markdown()
-    assert "reference to drawn path, max [m]" in text
-    assert "SSM, smooth" in text
 
 
 @pytest.mark.parametrize(

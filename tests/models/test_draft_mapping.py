@@ -63,16 +63,6 @@ def test_columns_and_units_are_guessed(tmp_path, names):
         np.testing.assert_allclose(getattr(guessed, field), getattr(right, field), atol=1e-9, err_msg=field)
 
 
-def test_every_guess_has_its_reason_and_the_rest_is_named(tmp_path):
-    draft = draft_mapping(write_csv(tmp_path / "log.csv", COLUMNS | {"status": COLUMNS["t"], "odd": COLUMNS["v"]}))
-    guesses = [line for line in draft.splitlines() if "{column:" in line]
-    assert len(guesses) == 9
-    assert all(len(line.split("    # ")[1]) > 10 for line in guesses)
-    assert "v: {column: v, unit: m/s}    # no unit in its name, but values up to " in draft
-    assert "follows 'v_ref' by 1 rows" in draft
-    assert draft.endswith("# Not used: status, odd\n")
-
-
 @pytest.mark.parametrize(("stamp", "unit"), [(1.7e9, "s"), (1.7e12, "ms"), (1.7e15, "us"), (1.7e18, "ns")])
 def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
     log = write_csv(tmp_path / "log.csv", COLUMNS | {"t": stamp + COLUMNS["t"] * stamp / 1.7e9})

@@ -209,20 +209,12 @@ def test_the_same_log_gives_the_same_numbers():
 
 def test_bad_input_is_one_clear_line():
     drive = noisy_drive(SM, 20, count=200)
-    with pytest.raises(ValueError, match="at least one record"):
-        identify_sm([])
     with pytest.raises(ValueError, match="no yaw_rate"):
         identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])
-    with pytest.raises(ValueError, match="no wheels"):
-        identify_mbm([drive], 0.07)
-    with pytest.raises(ValueError, match="at least 20"):
-        identify_sm([drive.part(0, 10)])
     with pytest.raises(ValueError, match="never changes"):
         identify_sm([record(np.ones((100, 2)), drive.twist[:100])])
     with pytest.raises(ValueError, match="did the robot move"):
         identify_sm([record(drive.command, np.zeros((200, 2)))])
-    with pytest.raises(ValueError, match="order 7"):
-        identify_ssm([drive], 7)
 
 
 SPIKED = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))

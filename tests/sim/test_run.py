@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import sys
 from dataclasses import dataclass, fields
 
 import matplotlib.pyplot as plt
@@ -13,7 +12,7 @@ import pandas as pd
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
 
-from diffdrive_mpc import DiffdriveMpcError, Measurement, MissingPackageError, make_plant
+from diffdrive_mpc import Measurement, make_plant
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run, simulate
 
@@ -124,13 +123,6 @@ def test_a_run_becomes_a_dataframe(run: Run) -> None:
     assert table["t_s"].dtype == float
 
 
-def test_without_pandas_one_line_says_how_to_get_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingPackageError, match=r"^run\.to_dataframe\(\) needs pandas: pip install pandas$") as found:
-        run.to_dataframe()
-    assert isinstance(found.value, DiffdriveMpcError) and isinstance(found.value, ImportError)
-
-
 def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
     figure = run.plot()
     labels = {axes.get_ylabel() for axes in figure.axes}
@@ -138,25 +130,6 @@ def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
     path = next(axes for axes in figure.axes if axes.get_xlabel() == "x [m]")
     np.testing.assert_array_equal(path.lines[1].get_xydata(), run.true_pose[:, :2])
     plt.close(figure)
-
-
-def test_a_run_prints_as_a_table() -> None:
-    offset = np.column_stack([np.arange(4.0), np.full(4, 0.05), np.full(4, -0.01)])
-    twist = np.tile([1.0, 0.0, 0.0], (4, 1))
-    run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
-    assert str(run).splitlines() == [
-        "Run along 'line': 4 ticks of 1 s",
-        "                        rmse    mean     std   p50     p95   p99     max",
-        "position [m]          0.0500  0.0500  0.0000     -       -     -  0.0500",
-        "heading [rad]         0.0100  0.0100  0.0000     -       -     -  0.0100",
-        "course [rad]          0.0100       -       -     -       -     -       -",
-        "|lateral| [m]         0.0500  0.0500       -     -  0.0500     -  0.0500",
-        "step time [ms]             -       -       -  1.00    1.00  1.00    1.00",
-        "of it the solve [ms]       -       -       -     -       -     -       -",
-        "4 steps, completed; in the band 100.0 %; deadlines missed 0, fall-backs 0",
-    ]
-    assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])
-    assert repr(run) == "Run along 'line': 4 ticks of 1 s"
 
 
 def test_columns_hold_the_true_torques_of_motors_only_if_the_plant_has_some() -> None:
