@@ -4,9 +4,10 @@ import datetime
 
 import numpy as np
 import pytest
+import yaml
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, single, system, two_channels
 
-from diffdrive_mpc import integrate_pose, load_model
+from diffdrive_mpc import ConfigError, integrate_pose, load_model
 from diffdrive_mpc.models.identification.fit.poses import pose_drift
 from diffdrive_mpc.models.load import read_model_file
 from diffdrive_mpc.models.logs.record import Record
@@ -184,6 +185,23 @@ def test_a_limit_found_stands_in_the_file(tmp_path):
     data = read_model_file(written(IDENTIFY["ssm"](), tmp_path / "model.yaml"))
     assert data.limits.omega == pytest.approx(0.9, abs=0.02)
     assert data.limits.v is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"limits": {"omega": -1.0}}, "limits.omega"),
+        (
+            {"uncertainty": {"parameters": ["a"], "value": [], "standard_deviation": [1.0], "correlation": [[1.0]]}},
+            "each",
+        ),
+    ],
+)
+def test_mistakes_in_the_new_keys_are_named(change, message, tmp_path):
+    path = written(IDENTIFY["sm"](), tmp_path / "model.yaml")
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
+    with pytest.raises(ConfigError, match=message):
+        load_model(path)
 
 
 def steps(level):

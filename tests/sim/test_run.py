@@ -132,6 +132,25 @@ def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
     plt.close(figure)
 
 
+def test_a_run_prints_as_a_table() -> None:
+    offset = np.column_stack([np.arange(4.0), np.full(4, 0.05), np.full(4, -0.01)])
+    twist = np.tile([1.0, 0.0, 0.0], (4, 1))
+    run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
+    assert str(run).splitlines() == [
+        "Run along 'line': 4 ticks of 1 s",
+        "                        rmse    mean     std   p50     p95   p99     max",
+        "position [m]          0.0500  0.0500  0.0000     -       -     -  0.0500",
+        "heading [rad]         0.0100  0.0100  0.0000     -       -     -  0.0100",
+        "course [rad]          0.0100       -       -     -       -     -       -",
+        "|lateral| [m]         0.0500  0.0500       -     -  0.0500     -  0.0500",
+        "step time [ms]             -       -       -  1.00    1.00  1.00    1.00",
+        "of it the solve [ms]       -       -       -     -       -     -       -",
+        "4 steps, completed; in the band 100.0 %; deadlines missed 0, fall-backs 0",
+    ]
+    assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])
+    assert repr(run) == "Run along 'line': 4 ticks of 1 s"
+
+
 def test_columns_hold_the_true_torques_of_motors_only_if_the_plant_has_some() -> None:
     reference = ConstantTwist(v=0.4, omega=1.2, duration=1.0)
     run = simulate(FeedForward(), make_plant("mujoco", sensors="perfect"), reference)
