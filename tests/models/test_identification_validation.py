@@ -292,3 +292,5 @@ def test_useless_data_are_refused():
         identify([experiment(np.ones(50), np.ones(50))])
     with pytest.raises(ValueError, match="sensor"):
         identify([experiment(steps(1.0), np.zeros(170))])
+    with pytest.raises(ValueError, match="no data"):
+        identify([])
