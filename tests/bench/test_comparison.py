@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from bench_parts import quick_case, quick_outcome
-from bench_parts import rows as rows_of
 from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config, make_plant
@@ -27,17 +25,11 @@ from diffdrive_mpc.bench.comparison.plan import (
     plan_cases,
     read_options,
 )
-from diffdrive_mpc.bench.comparison.plan import read_options as read
-from diffdrive_mpc.bench.comparison.properties import measure_properties, predicts, property_table
-from diffdrive_mpc.bench.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.comparison.study import ComparisonStudy
-from diffdrive_mpc.bench.comparison.tables import side_by_side_table
+from diffdrive_mpc.bench.comparison.properties import measure_properties
 from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
-from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, cvar, mean, median
-from diffdrive_mpc.bench.study import write_report
 
 QUICK = {
     "controllers": ("mpc",),
@@ -58,27 +50,6 @@ def asked(**given: Any) -> ComparisonSettings:
     """What the options ask for, dimensions by their names in the plural."""
     values = {one.several: given.pop(one.several) for one in DIMENSIONS if one.several in given}
     return read_options(values, **given)
-
-
-def test_the_default_is_a_peer_and_four_models_on_four_trajectories_with_five_seeds_and_no_sweep() -> None:
-    chosen = asked()
-    assert chosen == default_settings()
-    assert chosen.controllers == ("pursuit+slip", "mpc")
-    assert set(chosen.models) == {"kinematic", "mbm", "sm", "ssm"}
-    assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
-    assert len(chosen.seeds) == 5
-    assert chosen.horizons == () and not chosen.beyond
-    swept = asked(sweeps=True)
-    assert swept.horizons == (5, 10, 20, 30, 50) and swept.beyond
-    assert asked(sweeps=True, horizons="7").horizons == (7,)
-
-
-@pytest.mark.parametrize(
-    "given", [{"quick": True}, {"scaled": True}, {"settings": ["weights.across=1"]}, {"plants": "model:ssm"}]
-)
-def test_sweeps_stand_alone(given: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match="--sweeps: beside it give"):
-        asked(sweeps=True, **given)
 
 
 def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
@@ -107,11 +78,7 @@ def test_a_peer_has_no_model_and_no_settings() -> None:
     ("change", "message"),
     [
         ({"controllers": ("foo",)}, "unknown controller"),
-        ({"models": ("foo",)}, "unknown model"),
-        ({"trajectories": ("foo",)}, "unknown trajectory"),
         ({"plants": ("foo",)}, "unknown plant"),
-        ({"sensors": ("foo",)}, "unknown sensor"),
-        ({"scenarios": ("none", "foo")}, "unknown scenario"),
         ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
     ],
 )
@@ -120,66 +87,13 @@ def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, ob
         plan_cases(experiment(horizons=(), seeds=(0,), **change))
 
 
-SHIPPED = {
-    "models": ("model", "ssm"),
-    "trajectories": ("trajectory", "s"),
-    "surfaces": ("surface", "ideal"),
-    "sensors": ("sensors", "perfect"),
-    "plants": ("model", "ssm"),
-    "scenarios": ("scenario", "start_offset"),
-}
-
-
-def _text(dimension: str) -> str:
-    """Return the text of a shipped file or entry of a dimension."""
-    kind, name = SHIPPED[dimension]
-    return KINDS[kind].texts[name]
-
-
-@pytest.mark.parametrize("dimension", SHIPPED)
-def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) -> None:
-    paths = [tmp_path / "a" / "mine.yaml", tmp_path / "b" / "Mine.yaml", tmp_path / "b" / "other.yaml"]
-    for path in paths:
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(_text(dimension))
-    first, second, other = (f"model:{path}" if dimension == "plants" else str(path) for path in paths)
-    changes = {"horizons": (), "seeds": (0,), "trajectories": ("s",)}
-    with pytest.raises(ConfigError, match="rename one file") as refused:
-        plan_cases(experiment(**{**changes, dimension: (first, second)}))
-    assert f"{dimension}: '{first}' and '{second}'" in str(refused.value)
-    assert len(plan_cases(experiment(**{**changes, dimension: (first, other)})).all) == 2
-
-
 def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
     for name in ("SSM", "kanayama"):
         path = tmp_path / f"{name}.yaml"
-        path.write_text(_text("models"))
+        path.write_text(KINDS["model"].texts["ssm"])
         changes = {"models": ("ssm", str(path)), "controllers": ("mpc", "kanayama")}
         with pytest.raises(ConfigError, match=f"and '{path}' would both be '{name}'"):
             plan_cases(experiment(horizons=(), seeds=(0,), **changes))
-
-
-@pytest.mark.parametrize(
-    "given", [{"models": "nope"}, {"config": Path("nope.yaml")}, {"horizons": "5"}, {"settings": ["horizon=5"]}]
-)
-def test_peers_alone_refuse_what_they_would_ignore(given: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match="the controller 'kanayama' takes no --models, --config, --set or --horizons"):
-        asked(controllers="kanayama", **given)
-
-
-def test_quick_is_one_seed_without_horizons() -> None:
-    chosen = asked(quick=True)
-    assert chosen.seeds == (0,)
-    assert chosen.horizons == ()
-    assert asked(quick=True, seeds="2", horizons="5").seeds == (0, 1)
-
-
-def test_a_sweep_has_no_horizon_table_unless_it_is_asked_for() -> None:
-    assert asked(settings=["weights.across=1,2"]).horizons == ()
-    assert asked(settings=["weights.across=1,2"], horizons="5").horizons == (5,)
-    assert asked(horizons="none").horizons == ()
-    with pytest.raises(ConfigError, match="give one of them"):
-        asked(settings=["horizon=5"], horizons="5")
 
 
 def test_a_configuration_file_brings_its_model(tmp_path: Path) -> None:
@@ -215,13 +129,6 @@ def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
     assert ours == list(LATE_TICKS)
     assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
     assert not set(plan.beyond) & set(plan.all)
-
-
-def test_who_asks_for_a_model_gets_that_alone() -> None:
-    assert not default_settings().beyond and not read({}, quick=True).beyond
-    assert read({"models": "ssm"}, sweeps=True).beyond
-    assert read({"models": "ssm"}).values("controllers") == ("mpc",)
-    assert read({"models": "ssm", "controllers": "mpc,kanayama"}).values("controllers") == ("mpc", "kanayama")
 
 
 def test_another_top_speed_is_another_time_along_the_same_path() -> None:
@@ -318,63 +225,6 @@ def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
     assert 0 <= own.drift < other.drift
 
 
-def test_the_table_holds_property_and_error_of_the_same_model_and_plant(outcome: RunOutcome) -> None:
-    (found,) = measure_properties([outcome.case], 1)
-    (cells,) = property_table([found], rows_of(outcome)).rows
-    assert cells[:2] == ("SSM", "model:ssm, ideal, perfect")
-    assert float(cells[-1]) == pytest.approx(1e3 * outcome.run.metrics.position_rmse_m, abs=0.051)
-
-
-def test_a_rank_correlation_needs_a_few_points() -> None:
-    rows = [
-        {"fit_v_percent": 90.0 + k, "fit_omega_percent": 50.0 - k, "drift_m": d, "position_rmse_m": 1e-3 * k}
-        for k, d in enumerate((3.0, 1.0, 4.0, 2.0, 5.0))
-    ]
-    assert "FIT of v +1.00, FIT of omega -1.00, drift +0.50" in predicts(rows)
-    assert "too few" in predicts(rows[:4])
-
-
-@pytest.mark.long
-def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: RunOutcome, tmp_path: Path) -> None:
-    case = outcome.case
-
-    def beyond(*cases: Case) -> DataFrame:
-        return frame(row_of(one, outcome.run) for one in cases)
-
-    peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
-    results = ComparisonResults(
-        default_settings().model_copy(update={"seeds": (0,)}),
-        rows_of(outcome, peer),
-        properties=tuple(measure_properties([outcome.case], 1)),
-        speed=beyond(case, replace(case, top_speed=1.2)),
-        dead_time=beyond(case, replace(case, late=2)),
-        other_seeds=beyond(replace(case, seed=10)),
-    )
-    study = ComparisonStudy(results.settings)
-    report = study.report(results, 1.0)
-    write_report(study, report, describe_run(1.0) | report.meta, tmp_path)
-    data = json.loads((tmp_path / "bench.json").read_text())
-    assert set(data) == {"meta", "runs", "properties", "speed", "dead_time", "other_seeds"}
-    assert data["speed"][1]["top_speed_m_s"] == 1.2
-    assert data["dead_time"][1]["late_s"] == pytest.approx(2 * 0.0202)
-    assert not [name for name in data["speed"][0] if "_time_" in name]
-    assert list(report.figures)[:3] == ["overview.png", "speed.png", "dead-time.png"]
-    assert (tmp_path / "figures" / "dead-time.png").is_file()
-    text = (tmp_path / "bench.md").read_text()
-    assert "## Order" in text and "## Which property of a model predicts tracking" in text
-
-
-def test_controllers_stand_side_by_side_path_by_path(outcome: RunOutcome) -> None:
-    """Another path of another controller: where one did not drive there is a dash."""
-    other = replace(outcome, case=replace(outcome.case, model="mbm", trajectory="s"))
-    table = side_by_side_table(rows_of(outcome, replace(outcome, case=replace(outcome.case, seed=1)), other))
-    error = f"{1e3 * outcome.run.metrics.position_rmse_m:.1f}"
-    assert table.columns == ("trajectory", outcome.case.model.upper(), "MBM")
-    assert table.rows[0] == (outcome.case.trajectory, error, "-")
-    assert table.rows[1] == ("s", "-", error)
-    assert table.rows[2] == ("mean", error, error)
-
-
 def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
     values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
     assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
@@ -394,10 +244,3 @@ def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
     assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
     assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
     assert BootstrapEstimate.of_runs(values, mean) == found
-
-
-def test_few_runs_have_no_interval() -> None:
-    assert math.isnan(BootstrapEstimate.of_runs([], mean).value)
-    one = BootstrapEstimate.of_runs([3.0], cvar)
-    assert (one.value, math.isnan(one.low)) == (3.0, True)
-    assert BootstrapEstimate.of_runs([3.0, 3.0], cvar) == BootstrapEstimate(3.0, 3.0, 3.0)

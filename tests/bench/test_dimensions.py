@@ -5,28 +5,19 @@ from __future__ import annotations
 import re
 
 import pytest
-from bench_parts import quick_outcome
-from bench_parts import rows as rows_of
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension, combinations, parse_seeds, split_names, split_numbers
+from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension, parse_seeds
 from diffdrive_mpc.bench.comparison.plan import default_settings, read_options
-from diffdrive_mpc.bench.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.comparison.tables import path_table
 from diffdrive_mpc.bench.controllers import check_cases, load_reference
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.typed_settings import parse_setting, single_settings
 
 NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "seed"]
-
-
-def test_the_dimensions_are_the_fields_of_a_case() -> None:
-    assert [one.name for one in DIMENSIONS] == NAMES
-    assert list(Case().as_row()) == NAMES
 
 
 @pytest.mark.parametrize("of", DIMENSIONS, ids=lambda of: of.name)
@@ -49,17 +40,6 @@ def test_an_option_chooses_its_values(of: Dimension) -> None:
     assert [str(value) for value in chosen] == text.split(",")
 
 
-def test_combinations_vary_the_last_field_fastest() -> None:
-    cases = combinations(surface=["default", "slippery"], seed=[0, 1])
-    assert [(case.surface, case.seed) for case in cases] == [
-        ("default", 0),
-        ("default", 1),
-        ("slippery", 0),
-        ("slippery", 1),
-    ]
-    assert {case.plant for case in cases} == {"mujoco"}
-
-
 def test_timing_makes_another_reference_of_a_trajectory() -> None:
     filed, stopping, commanded = (
         load_reference(Case(trajectory="slalom", timing=timing)) for timing in ("file", "stop", "commanded")
@@ -67,22 +47,6 @@ def test_timing_makes_another_reference_of_a_trajectory() -> None:
     assert commanded.duration < filed.duration < stopping.duration
     with pytest.raises(ConfigError, match="timing 'fast': give stop, commanded or smooth"):
         check_cases([Case(), Case(timing="fast")])
-
-
-def test_rows_and_tables_tell_of_timing_and_smoothing_only_where_they_matter() -> None:
-    plain, smooth = quick_outcome(trajectory="cane"), quick_outcome(trajectory="cane", timing="smooth")
-    silent = default_settings()
-    rows = ComparisonResults(silent, rows_of(plain)).rows()
-    assert not {"timing", "drawn_max_m"} & set(rows[0])
-    assert "drawn" not in path_table(rows_of(plain)).markdown()
-    asked = silent.model_copy(update={"timings": ("file", "smooth")})
-    rows = ComparisonResults(asked, rows_of(plain, smooth)).rows()
-    assert [row["timing"] for row in rows] == ["file", "smooth"]
-    assert rows[0]["drawn_max_m"] == 0.0
-    assert 0.005 < rows[1]["drawn_rms_m"] * 2 < rows[1]["drawn_max_m"] * 2 <= 0.04
-    text = path_table(rows_of(plain, smooth)).markdown()
-    assert "reference to drawn path, max [m]" in text
-    assert "SSM, smooth" in text
 
 
 @pytest.mark.parametrize(
@@ -122,25 +86,14 @@ def test_several_settings_make_every_combination_in_order() -> None:
     ("text", "message"),
     [
         ("horizon", "write KEY=VALUE"),
-        ("=5", "write KEY=VALUE"),
-        ("horizon=", "write KEY=VALUE"),
         ("horizon=[5", "cannot be read"),
         ("horizon=5,5", "listed twice"),
-        ("model=ssm", "--models"),
         ("limits={v: 0.1},{v: 0.2}", "dotted keys"),
-        ("horizon=#5", "cannot be read"),
     ],
 )
 def test_what_cannot_be_a_setting_is_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         sweep_settings([text])
-
-
-def test_a_key_given_twice_is_refused() -> None:
-    with pytest.raises(ConfigError, match="given twice"):
-        sweep_settings(["horizon=5", "horizon=10"])
-    with pytest.raises(ConfigError, match="given twice"):
-        sweep_settings(["limits.predicted_v=1", "expert.limits.predicted_v=0.5"])
 
 
 def test_one_run_takes_one_value_for_each_key() -> None:
@@ -153,12 +106,3 @@ def test_one_run_takes_one_value_for_each_key() -> None:
 def test_what_cannot_be_seeds_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="--seeds"):
         parse_seeds(text)
-
-
-def test_lists_of_names_and_numbers() -> None:
-    assert split_names("ssm, sm", "--models") == ("ssm", "sm")
-    assert split_numbers("5,10", "--horizons", least=1) == (5, 10)
-    with pytest.raises(ValueError, match="--models"):
-        split_names("ssm,,sm", "--models")
-    with pytest.raises(ValueError, match="at least 1"):
-        split_numbers("0,5", "--horizons", least=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +31,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Toggle,
     Warned,
 )
-from diffdrive_mpc.bench.html_report.run_series import ERROR, METHOD, kept_ticks, rounded_list, run_series
+from diffdrive_mpc.bench.html_report.run_series import ERROR, kept_ticks, rounded_list, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.table import Table
@@ -167,17 +166,6 @@ def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Pat
         assert name in drawn
 
 
-@pytest.mark.system("browser")
-def test_a_report_of_tables_alone_needs_no_views(tmp_path: Path) -> None:
-    path = tmp_path / "report.html"
-    table = Table("Costs", ("what", "ms"), (("a", "1"),))
-    path.write_text(page_text(Page("c", "t", Shown(), [table], Origin("c", []))), encoding="utf-8")
-    with opened(path) as page:
-        assert page.locator("td").all_inner_texts() == ["a", "1"]
-        assert page.locator("#views").count() == 0
-        assert "None" in page.locator("#warnings").inner_text()
-
-
 def test_content_cannot_end_its_script() -> None:
     assert "<" not in json_text({"a": "</script><!--"})
 
@@ -195,22 +183,6 @@ def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutco
     assert lateral == pytest.approx(1e3 * run.errors.lateral[kept], abs=0.051)
     assert (np.abs(along) <= 1e3 * run.errors.position[kept] + 0.1).all()
     assert rounded_list(np.array([np.nan, 1.26]), 1) == [None, 1.3]
-
-
-def test_methods_and_modes_are_steps_over_the_whole_run(outcome: RunOutcome) -> None:
-    run = replace(outcome.run, modes=("BRAKING", *outcome.run.modes[1:]))
-    (steps,) = run_series(run, "a", points=60).panes[METHOD]
-    assert steps.y[0] == "BRAKING"
-    assert (steps.x[0], steps.x[-1]) == (run.time[0], pytest.approx(run.time[-1], abs=1e-3))
-    assert all(first != second for first, second in itertools.pairwise(steps.y[:-1]))
-
-
-def test_runs_on_one_path_share_their_reference(outcome: RunOutcome) -> None:
-    runs = [
-        run_series(outcome.run, name, points=50, labels={"controller": name, "path": "cane"}, style=style)
-        for style, name in enumerate(("SSM", "SM"))
-    ]
-    assert [entry.name for entry in RunViews(runs).plane.series] == ["reference", "SSM", "SM"]
 
 
 def test_a_sound_run_is_not_warned_of(outcome: RunOutcome) -> None:

@@ -34,12 +34,10 @@ from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
 from diffdrive_mpc.bench.peers.tracking_peer import (
     Delayed,
     LawInput,
-    TrackingPeer,
     law_kind,
     load_gains,
     make_tracking_peer,
 )
-from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate
@@ -105,20 +103,6 @@ def test_the_predictor_says_where_a_perfect_plant_will_be(ticks: int) -> None:
     assert expected.twist == pytest.approx(plant.true_twist[[0, 2]], abs=1e-9)
 
 
-def test_a_lead_between_samples_is_between_their_poses() -> None:
-    dt, slip = CONFIG.sample_time, Slip(side_slip=0.02)
-    state = MODEL.discretise(dt).settled_state([0.8, 0.6])
-    found = []
-    for lead in (2.0, 2.5, 3.0):
-        predictor = DelayPredictor(MODEL, dt, lead * dt)
-        for _ in range(5):
-            predictor.sent(np.array([0.8, 0.6]))
-        found.append(predictor.predict(np.zeros(3), state, slip).pose)
-    twist = MODEL.dc_gain @ [0.8, 0.6]
-    expected = [integrate_pose(np.zeros(3), *twist, lead * dt, 0.02) for lead in (2.0, 2.5, 3.0)]
-    np.testing.assert_allclose(found, expected, atol=1e-6)
-
-
 @given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), turned=st.floats(-1.0, 1.0), v=st.floats(-1.0, 1.0))
 def test_kanayamas_function_decreases_on_the_ideal_robot(x: float, y: float, turned: float, v: float) -> None:
     """V = (x^2 + y^2) / 2 + (1 - cos turned) / across, for a robot that does at once what it is told; sign of v free.
@@ -176,25 +160,6 @@ def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y:
         angle = 2 * np.arcsin(np.hypot(*carrot) / (2 * abs(radius))) * np.sign(turn)
         reached = np.array([radius * np.sin(angle), radius * (1 - np.cos(angle))])
         assert np.hypot(*(reached - carrot)) < 1e-6 or carrot[0] * v < 0
-
-
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_pursuit_thinks_a_path_that_ends_to_go_on(direction: float) -> None:
-    law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=0.6 * direction, omega=0.0, duration=2.1)
-    law.start(arc)
-    seen = sight([1.2 * direction, 0.0, 0.0], [1.2 * direction, 0.0, 0.0], [0.6 * direction, 0.0])
-    assert law.carrot(seen) == pytest.approx([0.24 * direction, 0.0], abs=1e-9)
-
-
-def test_a_tight_arc_is_driven_slowly() -> None:
-    arc = Arc(v=0.6, omega=0.0, duration=20.0)
-    speeds = []
-    for radius in (0.0, 0.5):
-        law = PursuitLaw(PURSUIT.model_copy(update={"least_radius": radius}), ROBOT)
-        law.start(arc)
-        speeds.append(law.decide(sight([1.2, 0.1, 0.8], [1.2, 0.0, 0.0], [0.6, 0.0])))
-    assert 0.0 < speeds[1][0] < 0.7 * speeds[0][0]
-    assert speeds[1][1] / speeds[1][0] == pytest.approx(speeds[0][1] / speeds[0][0])
 
 
 # What is tested is the law: the tuned gains of some peers without slip are too stiff for a start beside the path.
@@ -273,13 +238,6 @@ def test_leaning_into_the_curve_makes_up_for_side_slip() -> None:
         run = simulate(make_peer(name), make_plant("model:sm", surface="slippery"), load_trajectory("circle"))
         errors.append(run.metrics.lateral_rmse_m)
     assert errors[1] < 0.7 * errors[0]
-
-
-def test_a_step_before_the_start_is_a_fault() -> None:
-    law = PursuitLaw(PURSUIT, ROBOT)
-    with pytest.raises(RuntimeError, match="start"):
-        TrackingPeer(law, 0.09).step(0.0, Measurement())
-    assert float(wrap_angle(4.0)) < 0
 
 
 def test_missing_peer_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import multiprocessing
@@ -27,22 +26,18 @@ from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
 from diffdrive_mpc.bench.comparison.tables import (
-    error_table,
-    horizon_table,
     report_tables,
     scenario_table,
     solver_table,
     summary_table,
     time_table,
 )
-from diffdrive_mpc.bench.figure_style import file_name, free_name
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.report_folder import CONTENTS, staged
-from diffdrive_mpc.bench.run_row import RunOutcome, driver_names
+from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass
-from diffdrive_mpc.models.whole_file import scratch_folder
 from processes import is_running
 
 FIELDS = {
@@ -125,19 +120,6 @@ def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: RunOutco
     assert (peer["method_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
 
-def test_a_swept_value_is_added_to_its_row(outcome: RunOutcome) -> None:
-    case = outcome.case.with_override("weights.across", 200.0)
-    assert json_row(RunOutcome(case, outcome.run).row, ["scenario"], with_settings=True)["set"] == {
-        "weights.across": 200.0
-    }
-
-
-def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: RunOutcome) -> None:
-    added = [name for name in json_row(outcome.row, silent=("timing",)) if name not in FIELDS]
-    command = ["command_energy_v", "command_energy_omega", "command_rate_v", "command_rate_omega"]
-    assert added == ["scenario", "ended", "disturbance_s", "recovery_time_s", "overshoot_m", *command]
-
-
 def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
     values = json_row(RunOutcome(outcome.case, lasting).row, silent=())
@@ -147,19 +129,6 @@ def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -
     (cells,) = scenario_table(rows_of(RunOutcome(outcome.case, lasting))).rows
     assert cells[2:4] == ("-", "-")
     assert cells[-2:] == ("-", "1/1")
-
-
-def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_no_time(outcome: RunOutcome) -> None:
-    away = outcome.run.true_pose + np.array([0.0, 0.5, 0.0])
-    lost = replace(outcome.run, true_pose=away, disturbance=(1.0, 2.0))
-    held = replace(outcome.run, disturbance=(1.0, 2.0))
-    runs = [RunOutcome(replace(outcome.case, scenario="mine.yaml", seed=i), run) for i, run in enumerate((lost, held))]
-    assert driver_names([outcome.case, *(one.case for one in runs)]) == ["SSM, none", "SSM, mine", "SSM, mine"]
-    plain, mine = scenario_table(rows_of(outcome, *runs)).rows
-    assert plain[:5] == ("none", "SSM", "-", "-", "-")
-    assert plain[-2:] == ("-", "1/1")
-    assert mine[:4] == ("mine", "SSM", "∞", "∞")
-    assert mine[-2:] == ("1/2", "1/2")
 
 
 def test_what_cannot_be_computed_is_null(outcome: RunOutcome) -> None:
@@ -226,32 +195,6 @@ def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marke
     assert "*" not in "".join(time_table(rows_of(whole)).rows[0])
 
 
-def test_json_and_tables_hold_the_same_times(outcome: RunOutcome) -> None:
-    values = json_row(outcome.row, SILENT)
-    (cells,) = time_table(rows_of(outcome)).rows
-    shown = dict(zip(time_table(rows_of(outcome)).columns, cells, strict=True))
-    for what, statistic in itertools.product(("solve", "step"), ("p50", "p95", "p99", "max")):
-        written_ms = 1e3 * float(values[f"{what}_time_{statistic}_s"])  # type: ignore[arg-type]
-        assert float(shown[f"{what} {statistic} [ms]"]) == pytest.approx(written_ms, abs=5.1e-4)
-
-
-def test_the_horizon_table_is_sorted_by_horizon(results: ComparisonResults) -> None:
-    assert [cells[:2] for cells in horizon_table(results.horizon).rows] == [("SSM", "15"), ("SSM", "30")]
-
-
-def test_the_horizon_table_says_where_it_was_measured(results: ComparisonResults) -> None:
-    place = "plant model:ssm, surface ideal, sensors perfect, seed 0"
-    assert place in horizon_table(results.horizon).note
-    cases = [case.with_override("weights.across", 80) for case in results.horizon["case"]]
-    runs = rows_of(*(RunOutcome(case, run) for case, run in zip(cases, results.horizon["run"], strict=True)))
-    assert f"{place.replace(', seed 0', '')}, weights.across=80, seed 0" in horizon_table(runs).note
-
-
-def test_a_trajectory_called_mean_keeps_its_row(outcome: RunOutcome) -> None:
-    mean = RunOutcome(replace(outcome.case, trajectory="mean.yaml"), outcome.run)
-    assert [cells[1] for cells in error_table(rows_of(outcome, mean)).rows] == ["cane", "mean", "mean"]
-
-
 def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, tmp_path: Path) -> None:
     path = tmp_path / "tuned.yaml"
     path.write_text("model: ssm\nhorizon: 12\n")
@@ -284,12 +227,6 @@ def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:
     assert str(tmp_path) not in json.dumps(meta)
 
 
-def test_a_report_of_peers_alone_names_no_model() -> None:
-    meta = describe(default_settings().model_copy(update={"controllers": ("kanayama",)}), TimingPass())
-    assert meta["configuration"]["controllers"] == []
-    assert meta["experiment"]["models"] == []
-
-
 def test_runs_of_ours_that_did_not_complete_are_complained_about(results: ComparisonResults) -> None:
     assert incomplete(results) is None
     ours, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
@@ -301,14 +238,6 @@ def test_runs_of_ours_that_did_not_complete_are_complained_about(results: Compar
     assert incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
 
 
-def test_groups_name_only_what_varies(outcome: RunOutcome) -> None:
-    slippery = RunOutcome(replace(outcome.case, surface="slippery"), outcome.run)
-    swept = [RunOutcome(outcome.case.with_override("horizon", steps), outcome.run) for steps in (5, 10)]
-    assert driver_names([outcome.case]) == ["SSM"]
-    assert driver_names([outcome.case, slippery.case]) == ["SSM, ideal", "SSM, slippery"]
-    assert driver_names([one.case for one in swept]) == ["SSM, horizon=5", "SSM, horizon=10"]
-
-
 def test_the_named_files_are_put_in_place_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     moved: list[str] = []
     move = Path.replace
@@ -318,23 +247,6 @@ def test_the_named_files_are_put_in_place_last(tmp_path: Path, monkeypatch: pyte
         for name in ("bench.json", "bench.md", "figures/overview.png", "zebra.txt"):
             (folder / name).write_text("new")
     assert moved == ["overview.png", "zebra.txt", "bench.json", "bench.md"]
-
-
-@pytest.mark.parametrize("taken", ["bench.md", "figures"])
-def test_a_known_name_of_the_wrong_kind_is_refused_at_once(taken: str, tmp_path: Path) -> None:
-    if taken == "figures":
-        (tmp_path / taken).write_text("mine")
-    else:
-        (tmp_path / taken).mkdir()
-        (tmp_path / taken / "mine").write_text("mine")
-    entered = []
-    with (
-        pytest.raises(ConfigError, match=f"'{taken}' there is in the way"),
-        staged(tmp_path, files=("bench.md",), folders=("figures",)),
-    ):
-        entered.append(1)
-    assert not entered
-    assert [path.name for path in tmp_path.iterdir()] == [taken]
 
 
 @pytest.mark.parametrize("kind", ["folder", "link"])
@@ -368,37 +280,6 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), staged(tmp_path / "one" / "two" / "three"):
         raise ZeroDivisionError
     assert [path.name for path in tmp_path.iterdir()] == ["bench.md"]
-
-
-def test_a_table_needs_a_cell_for_every_column() -> None:
-    with pytest.raises(ValueError, match="2 cells for 3 columns"):
-        Table("t", ("a", "b", "c"), (("1", "2"),))
-    assert Table("t", ("a", "b [m]"), (("x|y", "1"),)).markdown().splitlines() == [
-        "## t",
-        "",
-        "| a | b [m] |",
-        "| --- | ---: |",
-        "| x\\|y | 1 |",
-    ]
-
-
-def test_file_names_suit_every_file_system() -> None:
-    assert file_name("SSM, surface=default: s") == "ssm-surface-default-s"
-
-
-def test_no_figure_takes_the_name_of_another(outcome: RunOutcome, tmp_path: Path) -> None:
-    assert free_name("a b", ["a-b.png", "a-b-2.png"]) == "a-b-3.png"
-    names = ("a_b.yaml", "a-b.yaml", "a b.yaml")
-    main = tuple(RunOutcome(replace(outcome.case, trajectory=name), outcome.run) for name in names)
-    settings = default_settings().model_copy(update={"seeds": (0,), "horizons": ()})
-    drawn = drawings(ComparisonResults(settings, rows_of(*main)))
-    for file, draw in drawn.items():
-        if callable(draw):
-            draw(tmp_path / file)
-    expected = ["overview.png", "step-time.png", "ssm-a-b.png", "ssm-a-b-2.png", "ssm-a-b-3.png"]
-    assert list(drawn) == expected
-    assert len(drawn) == len(expected)
-    assert {path.name for path in tmp_path.iterdir()} == {name for name, draw in drawn.items() if callable(draw)}
 
 
 def _write(out: Path, owner: str, *names: str, shared: bool = False) -> None:
@@ -506,14 +387,6 @@ def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(t
     _write(tmp_path, "bench", "third", shared=shared)
     assert "third" in _there(tmp_path)
     assert not list(tmp_path.glob(".unfinished-*"))
-
-
-def test_a_draft_that_is_being_written_is_not_left_over(tmp_path: Path) -> None:
-    """However old it is."""
-    with scratch_folder(tmp_path) as first:
-        os.utime(first, (0, 0))
-        with scratch_folder(tmp_path):
-            assert first.is_dir()
 
 
 def test_workers_end_when_their_parent_is_killed() -> None:

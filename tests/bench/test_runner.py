@@ -19,10 +19,9 @@ from bench_parts import quick_case
 from commands import invoke
 from diffdrive_mpc import sweep
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench import runner
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.run_row import row_of
-from diffdrive_mpc.bench.runner import SchedulerLostError, WorkerDiedError, cluster, lasting_processes, run_tasks
+from diffdrive_mpc.bench.runner import SchedulerLostError, WorkerDiedError, cluster, run_tasks
 
 
 def slow_square(number: int) -> int:
@@ -51,17 +50,6 @@ def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
 
 def test_every_process_has_one_thread() -> None:
     assert run_tasks([threads, threads], 2, lambda: None) == ["1", "1"]
-
-
-def test_processes_last_where_that_is_asked_for() -> None:
-    def twice() -> list[set[int]]:
-        return [set(run_tasks([os.getpid] * 8, 2, lambda: None)) for _ in range(2)]
-
-    with lasting_processes():
-        first, second = twice()
-    assert len(first | second) <= 2
-    first, second = twice()
-    assert not first & second
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -121,15 +109,6 @@ def test_killed_worker_loses_no_result_and_results_equal_local_ones() -> None:
     pd.testing.assert_frame_equal(distributed, sweep(model=["sm", "ssm"], seeds=2, jobs=2, **SHORT), check_exact=True)
 
 
-def test_task_that_ends_its_worker_raises_worker_died_error() -> None:
-    with (
-        dask_cluster(1, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as (address, _),
-        pytest.raises(WorkerDiedError, match="ended its worker"),
-        cluster(address),
-    ):
-        run_tasks([die], 1, lambda: None)
-
-
 def test_lost_scheduler_is_one_line() -> None:
     with (
         dask_cluster(1) as (address, processes),
@@ -137,19 +116,6 @@ def test_lost_scheduler_is_one_line() -> None:
         cluster(address),
     ):
         run_tasks([partial(position_rmse, seed) for seed in range(8)], 1, processes[0].kill)
-
-
-def test_absent_scheduler_and_absent_workers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_CONNECT", 0.5)
-    with (
-        pytest.raises(SchedulerLostError, match="tcp://127.0.0.1:9: no answer; start it with"),
-        cluster("tcp://127.0.0.1:9"),
-    ):
-        pass
-    monkeypatch.setattr(runner, "_CONNECT", 10.0)
-    monkeypatch.setattr(runner, "_WAIT_FOR_WORKERS", 0.5)
-    with dask_cluster(0) as (address, _), pytest.raises(SchedulerLostError, match="has no worker"), cluster(address):
-        pass
 
 
 Process = subprocess.Popen[bytes]

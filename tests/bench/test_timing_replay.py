@@ -14,7 +14,7 @@ from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 from loop_parts import FeedForward, FixedStep
 
 from diffdrive_mpc.bench import turns
-from diffdrive_mpc.bench.counters import SLOWER, Effort, busy_time, watched
+from diffdrive_mpc.bench.counters import SLOWER, Effort
 from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.bench.turns import AGAIN, BLOCK, COLD, TurnTimes, take_turns
@@ -184,13 +184,6 @@ def test_what_stays_disturbed_is_marked_and_left_out() -> None:
     assert replay.passes == AGAIN + 1
 
 
-def test_where_nothing_is_clean_the_times_stand_as_they_are() -> None:
-    every = {first: [PUT_ASIDE] * (AGAIN + 1) for first in (0, 2)}
-    ((times,),), _ = take_turns([[Scripted("a", 4, [], every)]], block=2)
-    assert times.share == 0.0
-    assert np.isfinite(times.kept[0, 1::2]).all()
-
-
 def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
     slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, own=1.2 * turns.STRETCH)
     efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
@@ -218,18 +211,6 @@ def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
     assert times.times[0, 1::2, 0].tolist() == [2, 1]
 
 
-def test_a_replay_that_fails_takes_no_more_turns() -> None:
-    class Failing(Scripted):
-        def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-            return None if first else super().run(first, last)
-
-    a, b = Failing("a", 6, said := []), Scripted("b", 6, said)
-    ((times, whole),), _ = take_turns([[a, b]], block=2)
-    assert a.passes == 1
-    assert times.share == pytest.approx(1 / 3)
-    assert whole.share == 1.0
-
-
 @pytest.mark.parametrize(
     ("changes", "undisturbed"),
     [
@@ -242,20 +223,3 @@ def test_a_replay_that_fails_takes_no_more_turns() -> None:
 )
 def test_what_disturbs_a_block(changes: dict[str, float], undisturbed: bool) -> None:
     assert QUIET._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed
-
-
-def test_an_idle_stretch_counts_as_time_without_the_core() -> None:
-    _, effort = watched(lambda: time.sleep(0.02))
-    assert effort.elapsed >= 0.02
-    assert effort.own < 0.5 * effort.elapsed
-    assert not effort.undisturbed(effort.pace)
-    result, effort = watched(lambda: sum(range(1000)))
-    assert result == 499500
-    assert 0 < effort.own <= effort.elapsed + 1e-5
-
-
-def test_busy_time_of_a_core_only_grows() -> None:
-    before = busy_time(0)
-    sum(range(200_000))
-    assert busy_time(0) >= before >= 0.0
-    assert busy_time(None) == 0.0

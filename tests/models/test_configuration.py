@@ -19,7 +19,6 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import SmFile
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.mpc.config.rooms import side_by_side
-from diffdrive_mpc.mpc.config.schema import ControllerConfig, Estimator
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
 WHEELS = {"track": 0.5, "top_speed": 0.4}
@@ -182,18 +181,3 @@ def test_noise_is_found_under_motion_plateaus_and_outliers(outliers):
     assert found["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
     assert found["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
     assert "position_noise" not in found
-
-
-def test_the_least_noises_are_those_of_the_shipped_configuration():
-    usual = Estimator()
-    assert SETTINGS.least_noise == {name: getattr(usual, name) for name in SETTINGS.least_noise}
-    assert set(SETTINGS.least_noise) == {
-        name for name in Estimator.model_fields if name.endswith("_noise") and "input" not in name
-    }
-
-
-def test_the_lengths_are_those_of_the_shipped_configuration():
-    config = ControllerConfig()
-    for key, length in SETTINGS.lengths.items():
-        group, _, name = key.partition(".")
-        assert getattr(getattr(config, group), name) == length

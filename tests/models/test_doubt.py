@@ -8,9 +8,7 @@ import pytest
 from identification_parts import noisy_drive, two_channels
 
 from diffdrive_mpc import models
-from diffdrive_mpc.models.doubt import VERDICTS, Doubt
-from diffdrive_mpc.models.logs import Finding
-from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.doubt import VERDICTS
 from diffdrive_mpc.models.output_error.doubts import answer_delays, badly_known, late_answers
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -39,16 +37,6 @@ def test_every_kind_has_its_verdict():
     kinds = kinds_in_the_sources()
     assert len(kinds) > 30
     assert kinds - set(VERDICTS) == set()
-
-
-def test_a_verdict_stands_once_behind_what_is_said():
-    doubt = Doubt("second lag", "damping = 2 is badly known").of("v")
-    assert str(doubt) == "v: damping = 2 is badly known (does not matter for driving: one lag is enough)"
-    spikes = [Finding("spikes", "warning", f"{at} s", "spikes") for at in range(4)]
-    gap = Finding("gap", "note", "5 s", "a gap")
-    lines = counted([*spikes, gap])
-    assert [line.count("for driving") for line in lines] == [1, 1, 0]
-    assert lines[1].startswith("1 s: spikes (and 2 more like it) (does not matter")
 
 
 @pytest.mark.parametrize(("deviation", "late"), [(0.005, []), (0.03, ["lag"])])

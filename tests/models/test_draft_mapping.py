@@ -63,26 +63,10 @@ def test_columns_and_units_are_guessed(tmp_path, names):
         np.testing.assert_allclose(getattr(guessed, field), getattr(right, field), atol=1e-9, err_msg=field)
 
 
-def test_every_guess_has_its_reason_and_the_rest_is_named(tmp_path):
-    draft = draft_mapping(write_csv(tmp_path / "log.csv", COLUMNS | {"status": COLUMNS["t"], "odd": COLUMNS["v"]}))
-    guesses = [line for line in draft.splitlines() if "{column:" in line]
-    assert len(guesses) == 9
-    assert all(len(line.split("    # ")[1]) > 10 for line in guesses)
-    assert "v: {column: v, unit: m/s}    # no unit in its name, but values up to " in draft
-    assert "follows 'v_ref' by 1 rows" in draft
-    assert draft.endswith("# Not used: status, odd\n")
-
-
 @pytest.mark.parametrize(("stamp", "unit"), [(1.7e9, "s"), (1.7e12, "ms"), (1.7e15, "us"), (1.7e18, "ns")])
 def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
     log = write_csv(tmp_path / "log.csv", COLUMNS | {"t": stamp + COLUMNS["t"] * stamp / 1.7e9})
     assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
-
-
-def test_a_row_counter_is_no_time(tmp_path):
-    columns = {name: values for name, values in COLUMNS.items() if name != "t"}
-    log = write_csv(tmp_path / "log.csv", {"seq": np.arange(len(COLUMNS["t"]))} | columns)
-    assert "sample_time:    # fill in the time between rows" in draft_mapping(log)
 
 
 def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled_in(tmp_path):
@@ -109,10 +93,3 @@ def test_topics_are_guessed_by_type_and_name(tmp_path):
     ]
     assert "it could also be /joy/cmd_vel" in draft_mapping(bag)
     assert len(read_log(bag, tmp_path / "draft.yaml").records) == 1
-
-
-def test_a_log_without_a_command_says_so(tmp_path):
-    log = write_csv(tmp_path / "log.csv", {"t": COLUMNS["t"], "gyro": COLUMNS["gyro"]})
-    assert "# command: no whole group of columns, but it is needed" in draft_mapping(log)
-    with pytest.raises(ConfigError, match=r"key 'columns\.command' is missing"):
-        load_mapping(draft_of(log, tmp_path))

@@ -135,14 +135,6 @@ def test_a_speed_error_drifts_in_proportion_to_time():
     assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
 
 
-def test_a_record_without_poses_or_too_short_is_refused():
-    drive = noisy_drive(MODEL, 7, count=100)
-    with pytest.raises(ValueError, match="no pose"):
-        pose_drift([drive], [drive.twist])
-    with pytest.raises(ValueError, match="no record is 10 s long"):
-        pose_drift([driven(drive.twist)], [drive.twist], horizons=(10.0,))
-
-
 DRIVE = noisy_drive(published_ssm(), 21, count=1500, limit=0.9)
 WHEELS = DRIVE.twist @ np.array([[1.0, 1.0], [-0.2, 0.2]]) / 0.07
 WITH_WHEELS = Record("wheels", 0.0, DRIVE.dt, DRIVE.command, twist=DRIVE.twist, yaw_rate=DRIVE.yaw_rate, wheels=WHEELS)
@@ -294,12 +286,8 @@ def test_fit_of_perfect_mean_and_worse():
 
 
 def test_useless_data_are_refused():
-    with pytest.raises(ValueError, match="at least"):
-        experiment(steps(1.0)[:4], steps(1.0)[:4])
     with pytest.raises(ValueError, match="not finite"):
         experiment(steps(1.0), np.full(170, np.nan))
-    with pytest.raises(ValueError, match="same number of samples"):
-        experiment(steps(1.0), np.zeros(30))
     with pytest.raises(ValueError, match="never changes"):
         identify([experiment(np.ones(50), np.ones(50))])
     with pytest.raises(ValueError, match="sensor"):

@@ -131,22 +131,6 @@ def test_a_pole_too_fast_to_see_is_said():
     assert {doubt.kind for doubt in doubts} == {"divided lag"}
 
 
-def test_two_poles_that_meet_are_said():
-    twin = two_channels((1.0, 8.0, 1.01), (1.0, 7.0, 0.7))
-    said = [
-        warning
-        for seed in (9, 10, 11, 12)
-        for warning in identify_sm([noisy_drive(twin, seed, count=1000, noise=(0.05, 0.05))], limits=False).warnings
-    ]
-    assert any("cannot be told apart" in warning.words for warning in said)
-
-
-def test_a_dead_time_longer_than_the_search_is_said():
-    late = two_channels((1.0, 10.0, 0.9), (1.0, 7.0, 0.7), dead_time=(0.9, 0.03))
-    found = identify_sm([noisy_drive(late, 13, count=1500)], limits=False)
-    assert any("v: dead time" in doubt.words and "bound" in doubt.words for doubt in found.warnings)
-
-
 def test_ssm_finds_the_published_model():
     model = published_ssm()
     drive = noisy_drive(model, 14)
@@ -225,20 +209,12 @@ def test_the_same_log_gives_the_same_numbers():
 
 def test_bad_input_is_one_clear_line():
     drive = noisy_drive(SM, 20, count=200)
-    with pytest.raises(ValueError, match="at least one record"):
-        identify_sm([])
     with pytest.raises(ValueError, match="no yaw_rate"):
         identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])
-    with pytest.raises(ValueError, match="no wheels"):
-        identify_mbm([drive], 0.07)
-    with pytest.raises(ValueError, match="at least 20"):
-        identify_sm([drive.part(0, 10)])
     with pytest.raises(ValueError, match="never changes"):
         identify_sm([record(np.ones((100, 2)), drive.twist[:100])])
     with pytest.raises(ValueError, match="did the robot move"):
         identify_sm([record(drive.command, np.zeros((200, 2)))])
-    with pytest.raises(ValueError, match="order 7"):
-        identify_ssm([drive], 7)
 
 
 SPIKED = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))

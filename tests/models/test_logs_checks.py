@@ -141,55 +141,6 @@ def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, 
     assert len(lines(read(tmp_path, changes), "stuck sensor")) == found
 
 
-def test_a_constant_command_excites_nothing(tmp_path):
-    log = read(tmp_path, {"v_ref": np.full(1000, 0.5), "omega_ref": np.zeros(1000)})
-    assert lines(log, "constant input") == [
-        "log.csv: the command never changes (v 0.5 m/s, omega 0 rad/s), so it excites nothing; drive steps of both "
-        "signs in v and in omega, each for a second or more"
-    ]
-    with pytest.raises(ConfigError, match="the command never changes"):
-        log.require_sound()
-
-
-def test_one_step_is_little_excitation(tmp_path):
-    log = read(tmp_path, {"v_ref": np.where(COLUMNS["t"] < 10, 0.0, 0.5)})
-    assert "the command of v changes 1 times, too few" in lines(log, "little excitation")[0]
-
-
-def test_a_clipped_command_is_saturated(tmp_path):
-    smooth = 1.5 * np.sin(COLUMNS["t"])
-    log = read(tmp_path, {"v_ref": np.clip(smooth, -0.6, 0.6)})
-    assert "the command of v rests at its limit of 0.6 m/s in 7" in lines(log, "saturation")[0]
-    assert lines(read(tmp_path, {"v_ref": smooth}), "saturation") == []
-
-
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [("v", "v of the encoders"), ("omega_wheels", "omega of the encoders"), ("gyro", "omega of the gyro")],
-)
-def test_a_wrong_sign_is_an_error(tmp_path, name, what):
-    log = read(tmp_path, {name: -COLUMNS[name]})
-    (line,) = lines(log, "wrong sign")
-    assert line.startswith(f"log.csv: {what} runs against the command (correlation -")
-    with pytest.raises(ConfigError, match="sign: -1"):
-        log.require_sound()
-
-
-@pytest.mark.parametrize(
-    ("factor", "remedy"),
-    [
-        (180 / np.pi, "unit: deg/s`"),
-        (np.pi / 180, "its column is in rad/s (and not deg/s); in the mapping: gyro `yaw_rate.unit: rad/s`"),
-        (1000.0, "no unit of the mapping explains it"),
-        (0.001, "no unit of the mapping explains it"),
-        (30 / np.pi, "unit: rpm`"),
-    ],
-)
-def test_a_wrong_unit_is_suspected(tmp_path, factor, remedy):
-    (line,) = lines(read(tmp_path, {"gyro": factor * COLUMNS["gyro"]}), "wrong unit")
-    assert "omega of the gyro" in line and remedy in line
-
-
 @pytest.mark.parametrize("gain", [0.4, 1.0, 2.0])
 def test_gains_that_a_robot_can_have_raise_no_suspicion(tmp_path, gain):
     log = read(tmp_path, {"gyro": gain * COLUMNS["gyro"]})

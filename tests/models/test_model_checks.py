@@ -21,12 +21,6 @@ def one_line(error):
     return str(error.value)
 
 
-def test_unknown_model_names_the_known_ones():
-    with pytest.raises(ConfigError, match="mbm, sm, ssm") as error:
-        load_model("smm")
-    assert "did you mean" in one_line(error)
-
-
 def test_unstable_model(tmp_path):
     with pytest.raises(ModelError, match="unstable") as error:
         load_model(write(tmp_path, A=[[7.381, 0.3359], [-1.104, -13.31]]))
@@ -84,13 +78,6 @@ def test_mistakes_in_the_file(tmp_path, changes, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_model(write(tmp_path, **changes))
     one_line(error)
-
-
-def test_a_file_that_is_no_yaml(tmp_path):
-    path = tmp_path / "model.yaml"
-    path.write_text("A: [1, 2\nB: 3")
-    with pytest.raises(ConfigError, match="line"):
-        load_model(path)
 
 
 def test_a_key_given_twice(tmp_path):

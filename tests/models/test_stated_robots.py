@@ -5,7 +5,6 @@ import yaml
 from log_parts import bag_topics, drive, write_bag
 
 from diffdrive_mpc import ConfigError, identify, load_config
-from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.plug_ins import plug_in_names
 from diffdrive_mpc.models.stated_robot import STATED_ROBOTS, load_stated_robot, stated_robots
@@ -54,19 +53,6 @@ def test_the_turtlebot_keeps_its_safety_limit():
     """Its firmware lets it drive faster only where its safety features are off."""
     words = "\n".join(load_stated_robot("turtlebot4").lines())
     assert "v 0.306 m/s (stated: safety)" in words
-
-
-def test_an_unknown_name_is_one_line_with_the_names():
-    with pytest.raises(ConfigError, match="dingo_d, husky, jackal, turtlebot4, warthog") as refused:
-        load_stated_robot("husk")
-    assert "\n" not in str(refused.value)
-
-
-def test_a_source_that_is_not_listed_is_refused(tmp_path):
-    text = KINDS["stated-robot"].texts["husky"].replace("stated: 4, source: control", "stated: 4, source: memory")
-    (tmp_path / "mine.yaml").write_text(text)
-    with pytest.raises(ConfigError, match="memory"):
-        load_stated_robot(tmp_path / "mine.yaml")
 
 
 def test_topics_are_those_of_the_namespace_that_has_the_odometry(husky_bag):

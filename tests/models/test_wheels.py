@@ -30,16 +30,6 @@ def test_pulses_per_second_follow_the_papers_equation(twist):
     assert pulses == pytest.approx([left, right, left, right], abs=1e-9)
 
 
-def test_full_speed_is_that_of_the_motor_catalogue():
-    assert ROBOT.limits.wheel_speed * ROBOT.wheel_radius == pytest.approx(2.205, abs=1e-3)
-    assert ROBOT.limits.wheel_speed * ROBOT.encoder_pulses / (2 * np.pi) == pytest.approx(2796, abs=1)
-
-
-def test_many_twists_at_once():
-    assert KINEMATICS.wheel_speeds(np.zeros((7, 2))).shape == (7, 4)
-    assert KINEMATICS.twist(np.ones((7, 4))).shape == (7, 2)
-
-
 @pytest.mark.parametrize("bad", [0.0, -0.1, float("nan")])
 def test_lengths_must_be_lengths(bad):
     with pytest.raises(ValueError, match="radius"):
@@ -116,13 +106,10 @@ def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
     [
         ("  battery: /imu\n", "topic '/imu' is of type sensor_msgs/msg/Imu; expected sensor_msgs/msg/BatteryState"),
         ("  motors: {left: /left_a}\n", "right"),
-        ("  motors: {left: /left_a, right: /joints}\n", "topic '/joints' is of type sensor_msgs/msg/JointState"),
         (
             "  motors: {left: {topic: /joints, joints: [middle]}, right: /right_a}\n",
             "is one of the joints middle in it",
         ),
-        ("  motors: {left: {topic: /joints, fields: [effort.9]}, right: /right_a}\n", "no number under 'fields'"),
-        ("  motors: {left: {topic: /joints, fields: [effort.0], joints: [fl]}, right: /right_a}\n", "not both"),
     ],
 )
 def test_what_cannot_be_read_gets_a_sentence(tmp_path, words, found):

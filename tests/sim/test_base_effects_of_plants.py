@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc import ConfigError, load_model, make_plant
+from diffdrive_mpc import load_model, make_plant
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, respond
 from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
 from diffdrive_mpc.models.robot import load_robot
@@ -72,11 +72,6 @@ def test_a_robot_brings_its_own_floor_and_sensors(tmp_path):
     still = driven(tmp_path, quiet, np.zeros((5, 2)), sensors="default")
     assert not still.yaw_rate.any()
     assert driven(tmp_path, quiet, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
-
-
-def test_a_mistake_in_it_is_one_line(tmp_path):
-    with pytest.raises(ConfigError, match=r"unknown key 'base\.slew'"):
-        driven(tmp_path, "base: {slew: 3}", np.zeros((1, 2)))
 
 
 TICK = load_robot().sample_time

@@ -275,9 +275,3 @@ def test_a_disturbed_sample_tells_the_weakened_torque() -> None:
     weak = drive_open_loop(make_plant("mujoco", seed=2, scenario="weak_motor"), random_commands(2)[:200])
     assert np.isfinite(weak.motor_torque).all()
     assert not np.array_equal(weak.motor_torque, healthy.motor_torque)
-
-
-def test_a_velocity_model_has_no_motors() -> None:
-    drive = drive_open_loop(make_plant("model:ssm"), np.tile([0.4, 0.0], (5, 1)))
-    assert np.isnan(drive.motor_torque).all()
-    assert drive.motor_torque.shape == (5, 4)

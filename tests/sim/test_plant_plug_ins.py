@@ -11,7 +11,7 @@ import pytest
 from loop_parts import ConstantTwist, FeedForward
 
 from diffdrive_mpc import MissingPackageError, make_plant
-from diffdrive_mpc.bench.case import Case, label
+from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import case_config, load_reference
 from diffdrive_mpc.bench.run_row import row_of
 from diffdrive_mpc.models import plug_ins
@@ -21,7 +21,6 @@ from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import Plant, Run, simulate
 from diffdrive_mpc.sim.plants.make import physics_robot
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plant import PlantAround
 from diffdrive_mpc.sim.plants.plug_ins import RunColumns, SimulatorPart
 
@@ -137,25 +136,6 @@ def test_registered_kind_makes_plants_around_others() -> None:
 
 
 @pytest.mark.usefixtures("registered")
-@pytest.mark.parametrize(
-    ("name", "argument", "plant"),
-    [
-        ("walled:a", "a", "mujoco"),
-        ("walled:a:b@drawn:4", "a:b", "drawn:4"),
-        ("walled:me@home/a.yaml", "me@home/a.yaml", "mujoco"),
-        ("walled:me@home/a.yaml@mujoco:b.yaml", "me@home/a.yaml", "mujoco:b.yaml"),
-    ],
-)
-def test_name_of_a_plant_around_another_is_split_at_the_last_plant(name: str, argument: str, plant: str) -> None:
-    parts = split_plant(name)
-    assert parts is not None and parts[1:] == (argument, plant)
-
-
-def test_built_in_plants_are_not_split() -> None:
-    assert split_plant("mujoco") is split_plant("mujoco:heavy") is split_plant("model:a@b") is None
-
-
-@pytest.mark.usefixtures("registered")
 def test_plant_with_surroundings_shows_them_each_tick_and_ends_the_run() -> None:
     run = simulate(FeedForward(), make_plant("walled:a@model:ssm"), REFERENCE)
     assert run.parts["walled"] == len(run.time)
@@ -175,10 +155,6 @@ def test_plant_brings_settings_and_a_path() -> None:
     with pytest.raises(ConfigError, match="has no path of its own; give a --trajectory"):
         load_reference(Case(plant="walled:none"))
     assert load_reference(Case(plant="walled:none", trajectory="cane")).name == "cane"
-
-
-def test_label_of_a_plant_around_another_hides_both_folders() -> None:
-    assert label("world:/home/me/a.yaml@mujoco:/tmp/b.yaml") == "world:a@mujoco:b"
 
 
 @pytest.mark.usefixtures("registered")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
-import sys
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -14,11 +12,9 @@ import pandas as pd
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
 
-from diffdrive_mpc import DiffdriveMpcError, Measurement, MissingPackageError, make_plant
+from diffdrive_mpc import Measurement, make_plant
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
 
@@ -116,12 +112,6 @@ def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_proces
             np.testing.assert_array_equal(array, arrays(run)[name])
 
 
-def test_the_arrays_that_a_run_was_made_of_stay_the_callers() -> None:
-    times = np.array([0.0, 0.1])
-    run_along(CIRCLE, [0, 0, 0], [0, 0, 0], times)
-    times[0] = -1.0
-
-
 def test_a_run_becomes_a_dataframe(run: Run) -> None:
     table = run.to_dataframe()
     assert isinstance(table, pd.DataFrame)
@@ -131,13 +121,6 @@ def test_a_run_becomes_a_dataframe(run: Run) -> None:
     np.testing.assert_array_equal(table[["v_ref_m_s", "omega_ref_rad_s"]], run.command)
     assert table["solver_path"].value_counts().to_dict() == {"none": 26, "unlimited": 25}
     assert table["t_s"].dtype == float
-
-
-def test_without_pandas_one_line_says_how_to_get_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingPackageError, match=r"^run\.to_dataframe\(\) needs pandas: pip install pandas$") as found:
-        run.to_dataframe()
-    assert isinstance(found.value, DiffdriveMpcError) and isinstance(found.value, ImportError)
 
 
 def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
@@ -168,12 +151,6 @@ def test_a_run_prints_as_a_table() -> None:
     assert repr(run) == "Run along 'line': 4 ticks of 1 s"
 
 
-def test_former_names_of_the_solver_s_method_warn() -> None:
-    report = SolverReport(SolverStatus.SOLVED, "unlimited")
-    with pytest.warns(DeprecationWarning, match=r"SolverReport\.path is SolverReport\.method now"):
-        assert report.path == "unlimited"
-
-
 def test_columns_hold_the_true_torques_of_motors_only_if_the_plant_has_some() -> None:
     reference = ConstantTwist(v=0.4, omega=1.2, duration=1.0)
     run = simulate(FeedForward(), make_plant("mujoco", sensors="perfect"), reference)
@@ -189,10 +166,3 @@ def test_robot_named_default_equals_the_robot_without_a_name() -> None:
         simulate(FeedForward(), make_plant(name, sensors="perfect"), reference) for name in ("mujoco", "mujoco:default")
     )
     assert np.array_equal(plain.true_pose, named.true_pose) and np.array_equal(plain.motor_torque, named.motor_torque)
-
-
-def test_robot_file_of_version_0_2_keeps_its_motors_and_battery(tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text("description: a robot\ndrive: fsu_bot\nbattery: {voltage: 16.8}\n")
-    assert load_simulated_robot(tmp_path / "r.yaml").parts == {
-        "power": {"drive": "fsu_bot", "battery": {"voltage": 16.8}}
-    }

@@ -14,7 +14,7 @@ from diffdrive_mpc import ConfigError, Measurement, Stamped, make_plant
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.disturbances.scenario import Scenario, load_scenario
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.sensing.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
@@ -56,17 +56,6 @@ def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None
             assert measurement.pose.time > newest
             newest = measurement.pose.time
             assert np.asarray(measurement.pose.value)[0] == pytest.approx(max(newest, 0.0), abs=1e-9)
-
-
-@pytest.mark.parametrize("name", ["default", "slam", "perfect"])
-def test_first_measurement_is_complete_and_its_pose_not_from_the_future(name: str) -> None:
-    first = _run(load_sensor_set(name), 0)[0]
-    assert first.pose is not None
-    assert first.wheel_twist is not None
-    assert first.wheel_speeds is not None
-    assert first.yaw_rate is not None
-    assert first.pose.time <= 0.0
-    assert first.yaw_rate.time == first.wheel_twist.time == 0.0
 
 
 def test_noise_has_the_stated_covariance() -> None:
@@ -123,15 +112,6 @@ def test_reported_heading_is_wrapped(theta: float) -> None:
     assert np.cos(reported - theta) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_heading_of_exactly_half_a_turn_is_reported_positive() -> None:
-    sensors = Sensors(load_sensor_set("perfect"), KINEMATICS, DT, seed=0, noisy_encoders=True)
-    for theta in (np.pi, -np.pi):
-        sensors.reset([0.0, 0.0, theta], np.zeros(4))
-        pose = sensors.collect(0.0, None).pose
-        assert pose is not None
-        assert np.asarray(pose.value)[2] == np.pi
-
-
 def test_nothing_is_delivered_twice() -> None:
     sensors = Sensors(load_sensor_set("default"), KINEMATICS, DT, seed=0, noisy_encoders=True)
     sensors.collect(0.0, None)
@@ -151,10 +131,7 @@ def _file(folder: Path, period: str, latency: str) -> Path:
     ("period", "latency", "key"),
     [
         ("1.0e-7", "0.02", "pose.period"),
-        ("0", "0.02", "pose.period"),
-        ("-0.1", "0.02", "pose.period"),
         ("0.1", "1.0e+9", "pose.latency"),
-        ("0.1", "2.01", "pose.latency"),
         ("0.1", "-0.01", "pose.latency"),
     ],
 )
@@ -186,15 +163,11 @@ def _value(stamped: Stamped | None) -> list[float] | None:
     ("name", "rate", "age"),
     [
         ("poses_2hz", 2, 0.02),
-        ("poses_5hz", 5, 0.02),
-        ("poses_10hz", 10, 0.02),
         ("poses_20hz", 20, 0.02),
-        ("poses_100ms", 1 / TICK, 0.1),
         ("poses_200ms", 1 / TICK, 0.2),
         ("poses_50hz_200ms", 1 / TICK, 0.2),
         ("poses_5hz_350ms", 5, 0.35),
         ("poses_100ms_arrival", 1 / TICK, 0.0),
-        ("poses_200ms_arrival", 1 / TICK, 0.0),
     ],
 )
 def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rate: float, age: float) -> None:
@@ -238,9 +211,6 @@ def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path
     assert (mine.pose, mine.encoders) == (usual.pose, usual.encoders)
     path.write_text("pose: {latncy: 0.1}\n")
     with pytest.raises(ConfigError, match=r"mine\.yaml: unknown key 'pose\.latncy'; did you mean 'pose\.latency'\?$"):
-        load_sensor_set(path)
-    path.write_text("encoders: {speed_sd: 1.0e+299}\n")
-    with pytest.raises(ConfigError, match=r"encoders\.speed_sd: .* less than or equal to 1000"):
         load_sensor_set(path)
 
 
@@ -331,13 +301,3 @@ def test_a_sensor_that_is_lost_and_then_stuck_repeats_what_came_last(tmp_path: P
     assert all(m.yaw_rate is None for time, m, _ in seen if time < 0.5)
     assert rates[0] is not None
     assert all(rate == rates[0] for rate in rates)
-
-
-LASTING = "frozen_pose drifting_pose pose_jump dead_wheels stuck_wheels dead_encoder stuck_gyro biased_gyro"
-
-
-@pytest.mark.parametrize("name", [*LASTING.split(), "dead_motor"])
-def test_the_shipped_faults_last_to_the_end(name: str) -> None:
-    (span,) = load_scenario(name).draw(0).spans
-    assert 3.0 <= span[0] <= 4.0
-    assert span[1] == np.inf
