@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -204,16 +203,6 @@ def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], lin
     assert line in str(caught.value)
     assert "a run with " in str(caught.value)
     assert not Store(tmp_path).keys()
-
-
-def test_a_row_says_all_that_it_is_the_hash_of(campaign: Path, tmp_path: Path) -> None:
-    call("campaign", campaign, "--out", tmp_path / "out", "--jobs", "1", "--runs", "1")
-    (path,) = (tmp_path / "out").glob("runs/*/*.json")
-    record = json.loads(path.read_text(encoding="utf-8"))
-    assert record["key"] == path.stem
-    assert record["environment"]["product"] == definition.product_hash()
-    assert record["run"]["plant"] == "model:sm"
-    assert str(tmp_path) not in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,6 @@ from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc_extras.twin.fitting import fit_twin, told_apart
 from diffdrive_mpc_extras.twin.free_run import FreeMotion, drive, most_telling, readings, stretch
-from diffdrive_mpc_extras.twin.from_log import energy_note
 from diffdrive_mpc_extras.twin.held_out import identified
 from diffdrive_mpc_extras.twin.nominal import nominal_robot
 from diffdrive_mpc_extras.twin.problem import TwinProblem
@@ -186,15 +185,6 @@ def test_without_wheels_the_robot_must_be_told():
     bare = Record("r", 0.0, 0.05, np.ones((20, 2)), twist=np.ones((20, 2)), yaw_rate=np.ones(20))
     with pytest.raises(ConfigError, match="--robot a file with"):
         nominal_robot("r", [bare])
-
-
-@pytest.mark.parametrize(
-    ("battery", "why"),
-    [(None, "the log held no currents"), (np.ones((30, 2)), "the currents of the log are not fitted")],
-)
-def test_energies_of_a_twin_carry_a_caveat(battery, why):
-    record = Record("made up", 0.0, 0.05, np.zeros((30, 2)), twist=np.zeros((30, 2)), battery=battery)
-    assert f"may be wrong several times over: {why};" in energy_note([record])
 
 
 SEEDS = (21, 22, 23, 24, 25, 26)
