@@ -120,13 +120,6 @@ def test_convex_pieces_tile_a_polygon(seed):
         assert len(hull(piece)) == len(piece)
 
 
-def test_a_convex_polygon_is_one_piece_and_a_bow_crosses_itself():
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    assert len(convex_pieces(square)) == 1
-    assert not crosses_itself(square)
-    assert crosses_itself(square[[0, 2, 1, 3]])
-
-
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
 def test_rectangles_tile_the_occupied_cells(share):
     occupied = np.random.default_rng(3).random((40, 30)) < share
@@ -212,12 +205,6 @@ def test_surroundings_that_cannot_be_used_get_one_line(words):
 def test_a_footprint_that_is_none_is_refused(footprint):
     with pytest.raises(ValueError, match="footprint"):
         FreeSpace(footprint=footprint)
-
-
-def test_a_footprint_of_discs_covers_them():
-    robot = Footprint.discs([(0.2, 0.0, 0.25), (-0.2, 0.0, 0.2)])
-    assert robot.radius == 0.25
-    assert robot.reach == pytest.approx(0.45)
 
 
 def test_the_gradient_of_a_half_space_is_that_of_finite_differences():
