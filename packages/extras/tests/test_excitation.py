@@ -1,6 +1,5 @@
 """`excite`: drives that determine slip and models, their files, and robots that differ from the believed one."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -51,8 +50,6 @@ def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
     ("arguments", "said"),
     [
         ((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"),
-        ((6.0, 60.0, math.nan, 1.0), "speed nan: give a positive number"),
-        ((6.0, -1.0, 0.6, 1.0), "time -1.0: give a positive number"),
         ((6.0, 1e9, 0.6, 1.0), "at most 1800 s"),
     ],
 )

@@ -349,7 +349,6 @@ def test_functions_of_the_user(tmp_path, precision, within):
         ("lstm", "double", DOUBLE),
         ("lstm", "float", 2e-3),
         ("p2_experimental", "double", DOUBLE),
-        ("p2_physical", "double", DOUBLE),
     ],
 )
 def test_networks_and_drives_come_along(tmp_path, model, precision, within):

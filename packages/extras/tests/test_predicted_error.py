@@ -162,9 +162,7 @@ def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--trajectory", "nowhere"], "unknown trajectory 'nowhere'"),
         (["--trajectory", "s", "--population", "mine"], "unknown population 'mine': give drawn or own"),
-        (["--trajectory", "s", "--calibration", "nowhere.yaml"], "nowhere.yaml"),
         (["--trajectory", "nan.csv"], "nan.csv"),
     ],
 )

@@ -110,12 +110,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
             ("trajectory: short", "model: sm\n  trajectory: short"),
             "factors.model: remove it; the controller under test is ssm",
         ),
-        (
-            ("boundaries:\n  sensors", "boundaries:\n  sensor"),
-            "probe and boundaries: unknown factor 'sensor.pose.latency'",
-        ),
         (("low: 0.0, high", "low: 0.4, high"), "low (0.4) has to be below high (0.3)"),
-        (("latency-and-noise", "Latency"), "maps.Latency"),
     ],
 )
 def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:

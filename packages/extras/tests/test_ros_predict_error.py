@@ -61,7 +61,6 @@ def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
     ("parameters", "words"),
     [
         ({"autostart": False}, "the node is unconfigured; activate it first"),
-        ({"trajectory": "''"}, "there is no reference yet"),
         ({"config": "kinematic"}, "provenance.origin is assumed"),
     ],
 )
@@ -79,7 +78,6 @@ def test_it_says_why_nothing_is_predicted(parameters, words):
             "follow_error_limit is set, and model 'kinematic': its",
         ),
         ({"parts.predicted_error.error_population": "mine"}, "unknown population 'mine': give drawn or own"),
-        ({"parts.predicted_error.error_calibration": "/nowhere.yaml"}, "/nowhere.yaml"),
     ],
 )
 def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(parameters, words):

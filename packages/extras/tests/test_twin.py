@@ -250,9 +250,7 @@ def test_a_log_becomes_a_plant(log):
     ("words", "line"),
     [
         (["--seconds", "1"], "error: --seconds 1: give 5 or more of the log to fit"),
-        (["--robot", "nobody"], "error: unknown robot 'nobody'"),
         (["--model", "lstm"], "error: model 'lstm' is a function"),
-        (["--model", "sm", "--effects"], "error: --effects: the model of --model has those of its file"),
     ],
 )
 def test_a_mistake_is_one_line(log, words, line):

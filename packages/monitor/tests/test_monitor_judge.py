@@ -388,9 +388,7 @@ def test_the_oracle_was_asked_for_many_rules():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("commands.v: -1", "commands.v"),
         ("commands.slowest: 0.001", "commands.quickest has to be shorter than commands.slowest"),
-        ("agreement.window: 9", "agreement.window"),
         ("commands.vv: 1", "did you mean 'commands.v'"),
         ("path.distance: .nan", "path.distance"),
     ],
