@@ -20,7 +20,7 @@ from diffdrive_mpc import (
     make_plant,
     simulate,
 )
-from diffdrive_mpc.models.load import load_base_effects, load_linear_model
+from diffdrive_mpc.models.load import load_base_effects
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.mpc.core.sources import core_texts
 from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
@@ -137,23 +137,6 @@ def test_files_that_are_not_whole_are_refused_in_one_line(tmp_path):
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"layer": 2}))
     with pytest.raises(ConfigError, match="unknown key 'layer'"):
         load_model(path)
-
-
-def test_what_a_network_cannot_do_is_said():
-    model = load_model("lstm")
-    with pytest.raises(ModelError, match="it is a function for samples of 0.0202 s"):
-        model.discretise(0.01)
-    with pytest.raises(ModelError, match="its dead time lies in its window"):
-        model.with_extra_dead_time([0.02, 0.0])
-    assert model.with_extra_dead_time([0.0, 0.0]) is model
-    with pytest.raises(ModelError, match="here matrices are needed"):
-        load_linear_model("lstm")
-    weights = dict(random_network().weights)
-    with pytest.raises(ValueError, match="weights dense are missing"):
-        Network(Architecture(), {name: value for name, value in weights.items() if name != "dense"})
-    weights["dense"] = np.full_like(weights["dense"], np.nan)
-    with pytest.raises(ValueError, match="not finite"):
-        Network(Architecture(), weights)
 
 
 KINDS = [{}, {"units": 7, "dense": 5, "window": 3}, {"units": 33, "dense": 40, "window": 4}]

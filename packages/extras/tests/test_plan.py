@@ -319,12 +319,6 @@ def test_what_cannot_be_planned_is_refused_in_one_sentence(goal, changes, words)
     assert "\n" not in str(error.value) and isinstance(error.value, ConfigError)
 
 
-def test_a_reference_that_would_slide_sideways_is_refused():
-    ice = stiff(1.0, SlipCoefficients(a23=-0.8))
-    with pytest.raises(PlanError, match="slides sideways 0.* go slower"):
-        plan(ice, ORIGIN, (4.0, 3.0, 0.0))
-
-
 def run(*arguments):
     return CliRunner().invoke(app, ["plan", *arguments])
 

@@ -24,7 +24,7 @@ from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
 from diffdrive_mpc_extras.rehearsal.drivable import nearest_drivable
-from diffdrive_mpc_extras.rehearsal.laps import drive_laps, lap_parts
+from diffdrive_mpc_extras.rehearsal.laps import drive_laps
 from diffdrive_mpc_extras.rehearsal.rehearsal import corrected
 
 DT = 0.0202
@@ -378,18 +378,6 @@ def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
     assert np.array_equal(one[0].true_pose, plain[0].true_pose)
     assert not np.array_equal(plain[0].measured_pose, plain[1].measured_pose)
     assert not np.array_equal(one[1].command, plain[1].command)
-
-
-def test_the_parts_of_made_up_laps_are_those_that_were_put_in(plain):
-    run, rng = plain[0], np.random.default_rng(0)
-    laps = []
-    for _ in range(8):
-        pose = run.reference_pose + [0.003, 0.004, 0.0]
-        pose[:, :2] += 0.002 * rng.standard_normal(pose[:, :2].shape)
-        laps.append(replace(run, true_pose=pose))
-    parts = lap_parts(laps)
-    assert parts.repeating == pytest.approx(0.005, rel=0.02)
-    assert parts.other == pytest.approx(0.002 * np.sqrt(2), rel=0.05)
 
 
 def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):

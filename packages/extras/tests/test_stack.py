@@ -70,9 +70,7 @@ def drawn_log(
     noise: float = 1.0,
     seconds: float | None = None,
     limit: float | None = None,
-    gyro: bool = True,
     pose: bool = True,
-    wheels: bool = True,
 ) -> DrawnLog:
     """Drive the robot of a seed.
 
@@ -84,8 +82,8 @@ def drawn_log(
         Part of the usual noise, disturbance and bias [-].
     seconds, limit
         Other than those of the settings: how long the log is [s], and where commands are clipped [-].
-    gyro, pose, wheels
-        Which sensors the log has.
+    pose
+        Whether the log has poses.
     """
     settings, build = load_population(), draw_robot(seed).build
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(37,)))
@@ -129,15 +127,13 @@ def drawn_log(
         dt,
         command,
         twist=odometry,
-        yaw_rate=rate if gyro else None,
+        yaw_rate=rate,
         pose=poses if pose else None,
-        wheels=reading if wheels else None,
+        wheels=reading,
         fresh_pose=fresh if pose else None,
     )
     train, validation = divide([record], 0.75)
-    data = LogData(
-        tuple(train), tuple(validation), ("drawn",), "the last quarter", "gyro" if gyro else "encoders", (), (), track
-    )
+    data = LogData(tuple(train), tuple(validation), ("drawn",), "the last quarter", "gyro", (), (), track)
     late = build.twin.link.dead_time + lags.sum(axis=1)
     truth = {
         "separation_multiplier": wide / track,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import importlib.util
 import shlex
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,7 +37,6 @@ in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
 # Of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiplication and another libm than Python.
 ROUNDING = 1e-11
-LARGEST_PAGE, LONGEST_OPENING = 3e6, 2.0
 
 
 @pytest.fixture(scope="session")
@@ -193,13 +191,10 @@ def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_
         "across=-1e308&path=circle",
         "ice=1e308,1",
         "drawn=" + ";".join(["0,0"] * 65),
-        "drawn=0,0;9999,0",
         f"path={script}",
         f"{script}=1",
         "__proto__=1",
-        "constructor=1",
         "path=circle&path=square",
-        "path=square&speed=1.1",
         "%E0%A4%A",
         "path=" + "x" * 1_000_000,
     )
@@ -282,19 +277,3 @@ def test_experiments_show_what_they_say(page_file: Path) -> None:
                 assert experiment["see"] in page.locator("#seen").inner_text()
                 rms[side] = judged(page)
             assert rms["b"] <= experiment["share"] * rms["a"], experiment["name"]
-
-
-@in_browser
-def test_it_is_small_and_drives_soon(page_file: Path) -> None:
-    """The quickest of three openings: other tests run beside it."""
-    assert page_file.stat().st_size < LARGEST_PAGE
-    took = []
-    with laboratory(page_file) as page:
-        for _ in range(3):
-            began = time.perf_counter()
-            visit(page, page_file)
-            page.wait_for_function("() => laboratory.report.ticks > 0")
-            took.append(time.perf_counter() - began)
-            if took[-1] < LONGEST_OPENING:
-                break
-    assert min(took) < LONGEST_OPENING
