@@ -12,7 +12,6 @@ from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from diffdrive_mpc_extras.campaign.campaign_file import load_campaign, spread_points
-from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.draws import Draw, read_factor
 from diffdrive_mpc_extras.campaign.drivable_robots import RESERVED, can_drive, driving_seeds, skidding_time
 
@@ -42,17 +41,6 @@ def test_a_distribution_is_the_one_of_that_name(data: object, expected: stats.rv
     assert stats.kstest(values, expected.cdf).statistic < 0.005
 
 
-def test_choices_come_as_often_as_their_weights_say() -> None:
-    draw = read_factor({"one_of": {"none": 3, "push": 1}}, "scenario")
-    assert isinstance(draw, Draw)
-    values = [draw.value(point, 0) for point in spread_points("sobol", 256, 1, 3)[:, 0]]
-    assert values.count("none") == 192
-    whole = read_factor({"integers": [3, 6]}, "x")
-    assert isinstance(whole, Draw)
-    numbers = [whole.value(point, 0) for point in spread_points("latin_hypercube", 40, 1, 3)[:, 0]]
-    assert [numbers.count(k) for k in (3, 4, 5, 6)] == [10] * 4
-
-
 def test_more_runs_contain_those_of_fewer(tmp_path: Path) -> None:
     path = written(tmp_path, "model: {one_of: [ssm, sm]}\nsurface.friction: {uniform: [0.3, 1.0]}")
     campaign = load_campaign(path)
@@ -77,27 +65,13 @@ def test_files_beside_the_campaign_are_found(tmp_path: Path) -> None:
     assert runs[0].columns["plant"] == "mujoco:floor"
 
 
-def test_a_definition_is_its_factors() -> None:
-    one = Definition.of({"model": "sm", "robot.twin.link.dead_time": 0.06, "config.horizon": 20, "late": 2})
-    again = Definition.of({name: value for name, value in one.factors.items() if value is not None})
-    assert again == one
-    assert one.changed({"config.horizon": 10}).case.overrides == (("horizon", 10),)
-    assert one.with_seed(4).case.seed == 4
-
-
 @pytest.mark.parametrize(
     ("lines", "line"),
     [
-        ("surface.friction: {unifrm: [0, 1]}", "factors.surface.friction: give a value, or one of {uniform: ...}"),
         ("surface.friction: {uniform: [1, 0]}", "factors.surface.friction: give the lower value first (found 1, 0)"),
-        ("surface.friction: {log_uniform: [0, 1]}", "log_uniform takes values above zero"),
         ("trajektory: circle", "unknown factor 'trajektory'; did you mean 'trajectory'?"),
-        ("model: {one_of: []}", "one_of takes at least one value"),
-        ("seed: 0.5", "run 0: seed: 0.5 is of another kind; give a whole number"),
-        ("condition: nowhere", "factors.condition: unknown condition 'nowhere'"),
         ("condition: long\nplant: mujoco", "factors.plant: a condition says that already; give one of them"),
         ("controller: pid", "unknown controller 'pid'; known: mpc"),
-        ("x: {normal: {mean: 0, sd: 1, low: 60, high: 70}}", "unknown factor 'x'"),
         ("top_speed: {normal: {mean: 0, sd: 1, low: 60, high: 70}}", "nothing of the normal distribution lies between"),
     ],
 )
@@ -106,20 +80,6 @@ def test_a_mistake_is_one_line(lines: str, line: str, tmp_path: Path) -> None:
         load_campaign(written(tmp_path, lines)).definitions()
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-MANY = [draw_robot(seed) for seed in range(300)]
-
-
-def test_the_rule_lets_a_third_drive_and_fewer_turn_on_the_spot():
-    """Whoever may turn on the spot may drive; each of the rule's parts keeps somebody out."""
-    drives = np.array([can_drive(robot) for robot in MANY])
-    spot = np.array([can_drive(robot, spot_turns=True) for robot in MANY])
-    assert 0.2 < drives.mean() < 0.6
-    assert spot.sum() < drives.sum()
-    assert not (spot & ~drives).any()
-    icy = [robot for robot, may in zip(MANY, drives, strict=True) if may and robot.scenario.slope]
-    assert all(np.tan(robot.scenario.slope.angle) < robot.build.friction for robot in icy)
 
 
 def test_the_speed_of_a_skidding_robot_answers_as_the_rule_says():

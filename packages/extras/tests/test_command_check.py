@@ -143,13 +143,6 @@ def test_overrides_and_the_file_tighten_what_is_checked(tmp_path: Path) -> None:
     assert limits == StatedLimits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202)
 
 
-def test_an_override_counts_more_than_a_file_in_whichever_room_either_names_a_key(tmp_path: Path) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text("expert: {limits: {v_braking: 0.9, least_commanded_radius: 0.1}}\n", encoding="utf-8")
-    limits = stated_limits(config, {"limits.v_braking": 0.3, "expert.limits.min_commanded_radius": 0.4})
-    assert (limits.braking[0], limits.least_radius) == (0.3, 0.4)
-
-
 def test_what_is_stated_is_what_the_configuration_says_by_itself() -> None:
     config = load_config({"model": "ssm"})
     stated = yaml.safe_load(command_check.STATED.read_text(encoding="utf-8"))

@@ -71,12 +71,6 @@ def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
     assert ours == pytest.approx(theirs, abs=0.03)
 
 
-def test_energy_and_figure_of_the_log(told: Path) -> None:
-    content = json.loads((told / "torque.json").read_text())
-    assert content["predicted_j"] == pytest.approx(content["measured_j"], rel=0.12)
-    assert (told / "figures" / "learned.png").is_file()
-
-
 def columns(log: Path, path: Path, without: str = "", rows: slice = slice(None)) -> Path:
     """The log without columns whose names begin so, and with some of its rows alone."""
     lines = [line.split(",") for line in log.read_text().splitlines()]
@@ -84,29 +78,6 @@ def columns(log: Path, path: Path, without: str = "", rows: slice = slice(None))
     whole = [lines[0], *lines[1:][rows]]
     path.write_text("\n".join(",".join(line[k] for k in keep) for line in whole) + "\n")
     return path
-
-
-MAPPING = """
-columns:
-  time: t_s
-  command: {v: v_ref_m_s, omega: omega_ref_rad_s}
-  encoders: {v: v_wheel_m_s, omega: omega_wheel_rad_s}
-  gyro: {yaw_rate: omega_gyro_rad_s}
-  motors: {front_left: motor_fl_a, front_right: motor_fr_a, rear_left: motor_rl_a, rear_right: motor_rr_a}
-wheels: {radius: 0.1075, track: 0.39}
-"""
-
-
-def test_without_a_battery_the_constants_are_those_given(log: Path, tmp_path: Path) -> None:
-    short, mapping = columns(log, tmp_path / "l.csv", "battery"), tmp_path / "m.yaml"
-    mapping.write_text(MAPPING)
-    with pytest.raises(ConfigError, match="no battery.*or give --drive"):
-        learn_log(short, mapping, "fsu_bot", None)
-    found = learn_log(short, mapping, "fsu_bot", "fsu_bot")
-    assert found.found is None and found.drive == load_drive_constants("fsu_bot") and "no battery" in found.note
-    # Without poses the gyro tells the yaw rate alone.
-    assert found.slip is not None and (found.slip.coefficients[:2] == 0).all()
-    assert found.slip.coefficients[2, 1] == pytest.approx(SLIPPERY.slip.a32, abs=0.1)
 
 
 def test_a_log_without_motors_or_without_turns_is_refused(log: Path, tmp_path: Path) -> None:

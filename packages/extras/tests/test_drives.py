@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from itertools import pairwise
 
 import casadi as ca
@@ -13,14 +12,12 @@ from scipy.integrate import solve_ivp
 
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
 from diffdrive_mpc.models.checked_yaml import check, read_yaml
-from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc_extras.drives.drive_model import Channel, DriveModel, PhysicalFile, drive_model, experimental_step
 from diffdrive_mpc_extras.drives.finding import told_by
 from diffdrive_mpc_extras.drives.fitting import fit_drive
-from diffdrive_mpc_extras.model_comparison.model_comparison import KINDS, compare_models
 
 DRIVES = ("p2_experimental", "p2_physical")
 DT, STILL = 0.02, 0.005
@@ -161,35 +158,6 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     assert np.abs(theirs).max() > 0.2
 
 
-def made(dead: int) -> Record:
-    """Forty seconds of a robot that is the sharp experimental model, with a little noise."""
-    step = experimental_step(Channel(DT, STILL), sharp=True)
-    rng = np.random.default_rng(5)
-    commands = np.repeat(rng.uniform(-0.6, 0.6, (80, 2)), 25, axis=0)
-    ramps = np.apply_along_axis(lambda c: np.convolve(c, np.ones(40) / 40)[: len(c)], 0, commands)
-    columns = []
-    for row in (0, 1):
-        x, speeds = np.zeros(4), []
-        for k in range(len(ramps)):
-            speeds.append(x[1])
-            x = step(x, ramps[max(k - dead, 0), row] if k >= dead else 0.0, list(NUMBERS.values())).full().ravel()
-        columns.append(np.array(speeds) + 1e-3 * rng.standard_normal(len(speeds)))
-    twist = np.column_stack(columns)
-    return Record("made", 0.0, DT, ramps, twist=twist, yaw_rate=twist[:, 1])
-
-
-def test_a_known_robot_is_found_again():
-    fit = fit_drive("drive_experimental", [made(4)])
-    found = fit.values[0]
-    assert fit.dead_samples[0] == 4
-    assert found["gain"] == pytest.approx(NUMBERS["gain"], rel=0.02)
-    assert found["lag"] == pytest.approx(NUMBERS["lag"], rel=0.15)
-    # Along the slopes that were driven, which is what the line is for.
-    for slope in (0.3, 0.8):
-        line = found["threshold"] + found["threshold_by_slope"] * slope
-        assert line == pytest.approx(NUMBERS["least"] + NUMBERS["by_slope"] * slope, rel=0.2)
-
-
 @pytest.mark.parametrize("name", DRIVES)
 def test_as_a_plant_it_is_sharp(name):
     model = load_model(name)
@@ -296,54 +264,3 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     config = load_config(tmp_path / "config.yaml")
     assert config.sample_time == model.dt == 0.04
     assert Controller(config).model.structure == model.structure
-
-
-def test_the_part_held_out_has_a_drive_of_its_own(log):
-    """The stand-in for the robot is of the same kind: an SM would take a slope limit for a lag."""
-    found = identify(log, log.with_name("map.yaml"), "p2_experimental")
-    other = found.report.fitted.predictor.refitted(found.report.data.validation, "gyro")
-    assert isinstance(other, DriveModel)
-    assert np.diag(other.dc_gain) == pytest.approx(np.diag(found.model.dc_gain), abs=0.05)
-    assert other.dc_gain[0, 0] != found.model.dc_gain[0, 0]
-
-
-def test_a_signal_that_is_missing_is_one_line(log, tmp_path):
-    rows = list(csv.DictReader(log.open()))
-    columns = {name: [row[name] for row in rows] for name in ("t", "v_ref", "omega_ref", "gyro")}
-    write_csv(tmp_path / "poor.csv", columns)
-    write_mapping(
-        tmp_path / "map.yaml",
-        "columns: {time: t, command: {v: v_ref, omega: omega_ref}, gyro: {yaw_rate: gyro}}\n",
-    )
-    with pytest.raises(ConfigError, match="readings of twist, fewer than 5; log that signal") as refused:
-        identify(tmp_path / "poor.csv", tmp_path / "map.yaml", "p2_physical")
-    assert "\n" not in str(refused.value)
-    with pytest.raises(ConfigError, match="they stand around an sm, not an p2_physical"):
-        identify(log, log.with_name("map.yaml"), "p2_physical", effects=True)
-
-
-def data_of(*records):
-    return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
-
-
-@pytest.mark.long
-def test_a_base_that_limits_slopes_is_a_drive_and_no_sm():
-    data = data_of(driven(LIMITED, 2), driven(LIMITED, 3))
-    found = compare_models(data, ["sm", "p2_experimental"], parts=2)
-    assert [one.states for one in found.scores] == [0, 4, 8]
-    assert found.recommended.kind == "p2_experimental"
-    assert "sm is worse by" in found.sentence()
-
-
-def test_slow_kinds_take_part_only_where_they_are_named(monkeypatch):
-    """And where what they need is not installed, the sentence says so, and the others are compared."""
-    monkeypatch.setattr("diffdrive_mpc_extras.model_comparison.model_comparison.KINDS", [KINDS[0], KINDS[-1]])
-    monkeypatch.setitem(__import__("sys").modules, "jax", None)
-    data = data_of(driven(UNLIMITED, 4, 10.0), driven(UNLIMITED, 5, 10.0))
-    assert KINDS[-1].slow
-    assert [one.kind for one in compare_models(data, parts=2).scores[1:]] == [KINDS[0].name]
-    for asked in (["all"], ["sm", KINDS[-1].name]):
-        found = compare_models(data, asked, parts=2)
-        assert [one.kind for one in found.scores[1:]] == [KINDS[0].name, KINDS[-1].name]
-        assert "lstm was not found: training a network needs JAX" in found.sentence()
-        assert found.recommended.kind == "sm"

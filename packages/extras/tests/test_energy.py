@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_parts import ConstantTwist, FeedForward, KinematicPlant
+from loop_parts import ConstantTwist, FeedForward
 
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.sim import Run, make_plant, simulate
+<<<<<<< HEAD
 from diffdrive_mpc_extras.energy import identify_constants, logged_energy
+=======
+from diffdrive_mpc_extras.energy import identify_constants, predict_energy
+>>>>>>> c2
 from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
 from diffdrive_mpc_extras.terrain import load_terrain, side_torques
 from diffdrive_mpc_extras.torque import TorqueCurves
 from diffdrive_mpc_extras.torque.torque_curves import predict_energy
 from diffdrive_mpc_extras.turn_costs import load_drive_constants, load_vehicle
 
-BOT, OURS = load_drive_constants("fsu_bot"), load_drive_constants()
+BOT = load_drive_constants("fsu_bot")
 VEHICLE = load_vehicle("fsu_bot")
 
 
@@ -39,12 +41,6 @@ def test_a_braking_side_gives_back_or_not():
     lossy = BOT.model_copy(update={"driver_efficiency": 0.8})
     assert lossy.side_power(-1.0, 8.0) == pytest.approx(0.8 * BOT.side_power(-1.0, 8.0))
     assert lossy.side_power(1.0, 8.0) == pytest.approx(BOT.side_power(1.0, 8.0) / 0.8)
-
-
-def test_our_motor_has_the_stall_torque_and_the_current_of_its_data_sheet():
-    assert OURS.torque_per_current * (9.2 - 0.25) == pytest.approx(2.38, rel=0.01)
-    # Without load the back-EMF and what the resistance takes are the battery's 12 V.
-    assert OURS.torque_constant * OURS.gear_ratio * 32.67 + OURS.resistance * 0.25 == pytest.approx(12.0, rel=0.01)
 
 
 def curves(terrain="asphalt"):
@@ -67,15 +63,6 @@ def test_the_prediction_is_that_of_the_terrain_which_the_curves_know():
     )
     predicted = predict_energy(VEHICLE, BOT, curves(), [[0.4, 0.4 / 1.5]], 1.0)
     assert predicted.energy == pytest.approx(expected, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("commands", "dt", "words"),
-    [([[0.4, np.nan]], 0.02, "finite"), ([0.4], 0.02, "shape"), ([[0.4, 0.0]], 0.0, "time")],
-)
-def test_bad_commands_get_a_sentence(commands, dt, words):
-    with pytest.raises(ConfigError, match=words):
-        predict_energy(VEHICLE, BOT, curves(), commands, dt)
 
 
 TRUE = BOT.model_copy(update={"torque_constant": 0.03, "resistance": 0.9, "idle_power": 6.0})
@@ -137,41 +124,6 @@ def test_a_drive_at_rest_and_reversed_currents_are_refused():
         identify_constants([record(speed[:20], current[:20], battery[:20])], BOT)
 
 
-MAPPING = """
-columns:
-  time: t
-  command: {v: v, omega: w}
-  encoders: {left: left, right: right}
-  battery: {voltage: {column: mv, unit: mV}, current: {column: a}}
-  motors: {left: il, right: {column: ir, sign: -1}}
-wheels: {radius: 0.1075, track: 0.39}
-"""
-
-
-def test_battery_and_motors_are_read_from_a_log(tmp_path):
-    speed, current, battery = logged()
-    rows = np.column_stack(
-        [
-            0.02 * np.arange(600),
-            np.full(600, 0.4),
-            np.sin(np.arange(600) / 9),
-            speed,
-            battery * [1e3, 1],
-            current * [1, -1],
-        ]
-    )
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,v,w,left,right,mv,a,il,ir", comments="")
-    (tmp_path / "m.yaml").write_text(MAPPING)
-    log = read_log(tmp_path / "log.csv", tmp_path / "m.yaml")
-    (one,) = log.records
-    assert one.battery is not None and one.motor_current is not None
-    assert one.battery == pytest.approx(battery, rel=1e-9)
-    assert one.motor_current == pytest.approx(current, rel=1e-9)
-    assert logged_energy([one]) == pytest.approx(battery.prod(axis=1).sum() * 0.02)
-    assert identify_constants([one], BOT).constants.torque_constant == pytest.approx(0.03, rel=0.05)
-    assert one.part(10, 20).battery == pytest.approx(battery[10:20])
-
-
 STRAIGHT, CURVE = (ConstantTwist(v=0.4, omega=omega, duration=3.0) for omega in (0.0, 1.2))
 
 
@@ -196,26 +148,6 @@ def test_battery_gives_work_and_heat() -> None:
     # Mean of the product over a tick is not far from the product of the means.
     rough = (run.motor_torque * run.motor_speed)[counted].sum() * run.sample_time
     assert energy.motor_work_j == pytest.approx(rough, rel=0.05)
-
-
-def test_time_after_the_end_of_the_reference_does_not_count() -> None:
-    plain, longer = (
-        run_energy(simulate(FeedForward(), make_plant("mujoco", sensors="perfect"), CURVE, extra_time=time))
-        for time in (0.0, 1.0)
-    )
-    assert plain.energy_j == pytest.approx(longer.energy_j, rel=1e-9)
-
-
-def test_plant_without_motors_has_no_energy() -> None:
-    energy = run_energy(simulate(FeedForward(), KinematicPlant(), STRAIGHT))
-    assert math.isnan(energy.energy_j) and math.isnan(energy.motor_work_j)
-
-
-def test_lost_robot_does_not_spoil_the_sum() -> None:
-    run = driven(CURVE)
-    torn = run.motor_power.copy()
-    torn[-1] = np.nan
-    assert math.isfinite(run_energy(replace(run, motor_power=torn)).energy_j)
 
 
 @pytest.mark.parametrize("around", [{}, {"scenario": "start_offset"}, {"plant": "world:opening@mujoco:fsu_bot"}])

@@ -1,7 +1,5 @@
 """The power that turning takes, in the cost: the residual, the plan with it, and the energy of the simulated robot."""
 
-import shutil
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.energy.power_readings import run_energy
 from diffdrive_mpc_extras.energy_term import energy_function, energy_terms, with_least_radius
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
-from diffdrive_mpc_extras.turn_costs.turn_costs import FLOORS
 
 COSTS = {floor: load_turn_costs(f"fsu_bot-{floor}") for floor in ("slippery", "default")}
 RESIDUALS = {floor: energy_function(costs) for floor, costs in COSTS.items()}
@@ -88,12 +85,6 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
     assert result.planned_commands == pytest.approx(plan, abs=1e-6)
 
 
-def test_without_a_weight_there_is_no_term():
-    config = load_config("ssm", {"energy.turn_costs": "fsu_bot-default"})
-    assert energy_terms(config) == () and with_least_radius(config) is config
-    assert load_config("ssm").features == {}
-
-
 def test_less_is_paid_for_turning_the_more_it_weighs():
     """On the slippery floor, on a square: energy falls, and the error grows in the end."""
     found = {}
@@ -125,14 +116,6 @@ def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
     assert with_least_radius(own).limits.min_commanded_radius == 0.9
     none = load_config("ssm", asked | {"energy.turn_costs": "fsu_bot-slippery"})
     assert with_least_radius(none).limits.min_commanded_radius is None
-
-
-def test_turn_costs_lie_beside_the_configuration_that_names_them(tmp_path):
-    shutil.copy(FLOORS / "fsu_bot-carpet.yaml", tmp_path / "mine.yaml")
-    (tmp_path / "config.yaml").write_text("model: ssm\nexpert: {energy: {weight: 0.01, turn_costs: mine.yaml}}\n")
-    config = load_config(tmp_path / "config.yaml")
-    assert config.features["energy"].turn_costs == str(tmp_path / "mine.yaml")
-    assert [term.name for term in energy_terms(config)] == ["energy"]
 
 
 def test_mistakes_are_said_in_one_line(tmp_path):

@@ -309,18 +309,6 @@ def test_ticks_too_soon_and_pauses(in_double):
     assert {theirs.mode for _, theirs in steps[40:]} >= {Mode.STOPPED}
 
 
-def test_ticks_at_any_time(in_double):
-    """The trajectory is exact between samples, too."""
-    rng = np.random.default_rng(0)
-
-    def change(k, measurement, exported, reference):
-        return rng.uniform(0.0, 0.005), measurement, None
-
-    steps = drive_both(in_double, "square", TIGHT, 200, change=change)
-    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
-    assert np.abs(differences(steps)).max() <= DOUBLE
-
-
 def saturating_lag() -> NonlinearModel:
     """A lag of 0.1 s in both channels, whose acceleration saturates; the older command of the window acts."""
     x, window, dt = ca.SX.sym("x", 2), ca.SX.sym("window", 4), 0.0202
@@ -361,7 +349,6 @@ def test_functions_of_the_user(tmp_path, precision, within):
         ("lstm", "double", DOUBLE),
         ("lstm", "float", 2e-3),
         ("p2_experimental", "double", DOUBLE),
-        ("p2_physical", "double", DOUBLE),
     ],
 )
 def test_networks_and_drives_come_along(tmp_path, model, precision, within):
@@ -421,14 +408,6 @@ def test_an_impossible_reference_is_refused(tmp_path):
 def numbers_of(source: str, name: str) -> list[float]:
     body = re.search(rf" {name}\[\] = {{([^}}]*)}}", source)[1]
     return [float(number) for number in body.split(",")]
-
-
-def test_a_trajectory_of_arcs_is_written_as_it_is():
-    reference = load_trajectory("s")
-    source = trajectory_texts(reference, 0.5)["trajectory.c"]
-    assert numbers_of(source, "breaks") == reference.breaks.tolist()
-    assert numbers_of(source, "table") == reference.table.ravel().tolist()
-    assert ".cubic = 0" in source
 
 
 def test_any_other_reference_is_fitted():

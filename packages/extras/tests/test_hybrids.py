@@ -14,9 +14,6 @@ from diffdrive_mpc import ConfigError, Controller, MissingPackageError, ModelErr
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model, model_path, read_model_file
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.state_space import LinearSystem
-from diffdrive_mpc.models.structures.model_file import build_model
 from diffdrive_mpc_extras.hybrids.hybrid_model import (
     Correction,
     HybridFile,
@@ -25,7 +22,7 @@ from diffdrive_mpc_extras.hybrids.hybrid_model import (
     hybrid_model,
     write_hybrid,
 )
-from diffdrive_mpc_extras.hybrids.training import hybrid_settings, runs_of, trained
+from diffdrive_mpc_extras.hybrids.training import hybrid_settings
 from diffdrive_mpc_extras.model_comparison.model_comparison import compare_models
 
 DT = 0.0202
@@ -163,17 +160,12 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda data: data["correction"].pop("inward"), "key 'correction.inward' is missing"),
         (
             lambda data: data["correction"]["inward"].pop(),
             r"inward has shape \(5, 5\), expected \(6, 5\); train it again",
         ),
-        (lambda data: data["correction"]["outward"][0].pop(), "outward has rows of different length"),
-        (lambda data: data["correction"].update(least=1.0), "least 1.0 has to be more than full 9.0"),
         (lambda data: data["correction"].update(scale=[0.0] * 6), "correction.scale.0: Input should be greater than 0"),
         (lambda data: data["correction"]["outward"][0].__setitem__(0, float("nan")), "should be a finite number"),
-        (lambda data: data["linear"].pop("channels"), "key 'linear.channels' is missing"),
-        (lambda data: data.update(sample_times=0.1), "unknown key 'sample_times'; did you mean 'sample_time'"),
         (lambda data: data.update(structure="hybird"), "structure: expected one of .*hybrid.*, found 'hybird'"),
     ],
 )
@@ -227,33 +219,6 @@ def test_it_learns_what_no_linear_model_can_say(quick):
     left = [100.0 - found.fits(one) for one in (linear, hybrid)]
     assert (left[1] < 0.6 * left[0]).all()
     assert found.recommended.kind == "hybrid"
-
-
-def twice_lagging(count=1500, dt=0.04):
-    """An SM's readings, exactly."""
-    system = build_model(read_model_file(model_path("sm")))
-    commands = np.repeat(np.random.default_rng(4).uniform(-1, 1, (count // 20, 2)), 20, axis=0)
-    outputs = system.discretise(dt).simulate(commands)
-    limits = np.full(2, np.inf)
-    exact = LinearSystem(system.A, system.B, system.C, np.asarray(system.dead_time), np.zeros(2), limits)
-    return (
-        system.discretise(dt),
-        exact,
-        SampledExperiment("drive", dt, commands, outputs, np.ones(outputs.shape, dtype=bool)),
-    )
-
-
-def test_a_seed_gives_the_same_weights_and_a_penalty_shrinks_them():
-    linear, system, experiment = twice_lagging(600)
-    bent = SampledExperiment("bent", experiment.dt, experiment.inputs, np.tanh(experiment.outputs), experiment.counts)
-    runs = runs_of(linear, system, [bent])
-    one, other = (trained(linear, runs, (1.0, 1e-3), QUICK) for _ in range(2))
-    assert all(
-        np.array_equal(a.inward, b.inward) and np.array_equal(a.outward, b.outward)
-        for a, b in zip(one, other, strict=True)
-    )
-    strong, weak = (np.sum(found.inward**2) + np.sum(found.outward**2) for found in one)
-    assert strong < 0.5 * weak
 
 
 def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):

@@ -11,8 +11,6 @@ from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures import ssm
-from diffdrive_mpc_extras.model_comparison import model_comparison
-from diffdrive_mpc_extras.model_comparison.command import remaining
 from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 
 
@@ -105,48 +103,3 @@ def test_the_command_prints_table_and_recommendation(tmp_path, monkeypatch):
     assert "ssm is " in result.output
     rows = [line.split(":")[0] for line in result.stderr.splitlines() if "found in" in line]
     assert rows == ["sm", "ssm"]
-
-
-def test_progress_names_kind_and_part_and_each_score_is_handed_over_as_it_is_found(monkeypatch):
-    monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
-    truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
-    steps, so_far = [], []
-    compare_models(
-        data_of(*(noisy_drive(truth, seed, 300) for seed in (1, 2))),
-        ["sm", "ssm"],
-        parts=2,
-        on_progress=lambda text, share: steps.append((text, share)),
-        on_scored=lambda comparison: so_far.append([score.kind for score in comparison.scores]),
-    )
-    assert [text for text, _ in steps] == [
-        *("sm, kind 1 of 2, part 1 of 2", "sm, kind 1 of 2, part 2 of 2"),
-        *("ssm, kind 2 of 2, part 1 of 2", "ssm, kind 2 of 2, part 2 of 2"),
-    ]
-    shares = [share for _, share in steps]
-    assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] < 1.0
-    assert so_far == [[NO_MODEL, "sm"], [NO_MODEL, "sm", "ssm"]]
-
-
-def test_an_interrupted_comparison_shows_what_it_has(tmp_path, monkeypatch):
-    runner, log = CliRunner(), str(tmp_path / "drive.csv")
-    drive = ["simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log]
-    assert runner.invoke(app, drive).exit_code == 0
-    score = model_comparison._score
-
-    def until_ctrl_c(kind, *arguments):
-        if kind.name == "ssm":
-            raise KeyboardInterrupt
-        return score(kind, *arguments)
-
-    monkeypatch.setattr(model_comparison, "_score", until_ctrl_c)
-    result = runner.invoke(app, ["models", "compare", log, "--kinds", "sm,ssm", "--parts", "2"])
-    assert result.exit_code == 130
-    assert "sm *" in result.stdout and "ssm" not in result.stdout
-    assert "interrupted: kinds that are not in the table were not compared" in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"), [(float("nan"), "not known yet"), (45.4, "about 45 s left"), (600.0, "about 10 min left")]
-)
-def test_a_time_that_is_left_is_in_words(seconds, words):
-    assert words in remaining(seconds)

@@ -2,7 +2,6 @@
 
 import ctypes
 import subprocess
-import sys
 
 import casadi as ca
 import numpy as np
@@ -13,7 +12,6 @@ from log_parts import drive, write_csv, write_mapping
 from diffdrive_mpc import (
     ConfigError,
     Controller,
-    MissingPackageError,
     ModelError,
     identify,
     load_config,
@@ -22,7 +20,7 @@ from diffdrive_mpc import (
     make_plant,
     simulate,
 )
-from diffdrive_mpc.models.load import load_base_effects, load_linear_model
+from diffdrive_mpc.models.load import load_base_effects
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.mpc.core.sources import core_texts
 from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
@@ -82,12 +80,6 @@ def one_window(network, window):
     return np.tanh(out @ w["dense"] + w["dense_offset"]) @ w["output"] + w["output_offset"]
 
 
-def test_the_papers_network_has_5018_parameters():
-    """4 x 30 x (2 + 30 + 1) + 32 x 31 + 2 x 33."""
-    assert Architecture().parameters == 5018
-    assert load_model("lstm").network.architecture == Architecture()
-
-
 def test_it_computes_what_the_textbook_says():
     network = random_network(units=5, dense=4, window=6)
     windows = np.random.default_rng(1).normal(size=(3, 6, 2))
@@ -145,23 +137,6 @@ def test_files_that_are_not_whole_are_refused_in_one_line(tmp_path):
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"layer": 2}))
     with pytest.raises(ConfigError, match="unknown key 'layer'"):
         load_model(path)
-
-
-def test_what_a_network_cannot_do_is_said():
-    model = load_model("lstm")
-    with pytest.raises(ModelError, match="it is a function for samples of 0.0202 s"):
-        model.discretise(0.01)
-    with pytest.raises(ModelError, match="its dead time lies in its window"):
-        model.with_extra_dead_time([0.02, 0.0])
-    assert model.with_extra_dead_time([0.0, 0.0]) is model
-    with pytest.raises(ModelError, match="here matrices are needed"):
-        load_linear_model("lstm")
-    weights = dict(random_network().weights)
-    with pytest.raises(ValueError, match="weights dense are missing"):
-        Network(Architecture(), {name: value for name, value in weights.items() if name != "dense"})
-    weights["dense"] = np.full_like(weights["dense"], np.nan)
-    with pytest.raises(ValueError, match="not finite"):
-        Network(Architecture(), weights)
 
 
 KINDS = [{}, {"units": 7, "dense": 5, "window": 3}, {"units": 33, "dense": 40, "window": 4}]
@@ -291,16 +266,6 @@ def test_a_seed_gives_the_same_weights_and_another_one_others():
     assert not np.array_equal(one["dense"], other["dense"])
 
 
-def test_it_stops_where_validation_does_not_improve():
-    """With nothing to learn from, the first looks are as good as any."""
-    windows = windows_of([saturating_drive(0)], SMALL.window)
-    training, validation = divided(windows, (0.8, 0.2))
-    noise = np.random.default_rng(0).normal(size=training.twists.shape)
-    lost = train(SMALL, type(training)(training.commands, noise), validation, SHORT.model_copy(update={"patience": 3}))
-    assert lost.steps - lost.best_step <= 3 * SHORT.validation_every
-    assert lost.steps < 3 * len(training) // SHORT.batch
-
-
 def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):
     write_mapping(tmp_path / "map.yaml")
     log = write_csv(tmp_path / "drive.csv", drive(seconds=120.0))
@@ -315,19 +280,3 @@ def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):
     config = load_config(tmp_path / "mine" / "config.yaml")
     assert config.sample_time == model.dt == 0.02
     assert Controller(config).model.network.architecture == Architecture()
-
-
-def test_what_does_not_go_with_a_network_is_said(tmp_path):
-    write_mapping(tmp_path / "map.yaml")
-    log = write_csv(tmp_path / "drive.csv", drive(seconds=20.0))
-    with pytest.raises(ConfigError, match="they stand around an sm, not an lstm"):
-        identify(log, tmp_path / "map.yaml", "lstm", effects=True)
-    with pytest.raises(ConfigError, match="order 2: only ssm has a choice"):
-        identify(log, tmp_path / "map.yaml", "lstm", order=2)
-
-
-def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "jax", None)
-    with pytest.raises(MissingPackageError) as refused:
-        identify(tmp_path / "never read.csv", None, "lstm")
-    assert str(refused.value) == "training a network needs JAX and Optax: pip install 'diffdrive-mpc[learn]'"

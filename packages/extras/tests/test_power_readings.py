@@ -48,10 +48,6 @@ def test_a_battery_gives_what_is_taken(power: float, voltage: float, resistance:
         assert volts >= 0.5 * voltage
 
 
-def test_more_than_it_can_give_leaves_half_of_its_voltage() -> None:
-    assert Battery(voltage=12.0, resistance=0.1).loaded(1e4)[0] == pytest.approx(6.0)
-
-
 def run(sensors: str, world: str = "", **around: str) -> Run:
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
     return simulate(FeedForward(), make_plant(f"{world}mujoco:fsu_bot", sensors=sensors, seed=4, **around), reference)  # type: ignore[arg-type]
@@ -70,13 +66,6 @@ def test_the_drive_is_the_same_with_the_sensors_and_so_is_the_rest_of_the_log(lo
     for name, column in plain.columns.items():
         if "step_time" not in name and "solve_time" not in name:
             assert np.array_equal(column, logged.columns[name], equal_nan=column.dtype != object), name
-
-
-def test_a_scenario_and_a_world_read_the_same_battery(logged: Run) -> None:
-    for around in ({"scenario": "biased_gyro"}, {"world": "world:opening@"}):
-        count = len(logged.time)
-        readings = run("power", **around).parts["power"].readings
-        assert np.array_equal(readings[:50], logged.parts["power"].readings[:50]), (around, count)
 
 
 def test_without_noise_the_battery_gives_the_energy_of_the_run() -> None:

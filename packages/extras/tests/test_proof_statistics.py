@@ -18,12 +18,8 @@ from diffdrive_mpc_extras.proof.proof_file import DEFAULT as PROOF
 from diffdrive_mpc_extras.proof.proof_file import (
     Boundary,
     BoundarySearch,
-    Map,
-    MapAxis,
-    drawn_map,
     find_boundaries,
     load_proof,
-    map_runs,
 )
 from diffdrive_mpc_extras.proof.report import Outcomes, facts, is_unsafe, tables, worst
 
@@ -98,33 +94,6 @@ def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None
     assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])
     (always,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
     assert (always.held, always.failed, list(always.values)) == (2.0, None, [0.8, 2.0])
-
-
-def test_a_run_that_does_not_end_does_not_hold() -> None:
-    boundary = Boundary("x", search(holds=0.0, beyond=1.0, within=0.1))
-    assert boundary.next_value == 0.0
-    (found,) = find_boundaries(
-        {"surface.friction": search(holds=0.8, beyond=0.1, within=0.5)},
-        PROBE,
-        (1,),
-        lambda runs: [driven(run, completed=False) for run in runs],
-        BAND,
-    )
-    assert found.held is None
-
-
-def test_a_map_has_its_first_factor_along_x() -> None:
-    of = Map(
-        x=MapAxis(factor="robot.robot.mass", low=5.0, high=7.0, steps=3),
-        y=MapAxis(factor="surface.friction", low=0.2, high=0.4, steps=2),
-    )
-    runs = map_runs(of, PROBE, 3)
-    found = drawn_map(
-        "m", of, runs, [driven(run, position_rmse_m=dict(run.robot)["robot.mass"]) for run in reversed(runs)]
-    )
-    assert found.error.tolist() == [[5.0, 6.0, 7.0]] * 2
-    assert {dict(run.surface)["friction"] for run in runs[:3]} == {0.2}
-    assert {run.case.seed for run in runs} == {3}
 
 
 def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:

@@ -103,26 +103,6 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     assert "other than then: numpy (1.0, now" in said
 
 
-def test_the_band_is_that_of_the_file(proof: Path, tmp_path: Path) -> None:
-    text = proof.read_text(encoding="utf-8").partition("maps:")[0]
-    # One of the two does not come to its end.
-    for band, inside in ((1.0, 1), (0.0001, 0)):
-        proof.write_text(f"{text}band: {band}\n", encoding="utf-8")
-        words = ("prove", "sm", "--campaign", proof, "--out", tmp_path / "out", "--jobs", "1", "--runs", "2")
-        assert f"The band is {1e3 * band:g} mm" in " ".join(call(*words, "--worst", "0").split())
-        results = json.loads((tmp_path / "out" / "prove.json").read_text(encoding="utf-8"))
-        assert (results["band_m"], results["rates"]["in_band"]["count"]) == (band, inside)
-
-
-def test_a_configuration_of_the_user_is_proven(proof: Path, tmp_path: Path) -> None:
-    config = tmp_path / "mine.yaml"
-    config.write_text("model: sm\nhorizon: 20\nlimits: {v: 0.9}\n", encoding="utf-8")
-    call("prove", config, "--campaign", proof, "--out", tmp_path / "out", "--jobs", "1", "--runs", "2", "--worst", "1")
-    (path,) = (tmp_path / "out" / "worst").iterdir()
-    assert yaml.safe_load(path.read_text(encoding="utf-8"))["factors"]["config"] == str(config)
-    assert (tmp_path / "out" / "prove.md").read_text(encoding="utf-8").splitlines()[2].startswith("* mine.yaml: ")
-
-
 @pytest.mark.parametrize(
     ("change", "line"),
     [
@@ -130,12 +110,7 @@ def test_a_configuration_of_the_user_is_proven(proof: Path, tmp_path: Path) -> N
             ("trajectory: short", "model: sm\n  trajectory: short"),
             "factors.model: remove it; the controller under test is ssm",
         ),
-        (
-            ("boundaries:\n  sensors", "boundaries:\n  sensor"),
-            "probe and boundaries: unknown factor 'sensor.pose.latency'",
-        ),
         (("low: 0.0, high", "low: 0.4, high"), "low (0.4) has to be below high (0.3)"),
-        (("latency-and-noise", "Latency"), "maps.Latency"),
     ],
 )
 def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, tmp_path: Path) -> None:

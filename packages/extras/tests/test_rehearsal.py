@@ -1,7 +1,6 @@
 """Rehearsal: laps that are learned from, by the path and by the floor."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,23 +10,21 @@ from ideal_robot import IdealRobot, drive
 from scipy.integrate import cumulative_trapezoid
 
 from commands import invoke
-from diffdrive_mpc import Controller, Measurement, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
+from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
-from diffdrive_mpc_extras.rehearsal.drivable import NotDrivableError, nearest_drivable
-from diffdrive_mpc_extras.rehearsal.floor_rehearsal import FloorRehearsal
-from diffdrive_mpc_extras.rehearsal.laps import drive_laps, lap_parts
+from diffdrive_mpc_extras.rehearsal.drivable import nearest_drivable
+from diffdrive_mpc_extras.rehearsal.laps import drive_laps
 from diffdrive_mpc_extras.rehearsal.rehearsal import corrected
 
 DT = 0.0202
@@ -95,16 +92,6 @@ def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
     assert not found.correction[0, :2].any()
 
 
-@pytest.mark.parametrize(("forgetting", "least", "most"), [(1.0, 0.0, 0.0), (0.5, 0.1, 0.8)])
-def test_forgetting_takes_its_share(forgetting, least, most):
-    keeping, forgetful = controller(), controller(forgetting=forgetting)
-    for _ in range(3):
-        lap(keeping)
-        lap(forgetful)
-    kept, left = (np.abs(one.feature("rehearsal").learned.correction).max() for one in (keeping, forgetful))
-    assert least * kept <= left <= most * kept
-
-
 class Mirrored(Drifting):
     drift = -0.04
 
@@ -136,16 +123,6 @@ def test_a_lap_that_was_not_driven_to_its_end_teaches_nothing():
     assert np.array_equal(learning.feature("rehearsal").learned.correction, before)
 
 
-def test_a_lap_without_poses_teaches_nothing():
-    learning = controller()
-    learning.start(BEND, 0.0)
-    for k in range(5):
-        learning.step(k * DT, Measurement())
-    learning.start(BEND, 0.0)
-    assert learning.feature("rehearsal").learned.laps == 0
-    assert "at 0.00 s it was STOPPED" in learning.step(0.0, Measurement()).message
-
-
 def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not():
     learning = controller()
     for pose in ((0.0, 0.0, 0.0), (2.0, -1.0, 1.0), (5.0, 3.0, -2.0)):
@@ -172,26 +149,6 @@ def test_false_poses_teach_nothing():
     assert learning.feature("rehearsal").learned.laps == 2
     found, undisturbed = (by.feature("rehearsal").learned.correction for by in (learning, clean))
     assert np.abs(found - undisturbed)[:, :2].max() < 0.003
-
-
-def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
-    topic = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
-    inbox = SimpleNamespace(now=0.0, odometry=topic, newest_pose=None, look_up_pose=lambda: None)
-    settings = SimpleNamespace(
-        statistics_window=10, drive_on_activate=True, start_at_robot=True, poses_from="odometry", odom_timeout=1.0,
-        blocked_timeout=9.0,
-    )  # fmt: skip
-    loop = ControlLoop(controller(), settings, inbox, BEND, in_sim_time=True)
-    robot, said = IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), []
-    for _ in range(2):
-        for _ in range(int(BEND.duration / DT) + 130):
-            inbox.now, measurement = robot.time, robot.measure()
-            inbox.measurement, inbox.newest_pose = lambda kept=measurement: kept, measurement.pose
-            tick = loop.tick()
-            said.append(tick.message)
-            robot.advance(tick.command)
-        loop.start()
-    assert any("learned from 1 laps" in message for message in said)
 
 
 def test_a_corrected_reference_moves_as_its_poses_do():
@@ -313,12 +270,6 @@ def test_without_sideways_slip_it_is_the_reference(v, omega, turn, gains):
     assert found.distance.max() < 5e-4
 
 
-def test_it_is_the_same_path_elsewhere():
-    here = planned("p4_concrete")
-    there = planned("p4_concrete", starting_at(CORNER, (2000.0, -3000.0, 0.0)))
-    assert there.pose - here.pose == pytest.approx(np.tile([2000.0, -3000.0, 0.0], (len(here.pose), 1)), abs=1e-6)
-
-
 def test_a_least_turn_radius_is_kept():
     radius = 1.0
     wide = lay_segments(
@@ -348,14 +299,6 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
     assert words in rehearsal.said
     assert "tracked as it is given" in rehearsal.said
     assert not rehearsal.correction.any()
-
-
-def test_a_solver_that_fails_says_so():
-    with pytest.raises(NotDrivableError, match="iterations"):
-        planned("p4_concrete", config=load_config("ssm", {"rehearsal.drivable.iterations": 1}))
-    blink = lay_segments([Segment(v=0.0, omega=0.0, duration=0.01)], TrajectoryLimits.of_robot(), name="blink")
-    with pytest.raises(NotDrivableError, match="nothing to plan"):
-        planned("p4_concrete", blink)
 
 
 def floor_lap(by, floor, reference, seed=0):
@@ -408,17 +351,6 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
     assert controller.feature("rehearsal").learned.laps == 0
 
 
-def test_slip_that_is_not_estimated_stays_as_configured():
-    off = {f"estimator.{name}_uncertainty": 0.0 for name in CURVED_SLIPS} | {"compensation.side_slip": False}
-    controller = Controller(load_config("ssm", SETTINGS | off))
-    floor_lap(controller, "p4_concrete", CORNER)
-    controller.feature("rehearsal").learned.begin(CORNER, 0.0)
-    learned = controller.feature("rehearsal").learned.slip
-    assert learned == replace(
-        Slip(), omega_gain=learned.omega_gain, yaw_gain=learned.yaw_gain, longitudinal_gain=learned.longitudinal_gain
-    )
-
-
 def test_what_makes_it_worse_is_forgotten():
     """Learned where the robot turns about a point behind its middle, driven where it turns about one ahead of it."""
     controller = Controller(CONFIG)
@@ -429,13 +361,6 @@ def test_what_makes_it_worse_is_forgotten():
     assert "forgotten" in controller.feature("rehearsal").learned.said
     assert controller.feature("rehearsal").learned.laps == 0
     assert controller.feature("rehearsal").learned.slip == Slip()
-
-
-def test_another_reference_is_driven_by_the_same_floor():
-    controller = Controller(CONFIG)
-    floor_lap(controller, "p4_concrete", load_trajectory("square"))
-    assert isinstance(controller.feature("rehearsal").learned, FloorRehearsal)
-    assert controller.feature("rehearsal").learned.begin(CORNER, 0.0) is not CORNER
 
 
 PLAIN = Case(plant="model:sm", trajectory="cane")
@@ -455,31 +380,6 @@ def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
     assert not np.array_equal(one[1].command, plain[1].command)
 
 
-def test_the_parts_of_made_up_laps_are_those_that_were_put_in(plain):
-    run, rng = plain[0], np.random.default_rng(0)
-    laps = []
-    for _ in range(8):
-        pose = run.reference_pose + [0.003, 0.004, 0.0]
-        pose[:, :2] += 0.002 * rng.standard_normal(pose[:, :2].shape)
-        laps.append(replace(run, true_pose=pose))
-    parts = lap_parts(laps)
-    assert parts.repeating == pytest.approx(0.005, rel=0.02)
-    assert parts.other == pytest.approx(0.002 * np.sqrt(2), rel=0.05)
-
-
-def test_one_lap_has_no_parts(plain):
-    with pytest.raises(ValueError, match="two or more"):
-        lap_parts(plain[:1])
-
-
-def test_another_floor_is_driven_no_worse_than_without():
-    """Learned on one floor, then all slip is another: at most 10 % worse than without, in any lap."""
-    floors = ["default"] * 2 + ["slippery"] * 2
-    learned, without = (drive_laps(case, 4, surfaces=floors).runs for case in (LEARNING, PLAIN))
-    for ours, other in zip(learned[2:], without[2:], strict=True):
-        assert ours.metrics.position_rmse_m < 1.1 * other.metrics.position_rmse_m
-
-
 def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     log = tmp_path / "run.mcap"
     words = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]
@@ -490,10 +390,3 @@ def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     written = read_drive_log(log, plans=True)
     assert written.metadata["case"]["repeat"].startswith("diffdrive-mpc rehearse --laps 2 ")
     assert any(plan is not None for plan in written.plans)
-
-
-def test_correction_learned_from_slip_is_drawn(tmp_path):
-    words = ["rehearse", "--plant", "model:ssm", "--surface", "p4_concrete", "--trajectory", "square", "--laps", "2"]
-    result = invoke(app, *words, "--set", "expert.rehearsal.by=floor", "--out", tmp_path / "out")
-    assert "slip learned from 1 laps" in " ".join(result.output.split())
-    assert (tmp_path / "out" / "figures" / "laps.png").exists()

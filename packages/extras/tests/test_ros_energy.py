@@ -124,31 +124,6 @@ def test_a_silent_battery_is_named_and_its_gap_is_not_counted(battery):
     assert "battery" not in battery.heard().message
 
 
-@pytest.mark.parametrize("battery", [{}, {"parts.energy.battery_discharge_negative": False}], indirect=True)
-def test_a_sign_that_cannot_be_is_named_with_its_remedy(battery):
-    other = battery.s.node.get_parameter("parts.energy.battery_discharge_negative").value
-    battery.drive(170, 12.0, 2.0 if other else -2.0)
-    battery.s.base.until(lambda: "the other sign" in battery.heard().message, "the word")
-    remedy = f"set battery_discharge_negative to {str(not other).lower()}"
-    assert remedy in battery.heard().message and battery.heard().level == DiagnosticStatus.WARN
-
-
-def test_without_either_nothing_is_said_or_heard():
-    with stack(drive=True, diagnostics_rate=20.0) as s:
-        watched = Watched(s)
-        s.base.run(20)
-        assert not [key for key in watched.values() if "energy" in key or "power" in key or "battery" in key]
-        assert watched.battery.get_subscription_count() == 0
-
-
-def test_unknown_turn_costs_end_the_transition_with_a_sentence():
-    with (
-        pytest.raises(ValueError, match="unknown turn costs 'no_robot'"),
-        stack(**{"energy.turn_costs": "no_robot", "parts.energy.enabled": True}),
-    ):
-        pass
-
-
 def test_the_recording_holds_the_battery_and_what_was_said(tmp_path):
     with stack(
         drive=True,

@@ -19,7 +19,6 @@ from diffdrive_mpc.sim.ros.pace import SteppedClock
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase, load_base_settings
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 from diffdrive_mpc_extras.ros.navigation_topics import Scanner, transforms
-from diffdrive_mpc_extras.worlds.shapes import Mover
 from diffdrive_mpc_extras.worlds.world import World
 
 START = (0.0, 0.0, 0.2)
@@ -118,12 +117,6 @@ def test_a_robot_in_a_world_sends_a_scan(base):
     assert np.isfinite(scan.ranges).any()
 
 
-@pytest.mark.parametrize("base", [("model:ssm", {})], indirect=True)
-def test_without_a_world_and_without_transforms_neither_is_there(base):
-    names = {name for name, _ in base.node.get_publisher_names_and_types_by_node("simulated_robot", "/")}
-    assert not names & {"/scan", "/tf"}
-
-
 def test_ranges_are_those_of_the_world_and_arrive_late():
     scanner = Scanner(ROOM)
     assert scanner.look(0.0, (0.0, 0.0, 0.0), lambda t: round(1e9 * t)) is None
@@ -136,16 +129,3 @@ def test_ranges_are_those_of_the_world_and_arrive_late():
     assert ranges[np.argmin(np.abs(angles))] == pytest.approx(1.9, abs=0.01)
     assert ranges[np.argmin(np.abs(angles - math.pi / 2))] == pytest.approx(1.5, abs=0.01)
     assert ranges[np.argmin(np.abs(angles + math.pi / 2))] == math.inf
-
-
-def test_a_person_is_in_the_scan_where_it_walks():
-    walking = ROOM.model_copy(
-        update={"movers": (Mover(x=1.0, y=-0.5, direction=math.pi / 2, speed=0.5, radius=0.2),), "walls": ()}
-    )
-    scanner = Scanner(walking)
-    scanner.look(0.0, (0.0, 0.0, 0.0), lambda t: 0)
-    first = scanner.look(0.1, (0.0, 0.0, 0.0), lambda t: 0)
-    later = [scanner.look(at, (0.0, 0.0, 0.0), lambda t: 0) for at in (1.0, 1.1)][-1]
-    ahead = len(first.ranges) // 2
-    assert first.ranges[ahead] == math.inf
-    assert later.ranges[ahead] == pytest.approx(0.8, abs=0.01)

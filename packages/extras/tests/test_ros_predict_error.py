@@ -61,7 +61,6 @@ def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
     ("parameters", "words"),
     [
         ({"autostart": False}, "the node is unconfigured; activate it first"),
-        ({"trajectory": "''"}, "there is no reference yet"),
         ({"config": "kinematic"}, "provenance.origin is assumed"),
     ],
 )
@@ -79,7 +78,6 @@ def test_it_says_why_nothing_is_predicted(parameters, words):
             "follow_error_limit is set, and model 'kinematic': its",
         ),
         ({"parts.predicted_error.error_population": "mine"}, "unknown population 'mine': give drawn or own"),
-        ({"parts.predicted_error.error_calibration": "/nowhere.yaml"}, "/nowhere.yaml"),
     ],
 )
 def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(parameters, words):
@@ -88,7 +86,6 @@ def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(pa
 
 
 X = np.linspace(0.0, 1.0, 21)
-STRAIGHT = np.column_stack([X, 0 * X, 0 * X])
 CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
 BENT = np.column_stack([2 * X, 0.3 * np.sin(6 * X), np.arctan(0.9 * np.cos(6 * X))])
 
@@ -144,15 +141,6 @@ def test_a_path_that_no_allowed_speed_brings_inside_is_refused(limit, response, 
     with pytest.raises(ConfigError, match=words) as error:
         error_limit(limit, response)
     assert "\n" not in str(error.value)
-
-
-def test_a_path_faster_than_the_calibration_is_not_known_to_keep_to_the_limit():
-    settings = PredictedErrorSettings(follow_error_limit=10.0, follow_error_response="refuse")
-    check = ErrorLimit(ErrorPredictor.of(Controller("ssm"), settings), settings)
-    fast = NodeSettings(follow_speed_share=1.0)
-    limits = path_limits(CONFIG, np.eye(2), fast)
-    with pytest.raises(ConfigError, match=r"^path: the path's speed reaches 1\.\d+ m/s"):
-        lay_for_robot(3 * STRAIGHT, np.zeros(3), (0.0, 0.0), limits, fast, CONFIG, [check])
 
 
 LONG = np.linspace(0.0, 2.0, 41)

@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.identification.log_data import LogData, divide
-from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.stack import estimate_stack, look_ahead_factor
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
@@ -71,9 +70,7 @@ def drawn_log(
     noise: float = 1.0,
     seconds: float | None = None,
     limit: float | None = None,
-    gyro: bool = True,
     pose: bool = True,
-    wheels: bool = True,
 ) -> DrawnLog:
     """Drive the robot of a seed.
 
@@ -85,8 +82,8 @@ def drawn_log(
         Part of the usual noise, disturbance and bias [-].
     seconds, limit
         Other than those of the settings: how long the log is [s], and where commands are clipped [-].
-    gyro, pose, wheels
-        Which sensors the log has.
+    pose
+        Whether the log has poses.
     """
     settings, build = load_population(), draw_robot(seed).build
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(37,)))
@@ -130,15 +127,13 @@ def drawn_log(
         dt,
         command,
         twist=odometry,
-        yaw_rate=rate if gyro else None,
+        yaw_rate=rate,
         pose=poses if pose else None,
-        wheels=reading if wheels else None,
+        wheels=reading,
         fresh_pose=fresh if pose else None,
     )
     train, validation = divide([record], 0.75)
-    data = LogData(
-        tuple(train), tuple(validation), ("drawn",), "the last quarter", "gyro" if gyro else "encoders", (), (), track
-    )
+    data = LogData(tuple(train), tuple(validation), ("drawn",), "the last quarter", "gyro", (), (), track)
     late = build.twin.link.dead_time + lags.sum(axis=1)
     truth = {
         "separation_multiplier": wide / track,
@@ -225,16 +220,6 @@ def test_files_have_the_packages_structure(exact):
     assert all(isinstance(value, float) for value in numbers)
 
 
-def test_without_wheel_speeds_multipliers_are_a_note():
-    quantities = estimate_stack(drawn_log(SEED, noise=CLEAN, seconds=60.0, wheels=False).data)
-    for name in ("left_radius_multiplier", "wheel_radius", "separation_multiplier"):
-        assert quantities[name].value is None
-    text = package_text("ros2_control", quantities)
-    assert "# wheel_separation_multiplier: not known: " in text
-    assert "multiply the one" in text
-    assert "wheel_radius" not in loaded(text)["/**"]["ros__parameters"]
-
-
 def test_without_a_pose_the_gyro_tells_the_multiplier():
     """It scales as the yaw gain of the wheels does: of a body that turns less for the same wheels it is larger."""
     log = drawn_log(SEED, noise=CLEAN, seconds=60.0, pose=False)
@@ -246,13 +231,6 @@ def test_without_a_pose_the_gyro_tells_the_multiplier():
     spun = [replace(record, yaw_rate=0.8 * record.yaw_rate) for record in log.data.train]
     slower = estimate_stack(replace(log.data, train=tuple(spun)))
     assert slower["separation_multiplier"].value == pytest.approx(multiplier / 0.8, rel=0.01)
-
-
-def test_without_gyro_and_pose_nothing_tells_the_multiplier():
-    quantities = estimate_stack(drawn_log(SEED, noise=CLEAN, seconds=60.0, gyro=False, pose=False).data)
-    assert quantities["separation_multiplier"].value is None
-    assert quantities["variance.gyro"].value is None
-    assert quantities["delay.v"].value is not None
 
 
 def test_without_finite_intervals_there_is_no_value(monkeypatch):
@@ -267,20 +245,6 @@ def test_without_finite_intervals_there_is_no_value(monkeypatch):
     assert not any(re.search(r"\b(nan|inf)\b", text) for text in texts)
     content = loaded(texts[list(packages()).index("nav2")])["controller_server"]["ros__parameters"]
     assert "FollowPath.lookahead_time" not in content
-
-
-def test_the_least_look_ahead_is_that_of_the_slowest_speed(exact):
-    slow, quantities = identification_settings().stack.slow_speed, exact[1]
-    assert slow < quantities["driven.v"].value
-    assert quantities["min_look_ahead"].value == pytest.approx(slow * quantities["look_ahead_time"].value)
-
-
-def test_limits_that_are_not_reached_are_a_note():
-    quantities = estimate_stack(drawn_log(SEED, seconds=60.0, limit=1.5).data)
-    assert quantities["max.v"].value is None
-    content = loaded(package_text("nav2", quantities))["velocity_smoother"]["ros__parameters"] or {}
-    assert "max_velocity" not in content
-    assert "# max_velocity: not known: max.v: not reached in this log" in package_text("nav2", quantities)
 
 
 def test_look_ahead_keeps_the_phase_margin():

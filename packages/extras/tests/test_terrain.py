@@ -142,10 +142,7 @@ def test_no_least_radius_on_vinyl_and_one_on_asphalt():
     [
         (lambda: side_torques(BOT, load_terrain("grass"), 1.0, 0.4), "not known; give"),
         (lambda: side_torques(BOT, VINYL, 0.0, 0.4), "other than zero"),
-        (lambda: side_torques(BOT, VINYL, np.nan, 0.4), "other than zero"),
-        (lambda: side_torques(BOT, VINYL, 1.0, -0.4), "positive number"),
         (lambda: load_terrain("vinil"), "did you mean 'vinyl'"),
-        (lambda: load_vehicle("nothing"), "unknown vehicle"),
     ],
 )
 def test_bad_input_gets_a_sentence(call, words):

@@ -66,7 +66,6 @@ def test_what_settles_and_what_is_not_finite_is_left_out():
     ("commands", "twist", "words"),
     [
         (np.ones((50, 3)), np.ones((50, 3)), "give (n, 2) and (n, 3)"),
-        (np.ones((5, 2)), np.ones((5, 3)), "give 30 or more"),
         (np.tile([0.4, 0.1], (50, 1)), np.ones((50, 3)), "turns to both sides at two speeds"),
         (np.tile([0.4, 0.0], (50, 1)), np.ones((50, 3)), "turns to both sides at two speeds"),
     ],
@@ -153,9 +152,7 @@ def test_what_is_written_is_read_again(vinyl, tmp_path):
     ("change", "words"),
     [
         ({"curve": {"radius": [1, 2, 2], "outer": [1, 1, 1], "inner": [0, 0, 0]}}, "has to ascend"),
-        ({"curve": {"radius": [1, 2, 3], "outer": [1, 1, 1, 1], "inner": [0, 0, 0]}}, "give as many of each"),
         ({"vehicle": "fsu_bott"}, "did you mean 'fsu_bot'"),
-        ({"slip": {"a14": 1.0}}, "did you mean 'slip.a31'"),
     ],
 )
 def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change, words):

@@ -25,7 +25,6 @@ from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc_extras.twin.fitting import fit_twin, told_apart
 from diffdrive_mpc_extras.twin.free_run import FreeMotion, drive, most_telling, readings, stretch
-from diffdrive_mpc_extras.twin.from_log import energy_note
 from diffdrive_mpc_extras.twin.held_out import identified
 from diffdrive_mpc_extras.twin.nominal import nominal_robot
 from diffdrive_mpc_extras.twin.problem import TwinProblem
@@ -188,15 +187,6 @@ def test_without_wheels_the_robot_must_be_told():
         nominal_robot("r", [bare])
 
 
-@pytest.mark.parametrize(
-    ("battery", "why"),
-    [(None, "the log held no currents"), (np.ones((30, 2)), "the currents of the log are not fitted")],
-)
-def test_energies_of_a_twin_carry_a_caveat(battery, why):
-    record = Record("made up", 0.0, 0.05, np.zeros((30, 2)), twist=np.zeros((30, 2)), battery=battery)
-    assert f"may be wrong several times over: {why};" in energy_note([record])
-
-
 SEEDS = (21, 22, 23, 24, 25, 26)
 """Not among those that anything was chosen on (11 to 14)."""
 
@@ -260,9 +250,7 @@ def test_a_log_becomes_a_plant(log):
     ("words", "line"),
     [
         (["--seconds", "1"], "error: --seconds 1: give 5 or more of the log to fit"),
-        (["--robot", "nobody"], "error: unknown robot 'nobody'"),
         (["--model", "lstm"], "error: model 'lstm' is a function"),
-        (["--model", "sm", "--effects"], "error: --effects: the model of --model has those of its file"),
     ],
 )
 def test_a_mistake_is_one_line(log, words, line):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import importlib.util
-import json
 import shlex
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,14 +23,13 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit
-from diffdrive_mpc_lab.build import VARIED, experiments, page_text
+from diffdrive_mpc_lab.build import experiments, page_text
 from diffdrive_mpc_lab.numbers import (
     FLOOR,
     configuration,
     default_of,
     lab_settings,
     plant_functions,
-    plant_model,
     values_of,
 )
 
@@ -40,7 +37,6 @@ in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
 # Of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiplication and another libm than Python.
 ROUNDING = 1e-11
-LARGEST_PAGE, LONGEST_OPENING = 3e6, 2.0
 
 
 @pytest.fixture(scope="session")
@@ -110,19 +106,6 @@ def test_formulas_in_c_are_those_of_the_plant() -> None:
     expected = integrate_pose(pose, v, omega, 0.02, -lateral / (v * omega))
     moved = move_of(pose, ca.DM([v, lateral, omega]), 0.02).full().ravel()
     assert moved == pytest.approx(expected, abs=1e-15)
-
-
-def test_defaults_and_experiments_are_choices() -> None:
-    for name in lab_settings()["choices"]:
-        assert default_of(name) in values_of(name)
-    for experiment in experiments():
-        for side in ("a", "b"):
-            assert all(name == "ice" or value in values_of(name) for name, value in experiment[side].items())
-    config = configuration("sm", {"told": 0.08, "horizon": 20, "across": 350})
-    assert (config.extra_dead_time.omega, config.horizon, config.weights.across) == (0.08, 20, 350.0)
-    assert not config.reentry.enabled
-    assert set(VARIED) < set(lab_settings()["choices"])
-    assert plant_model("ssm", 0.12)[1] > plant_model("ssm", 0.0)[1]
 
 
 def test_missing_compiler_is_one_line_that_names_the_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -208,13 +191,10 @@ def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_
         "across=-1e308&path=circle",
         "ice=1e308,1",
         "drawn=" + ";".join(["0,0"] * 65),
-        "drawn=0,0;9999,0",
         f"path={script}",
         f"{script}=1",
         "__proto__=1",
-        "constructor=1",
         "path=circle&path=square",
-        "path=square&speed=1.1",
         "%E0%A4%A",
         "path=" + "x" * 1_000_000,
     )
@@ -288,17 +268,6 @@ def test_pointer_finger_and_keyboard_do_what_the_page_says(page_file: Path) -> N
 
 
 @in_browser
-def test_reduced_motion_stands_until_asked_and_shows_the_whole_drive(page_file: Path) -> None:
-    with laboratory(page_file, reduced_motion="reduce", color_scheme="dark") as page:
-        assert judged(page) < 0.01
-        assert page.evaluate("laboratory.report.ticks") == 0
-        page.locator("#pause").press("Enter")
-        page.wait_for_function("() => laboratory.report.ticks > 10")
-        background = page.evaluate("getComputedStyle(document.body).backgroundColor")
-        assert sum(json.loads(f"[{background.removeprefix('rgb(').removesuffix(')')}]")) < 150
-
-
-@in_browser
 def test_experiments_show_what_they_say(page_file: Path) -> None:
     with laboratory(page_file) as page:
         for experiment in experiments():
@@ -308,19 +277,3 @@ def test_experiments_show_what_they_say(page_file: Path) -> None:
                 assert experiment["see"] in page.locator("#seen").inner_text()
                 rms[side] = judged(page)
             assert rms["b"] <= experiment["share"] * rms["a"], experiment["name"]
-
-
-@in_browser
-def test_it_is_small_and_drives_soon(page_file: Path) -> None:
-    """The quickest of three openings: other tests run beside it."""
-    assert page_file.stat().st_size < LARGEST_PAGE
-    took = []
-    with laboratory(page_file) as page:
-        for _ in range(3):
-            began = time.perf_counter()
-            visit(page, page_file)
-            page.wait_for_function("() => laboratory.report.ticks > 0")
-            took.append(time.perf_counter() - began)
-            if took[-1] < LONGEST_OPENING:
-                break
-    assert min(took) < LONGEST_OPENING

@@ -8,11 +8,10 @@ import threading
 import numpy as np
 import pytest
 from test_monitor_judge import RULES, START, random_drive
-from typer.testing import CliRunner
 
 from commands import invoke
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc_monitor.export import export_judge, rules_texts
+from diffdrive_mpc_monitor.export import rules_texts
 from diffdrive_mpc_monitor.judge import Judge, rule_names
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
@@ -43,12 +42,6 @@ def test_a_name_is_no_code():
     named = RULES.model_copy(update={"name": "x */ int i; \\\n#error ??/"})
     header = rules_texts(named)["rules.h"]
     assert header.count("*/") == 1 and "#error" not in header.splitlines() and "\\" not in header
-
-
-def test_where_a_file_stands_it_says_so(tmp_path):
-    (tmp_path / "file").write_text("")
-    result = CliRunner().invoke(app, ["monitor", "--export", str(tmp_path / "file")])
-    assert result.exit_code == 2 and "it is no folder" in result.stderr and result.stderr.count("\n") == 1
 
 
 class Emulated:
@@ -123,8 +116,3 @@ def test_the_microcontroller_decides_the_same(folder):
         assert judge.verdict
     finally:
         board.close()
-
-
-def test_export_gives_every_file(folder):
-    given = {str(path.relative_to(folder)) for path in export_judge(RULES, folder)}
-    assert {"CMakeLists.txt", "README.md", "ddmon/judge.c", "ddmon/rules.c", "stm32f4/main.c"} <= given
