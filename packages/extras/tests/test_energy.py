@@ -12,11 +12,7 @@ from loop_parts import ConstantTwist, FeedForward
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.sim import Run, make_plant, simulate
-<<<<<<< HEAD
-from diffdrive_mpc_extras.energy import identify_constants, logged_energy
-=======
-from diffdrive_mpc_extras.energy import identify_constants, predict_energy
->>>>>>> c2
+from diffdrive_mpc_extras.energy import identify_constants
 from diffdrive_mpc_extras.energy.power_readings import robot_power, run_energy
 from diffdrive_mpc_extras.terrain import load_terrain, side_torques
 from diffdrive_mpc_extras.torque import TorqueCurves
