@@ -141,6 +141,18 @@ def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, 
     assert len(lines(read(tmp_path, changes), "stuck sensor")) == found
 
 
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [("v", "v of the encoders"), ("omega_wheels", "omega of the encoders"), ("gyro", "omega of the gyro")],
+)
+def test_a_wrong_sign_is_an_error(tmp_path, name, what):
+    log = read(tmp_path, {name: -COLUMNS[name]})
+    (line,) = lines(log, "wrong sign")
+    assert line.startswith(f"log.csv: {what} runs against the command (correlation -")
+    with pytest.raises(ConfigError, match="sign: -1"):
+        log.require_sound()
+
+
 @pytest.mark.parametrize("gain", [0.4, 1.0, 2.0])
 def test_gains_that_a_robot_can_have_raise_no_suspicion(tmp_path, gain):
     log = read(tmp_path, {"gyro": gain * COLUMNS["gyro"]})

@@ -70,14 +70,14 @@ def hurried():
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
-def with_and_without_side_slip(noise, slip):
-    """Return position errors after half of the drive, by compensation of slip, and the estimate with it."""
+def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
+    """Return position errors after a share `begin` of the drive, by compensation of slip, and the estimate with it."""
     reference, errors, estimates = hurried(), {}, {}
     for on in (True, False):
-        driver = controller(**{"compensation.side_slip": on})
+        driver = controller(**{"compensation.side_slip": on} | settings)
         robot = robot_for(reference, slip=slip, noise=noise)
         results, poses, times = drive(driver, robot, reference, reference.duration)
-        first = len(times) // 2
+        first = int(begin * len(times))
         errors[on] = rmse(poses[first:], times[first:], reference)[0]
         estimates[on] = results[-1].estimate
     return errors, estimates[True]
@@ -106,6 +106,14 @@ def test_robot_that_slides_while_turning_is_tracked(noise):
         error = abs(getattr(estimate.slip, name) - getattr(slip, name))
         assert error < min(3 * getattr(estimate.slip_deviation, name), 0.03)
     assert errors[True] < 0.5 * errors[False]
+
+
+@pytest.mark.parametrize("prior", [0.0, 0.06])
+def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
+    """With a prior that is wrong for it, once it has been learned."""
+    priors = {"estimator.side_slip": prior, "estimator.load_shift": prior}
+    errors, _ = with_and_without_side_slip(begin=0.5 if prior else 0.0, **priors)
+    assert errors[True] < errors[False] + 0.0005
 
 
 @pytest.mark.parametrize("turns", [-2, 1, 3])
@@ -250,6 +258,11 @@ def test_rejected_update_changes_nothing(change):
 def test_step_before_start_raises_error():
     with pytest.raises(RuntimeError, match="call start"):
         controller().step(0.0, robot_for(load_trajectory("circle")).measure())
+
+
+def test_start_time_that_is_not_finite_raises_error():
+    with pytest.raises(ValueError, match="t0"):
+        controller().start(load_trajectory("circle"), float("nan"))
 
 
 def test_unusable_models_and_horizons_raise_error():

@@ -299,6 +299,13 @@ def test_damaged_packaged_library_is_not_loaded(wheel_core, folder, caplog, comp
     assert len(compilations) == 1
 
 
+def test_damaged_packaged_library_without_compiler_raises_error(wheel_core, no_compiler):
+    for path in wheel_core.glob("*.so"):
+        one_bit(path)
+    with pytest.raises(NotCompiledError, match="from a wheel"):
+        library.load_core()
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"origin": 1, "machine": 2, "libraries": 3}', "\0"])
 def test_damaged_manifest_is_ignored(wheel_core, compilations, text):
     (wheel_core / "ddmpc_core.json").write_text(text)

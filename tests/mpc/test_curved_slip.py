@@ -161,3 +161,12 @@ def test_heading_is_the_sum_of_mean_rates():
     twist = (prediction.from_plan @ plan).reshape(-1, 2)
     trapezoid = np.concatenate([[0], np.cumsum(0.05 * 0.5 * (twist[:-1, 1] + twist[1:, 1]))])
     assert prediction.heading_from_plan @ plan == pytest.approx(trapezoid, abs=1e-12)
+
+
+def test_nothing_acts_before_its_dead_time():
+    model = SSM.with_extra_dead_time([0.0606, 0.0202]).discretise(0.0202)
+    plan = build_prediction(model, 8).from_plan.reshape(9, 2, 8, 2)
+    for k in range(9):
+        for j in range(8):
+            assert plan[k, :, j, 0].any() == (j + 3 < k)
+            assert plan[k, :, j, 1].any() == (j + 1 < k)

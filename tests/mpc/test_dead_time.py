@@ -11,6 +11,7 @@ from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_mo
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.features.online_dead_time import DeadTimeEstimator
+from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -53,6 +54,27 @@ def test_known_dead_time_is_estimated_and_used(shift):
     assert np.all(np.abs(found.value - truth) < 4 * found.deviation)
     assert np.all(found.deviation < 0.010)
     np.testing.assert_allclose(found.used, truth, atol=0.015)
+
+
+def test_late_wheel_readings_do_not_change_the_dead_time():
+    """The stamp counts, not the time of receipt."""
+    kept = []
+
+    def late(_, measurement):
+        kept.append(measurement.wheel_twist)
+        return replace(measurement, wheel_twist=kept[max(len(kept) - 3, 0)])
+
+    found = driven(controller(), (0.03, 0.03), change=late)[0][-1].dead_time
+    np.testing.assert_allclose(found.value, SM.dead_time + 0.03, atol=0.010)
+
+
+def test_gyro_alone_gives_the_dead_time_of_omega():
+    def blind(_, measurement):
+        return replace(measurement, wheel_twist=None)
+
+    found = driven(controller(), (0.06, 0.04), change=blind)[0][-1].dead_time
+    assert np.isnan(found.value[0])
+    assert found.value[1] == pytest.approx(SM.dead_time[1] + 0.04, abs=0.010)
 
 
 def test_learned_dead_time_gives_the_error_of_the_true_one():
@@ -156,6 +178,25 @@ def test_impossible_reported_commands_do_not_change_the_estimate(sent):
     assert spoilt[-1].dead_time.value == pytest.approx(plain[-1].dead_time.value, abs=0.005)
 
 
+def test_pause_does_not_change_the_estimate():
+    by = controller()
+    driven(by, (0.04, 0.04), seconds=6.0)
+    before = by.step(6.0, Measurement(), Hold("pause")).dead_time
+    results, _ = driven(by, (0.04, 0.04), seconds=6.0)
+    np.testing.assert_allclose(results[-1].dead_time.value, SM.dead_time + 0.04, atol=0.010)
+    np.testing.assert_allclose(before.value, results[-1].dead_time.value, atol=0.005)
+
+
 def test_estimation_without_compensation_raises_error():
     with pytest.raises(ValueError, match="compensation.dead_time"):
         Controller(load_config("sm", {"online_dead_time.enabled": True, "compensation.dead_time": False}))
+
+
+def test_delay_beyond_the_memory_raises_error():
+    by = Controller(load_config("sm"))
+    tick, problem = by._tick, by._problem(by.config, by._predicted)
+    prepared = tick.prepare(problem.constants())
+    with pytest.raises(ValueError, match="larger than at first"):
+        tick.configure(prepared, problem.sizes | {"delay_v": problem.sizes["window"]})
+    with pytest.raises(ValueError, match="larger than at first"):
+        tick.configure(prepared, problem.sizes | {"lag_omega": 40})

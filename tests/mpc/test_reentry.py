@@ -351,6 +351,15 @@ def test_robot_pushed_near_the_end_still_arrives():
     assert len(delays) == 1
 
 
+def test_backward_reference_is_rejoined_backwards():
+    reference = lay_segments([Segment(v=-0.4, omega=0.2, duration=9.0)], TrajectoryLimits.of_robot(), name="backwards")
+    results, poses, times = drive(reference, 7.0, start=(0.2, 0.2), noise=1.0)
+    back, over = back_and_overshoot(lateral(reference, results, poses, times), times, 0.0)
+    assert back <= 3.0
+    assert over <= BAND
+    assert np.mean([r.command[0] for r in results]) < -0.2
+
+
 def test_robot_carried_ahead_waits_instead_of_reversing():
     reference = load_trajectory("circle")
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from trajectory_checks import assert_holds_its_ends
 
-from diffdrive_mpc import ConfigError, Trajectory, load_config, load_trajectory
+from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
@@ -340,6 +340,11 @@ def test_waypoints_are_passed_within_the_limits_of_a_configuration():
 def test_wrong_waypoints_are_reported_in_one_sentence(points, settings, message):
     with pytest.raises(ConfigError, match=f"^trajectory 'waypoints': {message}"):
         Trajectory.from_waypoints(points, **settings)
+
+
+def test_reference_beyond_the_limits_is_rejected_at_start():
+    with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
+        Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
 
 
 def test_start_beyond_the_slew_limit_is_reported():

@@ -225,6 +225,17 @@ def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None
     assert isinstance(load_trajectory(path, timing="stop"), ArcTrajectory)
 
 
+@pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
+def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> None:
+    trajectory = load_trajectory(name)
+    assert trajectory.name == name
+    for model in ("mbm", "sm", "ssm"):
+        config = load_config(model)
+        check_speeds(trajectory, config.limits, config.sample_time)
+    speeds = largest_shares(trajectory, LIMITS)
+    assert np.all(speeds[: 2 if name == "tight" else 4] <= 1.002)
+
+
 # --- what ships
 
 

@@ -11,7 +11,7 @@ from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linea
 from diffdrive_mpc import Controller, ControllerConfig, load_config, load_trajectory, make_plant
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc import Mode
-from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings
+from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
 from diffdrive_mpc_extras.free_space.config import free_space_of
 from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, least_gaps, pieces_of
 from diffdrive_mpc_extras.free_space.polygons import Footprint
@@ -137,6 +137,15 @@ def test_a_doorway_wider_than_the_robot_by_ten_centimetres_is_passed():
     assert column(ticks, "gap").min() > 0.015
 
 
+def test_a_doorway_that_is_too_narrow_is_not_tried():
+    door = Surroundings([box(1.5, 2.2, 0.2, 4.0), box(1.5, -2.2, 0.2, 4.0)])
+    ticks = drive(Controller(config(margin=0.03)), Line(3.0, 0.3), once(door), 12.0)
+    last = ticks[-1]["step"]
+    assert last.mode is Mode.STOPPED
+    assert "no way" in last.message
+    assert column(ticks, "gap").min() > 0.02
+
+
 def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
     wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
 
@@ -233,6 +242,16 @@ def test_surroundings_of_the_future_brake_too():
     ticks = drive(controller, Line(4.0), once(Surroundings(time=10.0)), 1.0)
     assert all(tick["step"].mode in (Mode.BRAKING, Mode.STOPPED) for tick in ticks[2:])
     assert "in the future" in ticks[-1]["step"].message
+
+
+def test_bad_surroundings_change_nothing():
+    controller = Controller(config())
+    wall = Surroundings([box(2.0, 0.0, 0.4, 4.0)])
+    controller.feature("free_space").set_obstacles(wall)
+    with pytest.raises(SurroundingsError):
+        controller.feature("free_space").set_obstacles(Surroundings([[[0.0, 0.0], [np.nan, 1.0], [1.0, 1.0]]]))
+    ticks = drive(controller, Line(4.0), lambda t: wall if t < 1e-9 else None, 9.0)
+    assert ticks[-1]["step"].mode is Mode.STOPPED
 
 
 def test_the_same_surroundings_give_the_same_drive_bit_for_bit():

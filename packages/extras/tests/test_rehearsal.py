@@ -10,7 +10,7 @@ from ideal_robot import IdealRobot, drive
 from scipy.integrate import cumulative_trapezoid
 
 from commands import invoke
-from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc import Controller, Measurement, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
@@ -121,6 +121,16 @@ def test_a_lap_that_was_not_driven_to_its_end_teaches_nothing():
     _, results = lap(learning)
     assert "not driven to its end" in results[0].message
     assert np.array_equal(learning.feature("rehearsal").learned.correction, before)
+
+
+def test_a_lap_without_poses_teaches_nothing():
+    learning = controller()
+    learning.start(BEND, 0.0)
+    for k in range(5):
+        learning.step(k * DT, Measurement())
+    learning.start(BEND, 0.0)
+    assert learning.feature("rehearsal").learned.laps == 0
+    assert "at 0.00 s it was STOPPED" in learning.step(0.0, Measurement()).message
 
 
 def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not():
