@@ -39,6 +39,6 @@ def test_run_without_real_logs_ends_with_their_number_and_source(workers):
     done = run_pytest("-n", workers, "tests/models/test_logs_real.py", **environment)
     assert done.returncode == 0, done.stdout
     assert done.stdout.rstrip().splitlines()[-1] == (
-        "6 more tests need real logs: set DIFFDRIVE_MPC_DATA to a folder with norlab_husky_tile/ and "
+        "18 more tests need real logs: set DIFFDRIVE_MPC_DATA to a folder with norlab_husky_tile/ and "
         "norlab_warthog_terrains/ (NORLAB, BSD-3-Clause; see CONTRIBUTING.md)"
     )

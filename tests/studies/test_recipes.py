@@ -56,7 +56,7 @@ def test_the_backend_is_asked(monkeypatch):
     assert run.metrics.completed and run.solver_methods.count("daqp") > 100
 
 
-KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, turning"
+KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models"
 
 
 @pytest.mark.parametrize(
