@@ -142,13 +142,13 @@ def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("name", "what"),
+    ("name", "reading"),
     [("v", "v of the encoders"), ("omega_wheels", "omega of the encoders"), ("gyro", "omega of the gyro")],
 )
-def test_a_wrong_sign_is_an_error(tmp_path, name, what):
+def test_a_wrong_sign_is_an_error(tmp_path, name, reading):
     log = read(tmp_path, {name: -COLUMNS[name]})
     (line,) = lines(log, "wrong sign")
-    assert line.startswith(f"log.csv: {what} runs against the command (correlation -")
+    assert line.startswith(f"log.csv: {reading} runs against the command (correlation -")
     with pytest.raises(ConfigError, match="sign: -1"):
         log.require_sound()
 

@@ -70,14 +70,14 @@ def hurried():
     return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
 
 
-def with_and_without_side_slip(begin=0.5, noise=1.0, slip=None, **settings):
-    """Return position errors after a share `begin` of the drive, by compensation of slip, and the estimate with it."""
+def with_and_without_side_slip(first_share=0.5, noise=1.0, slip=None, **settings):
+    """Return position errors after `first_share` of the drive, by compensation of slip, and the estimate with it."""
     reference, errors, estimates = hurried(), {}, {}
     for on in (True, False):
         driver = controller(**{"compensation.side_slip": on} | settings)
         robot = robot_for(reference, slip=slip, noise=noise)
         results, poses, times = drive(driver, robot, reference, reference.duration)
-        first = int(begin * len(times))
+        first = int(first_share * len(times))
         errors[on] = rmse(poses[first:], times[first:], reference)[0]
         estimates[on] = results[-1].estimate
     return errors, estimates[True]
@@ -112,7 +112,7 @@ def test_robot_that_slides_while_turning_is_tracked(noise):
 def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
     """With a prior that is wrong for it, once it has been learned."""
     priors = {"estimator.side_slip": prior, "estimator.load_shift": prior}
-    errors, _ = with_and_without_side_slip(begin=0.5 if prior else 0.0, **priors)
+    errors, _ = with_and_without_side_slip(first_share=0.5 if prior else 0.0, **priors)
     assert errors[True] < errors[False] + 0.0005
 
 

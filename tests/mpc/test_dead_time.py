@@ -58,23 +58,23 @@ def test_known_dead_time_is_estimated_and_used(shift):
 
 def test_late_wheel_readings_do_not_change_the_dead_time():
     """The stamp counts, not the time of receipt."""
-    kept = []
+    pending = []
 
     def late(_, measurement):
-        kept.append(measurement.wheel_twist)
-        return replace(measurement, wheel_twist=kept[max(len(kept) - 3, 0)])
+        pending.append(measurement.wheel_twist)
+        return replace(measurement, wheel_twist=pending[max(len(pending) - 3, 0)])
 
-    found = driven(controller(), (0.03, 0.03), change=late)[0][-1].dead_time
-    np.testing.assert_allclose(found.value, SM.dead_time + 0.03, atol=0.010)
+    estimate = driven(controller(), (0.03, 0.03), change=late)[0][-1].dead_time
+    np.testing.assert_allclose(estimate.value, SM.dead_time + 0.03, atol=0.010)
 
 
 def test_gyro_alone_gives_the_dead_time_of_omega():
     def blind(_, measurement):
         return replace(measurement, wheel_twist=None)
 
-    found = driven(controller(), (0.06, 0.04), change=blind)[0][-1].dead_time
-    assert np.isnan(found.value[0])
-    assert found.value[1] == pytest.approx(SM.dead_time[1] + 0.04, abs=0.010)
+    estimate = driven(controller(), (0.06, 0.04), change=blind)[0][-1].dead_time
+    assert np.isnan(estimate.value[0])
+    assert estimate.value[1] == pytest.approx(SM.dead_time[1] + 0.04, abs=0.010)
 
 
 def test_learned_dead_time_gives_the_error_of_the_true_one():
