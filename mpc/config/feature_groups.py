@@ -43,7 +43,7 @@ def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
     details: list[InitErrorDetails] = []
     for name, values in groups.items():
         if name not in plug_in_names("features"):
-            if _asks_for_nothing(values):
+            if asks_for_nothing(values):
                 continue
             raise ValueError(f"{missing_part('features', name)}; or leave out expert.{name}")
         try:
@@ -55,7 +55,7 @@ def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
     return checked
 
 
-def _asks_for_nothing(values: object) -> bool:
+def asks_for_nothing(values: object) -> bool:
     """Return True if a group is switched off: `enabled` is false, or without it all values are zero or empty."""
     if not isinstance(values, Mapping):
         return False

@@ -32,6 +32,7 @@ from diffdrive_mpc.mpc.ros.parameters import (
     declare,
     fields,
     logged,
+    name_features,
     name_parts,
     read,
     refuse_what_is_not_allowed,
@@ -87,9 +88,8 @@ class TrackingNode(PartHost):
         refuse_what_is_not_allowed(self)
         defaults = defaults or NodeSettings()
         declare(self, defaults, read_only=True, skip=tuple(key for key, _ in fields(defaults) if key != "config"))
-        self._declared_config = load_config(self.get_parameter("config").value, overrides)
-        features = getattr(self._declared_config, "features", {})
-        self._declared_settings = name_parts(self, defaults, features)
+        self._declared_config = name_features(self, load_config(self.get_parameter("config").value, overrides))
+        self._declared_settings = name_parts(self, defaults, self._declared_config.features)
         declare(self, self._declared_settings, skip=("config",))
         declare(self, self._declared_config)
         self._changes = ParameterChanges(

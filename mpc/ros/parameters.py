@@ -19,7 +19,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import check
-from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
+from diffdrive_mpc.models.errors import MissingPackageError
+from diffdrive_mpc.models.plug_ins import missing_part, plug_in, plug_in_names
+from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
@@ -102,6 +104,27 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
         if key not in skip
     ]
     node.declare_parameters("", parameters)
+
+
+def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
+    """Return `config` with a group for each feature that only the parameters name: ROS would ignore them in silence.
+
+    Raises
+    ------
+    MissingPackageError
+        If the parameters ask for a feature that no installed package has.
+    """
+    stated: dict[str, dict[str, object]] = {}
+    for name, parameter in _overrides(node).items():
+        feature, _, key = plain_key(name).partition(".")
+        if key and feature not in (*ControllerConfig.model_fields, *config.features) and is_feature(feature):
+            stated.setdefault(feature, {})[key] = parameter.value
+    installed = plug_in_names("features")
+    for feature, values in stated.items():
+        if feature not in installed and not asks_for_nothing(values):
+            raise MissingPackageError(missing_part("features", feature))
+    groups = {feature: plug_in("features", feature).schema() for feature in stated if feature in installed}
+    return config.model_copy(update={"features": {**config.features, **groups}})
 
 
 def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> NodeSettings:

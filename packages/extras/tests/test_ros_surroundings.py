@@ -263,3 +263,10 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
 def test_topics_of_surroundings_need_a_controller_that_sees():
     with pytest.raises(ValueError, match=r"set free_space\.enabled"), stack(**{"parts.free_space.use_costmap": True}):
         pass
+
+
+def test_feature_that_only_parameters_name_is_attached():
+    """ROS ignores a parameter that no node declares."""
+    with stack(**{"expert.free_space.enabled": True, "expert.free_space.max_pieces": 4}) as s:
+        group = free_space_of(s.node.parts["free_space"].require_tools().controller.config)
+    assert group.enabled and group.max_pieces == 4
