@@ -241,7 +241,9 @@ def _tested(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
     sys.dont_write_bytecode = not keep
     for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
         del sys.modules[name]
-    sys.path[:] = [str(tree / "src"), str(tree), *(path for path in sys.path if not path.startswith(str(ROOT)))]
+    # The virtual environment may lie inside the clone.
+    kept = [path for path in sys.path if "site-packages" in path or not Path(path).is_relative_to(ROOT)]
+    sys.path[:] = [str(tree / "src"), str(tree), *kept]
     if library:
         core = import_module("diffdrive_mpc.mpc.core.library")
 

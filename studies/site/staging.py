@@ -123,8 +123,9 @@ def stage(root: Path, out: Path) -> None:
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(root / "docs", out, ignore=shutil.ignore_patterns("*.md"))
     documents = with_notebooks(documents, out)
-    ours = {place_on_site(name): with_site_links(text, name) for name, text in documents.items()}
-    for place, text in {**ours, **pages_outside(root, documents), **reference_pages(documents)}.items():
+    linked = {name: with_site_links(text, name) for name, text in documents.items()}
+    ours = {place_on_site(name): text for name, text in linked.items()}
+    for place, text in {**ours, **pages_outside(root, documents), **reference_pages(linked)}.items():
         page = out / place
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text(with_mathml(text), encoding="utf-8")
