@@ -1,56 +1,27 @@
 """A log or a bag from a stranger: no file that it names is opened, and no code of it runs."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, load_config
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.node_log import LoggedConfigs, recorded_drive
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.models.load import PARAMETERS as MODELS
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.models.trust import UntrustedFileError
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_mcap import write_log
-
-SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
-TERM = """
-import pathlib
-import casadi as ca
-pathlib.Path(__file__).with_name("marker").touch()
-twist = ca.SX.sym("twist", 2)
-slow = ca.Function("slow", [twist], [twist[0]], ["twist"], ["v"])
-"""
-
-opened: list[Path] = []
-
-
-def _note(event, arguments):
-    if event == "open" and isinstance(arguments[0], (str, Path)):
-        opened.append(Path(arguments[0]))
-
-
-sys.addaudithook(_note)
+from untrusted_files import SHORT, call, write_untrusted_files
 
 
 @pytest.fixture
 def stranger(tmp_path):
     """A folder of files that nobody has looked at."""
-    folder = tmp_path / "stranger"
-    folder.mkdir()
-    (folder / "term.py").write_text(TERM)
-    (folder / "model.yaml").write_bytes((MODELS / "ssm.yaml").read_bytes())
-    (folder / "short.yaml").write_text(SHORT)
-    terms = [{"file": str(folder / "term.py"), "function": "slow"}]
-    (folder / "config.yaml").write_text(yaml.safe_dump({"model": "ssm", "terms": terms}))
-    return folder
+    return write_untrusted_files(tmp_path / "stranger")
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +34,6 @@ def run(tmp_path_factory):
 def configuration(folder, changes):
     """Values of a logged configuration; '@' stands for the stranger's folder."""
     return load_config("ssm").model_dump(mode="json") | json.loads(json.dumps(changes).replace("@", str(folder)))
-
-
-def call(*words):
-    """Exit code, what was printed, and the files that were opened."""
-    opened.clear()
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    return result.exit_code, " ".join(result.output.split()), list(opened)
 
 
 def mcap(run, path, config, model=""):

@@ -7,51 +7,17 @@ from pathlib import Path
 
 import pytest
 import yaml
-from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.models.load import PARAMETERS as MODELS
 from diffdrive_mpc_extras.campaign.engine import Store
-
-TERM = """
-import pathlib
-import casadi as ca
-pathlib.Path(__file__).with_name("marker").touch()
-twist = ca.SX.sym("twist", 2)
-slow = ca.Function("slow", [twist], [twist[0]], ["twist"], ["v"])
-"""
-
-opened: list[Path] = []
-
-
-def _note(event, arguments):
-    if event == "open" and isinstance(arguments[0], (str, Path)):
-        opened.append(Path(arguments[0]))
-
-
-sys.addaudithook(_note)
+from untrusted_files import call, write_untrusted_files
 
 
 @pytest.fixture
 def stranger(tmp_path):
     """A folder of files that nobody has reviewed."""
-    folder = tmp_path / "stranger"
-    folder.mkdir()
-    (folder / "term.py").write_text(TERM)
-    (folder / "model.yaml").write_bytes((MODELS / "ssm.yaml").read_bytes())
+    folder = write_untrusted_files(tmp_path / "stranger")
     (folder / "costs.yaml").write_text("vehicle: fsu_bot\n")
-    (folder / "short.yaml").write_text("name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n")
-    terms = [{"file": str(folder / "term.py"), "function": "slow"}]
-    (folder / "config.yaml").write_text(yaml.safe_dump({"model": "ssm", "terms": terms}))
     return folder
-
-
-def call(*words):
-    """Return exit code, output, and the files that were opened."""
-    opened.clear()
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)
-    return result.exit_code, " ".join(result.output.split()), list(opened)
 
 
 def run_file(folder, factors):
