@@ -19,8 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import check
-from diffdrive_mpc.models.errors import MissingPackageError
-from diffdrive_mpc.models.plug_ins import missing_part, plug_in, plug_in_names
+from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -120,10 +119,11 @@ def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
         if key and feature not in (*ControllerConfig.model_fields, *config.features) and is_feature(feature):
             stated.setdefault(feature, {})[key] = parameter.value
     installed = plug_in_names("features")
-    for feature, values in stated.items():
-        if feature not in installed and not asks_for_nothing(values):
-            raise MissingPackageError(missing_part("features", feature))
-    groups = {feature: plug_in("features", feature).schema() for feature in stated if feature in installed}
+    groups = {
+        feature: plug_in("features", feature).schema()
+        for feature, values in stated.items()
+        if feature in installed or not asks_for_nothing(values)
+    }
     return config.model_copy(update={"features": {**config.features, **groups}})
 
 
