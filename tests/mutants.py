@@ -242,8 +242,8 @@ def _tested(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
     for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
         del sys.modules[name]
     # The virtual environment may lie inside the clone.
-    kept = [path for path in sys.path if "site-packages" in path or not Path(path).is_relative_to(ROOT)]
-    sys.path[:] = [str(tree / "src"), str(tree), *kept]
+    outside = [path for path in sys.path if "site-packages" in path or not Path(path).is_relative_to(ROOT)]
+    sys.path[:] = [str(tree / "src"), str(tree), *outside]
     if library:
         core = import_module("diffdrive_mpc.mpc.core.library")
 
