@@ -201,6 +201,10 @@ class Pursuit:
         sample = followed.sample(time + ahead)
         off, v = self._stray(sample)
         if off.outside:
+            away = float(np.hypot(*(estimate.pose - sample.pose[0])[:2]))
+            # A displacement while nobody drives is no progress: it counts from where the reference waits.
+            if self._resumes and away > self._config.failure.max_position_error:
+                return TooFar(away)
             way_back = self._return(reference, time, since_start, estimate)
             if isinstance(way_back, TooFar | StandingReference):
                 no_way = "no way: nothing free leads back to the path; waits"
@@ -272,7 +276,8 @@ class Pursuit:
         """
         settings = self._settings
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
-        here = window.nearest(estimate.pose, time)
+        waited = self._resumes and self._way_back is None
+        here = window.at(time) if waited else window.nearest(estimate.pose, time)
         along, across = window.beside(estimate.pose, here)
         distance = math.hypot(along, across)
         if distance > self._config.failure.max_position_error:

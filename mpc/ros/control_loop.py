@@ -206,6 +206,8 @@ class ControlLoop:
             If the reference exceeds the speed limits, or the position of its frame is not known.
         """
         self._check_speeds(reference)
+        if self._is_latched:
+            raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
             placement.motion()
         # It states its frame, so it stays where it is.
@@ -270,9 +272,7 @@ class ControlLoop:
             If the robot drives already, measurements are missing, or there is no reference within the limits.
         """
         if self.state is LoopState.PAUSED:
-            self._refuse_if_missing()
-            self.state, self._reason, self.blocked = LoopState.DRIVING, "", False
-            return f"drives on{self._once_let_go()}"
+            return self.resume()
         standing = self.last is not None and self.last.mode in (Mode.FINISHED, Mode.STOPPED)
         if self.state is LoopState.DRIVING and not standing:
             raise RefusedError("it is driving already; pause it first")
@@ -283,6 +283,26 @@ class ControlLoop:
             self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
         return f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
+
+    def resume(self) -> str:
+        """Drive on along the reference where it waits, after a pause or a failure; returns what it does.
+
+        Raises
+        ------
+        ValueError
+            If nothing waits for it, or measurements are missing.
+        """
+        if self.state is not LoopState.PAUSED and not self._is_latched:
+            raise RefusedError(f"nothing waits for it ({self.state}); call start to begin")
+        self._refuse_if_missing()
+        self._controller.resume()
+        self.state, self._reason, self.blocked = LoopState.DRIVING, "", False
+        return f"drives on{self._once_let_go()}"
+
+    @property
+    def _is_latched(self) -> bool:
+        """Whether a drive has stopped after a failure, and waits for a person."""
+        return self.state is LoopState.DRIVING and self._controller.is_latched
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
         """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it stands idle."""
@@ -302,6 +322,8 @@ class ControlLoop:
             return "is held already" if before else "is held" if standing else "is held; brakes"
         if not before:
             return "was not held"
+        if self._is_latched:
+            return "let go; stands after a failure; call start or resume to drive"
         if self.state is LoopState.DRIVING:
             return "let go; drives on"
         waits = " begins when it can" if self._begin_when_ready else " stands; call start to drive"
@@ -399,9 +421,13 @@ class ControlLoop:
     def _hold(self, t: float) -> Hold | None:
         if self.state is LoopState.PAUSED:
             return Hold(self._reason)
+        silence = self.inbox.odometry.fault(t, self._settings.odom_timeout)
+        within = self._controller.config.failure.resume_within
+        if silence and not -within <= self.inbox.odometry.age(t) <= within:
+            return Hold(silence, failure=True, waits=True)
         if self.held:
             return Hold(HELD)
-        fault = self.objection or self.inbox.odometry.fault(t, self._settings.odom_timeout) or self._lost
+        fault = self.objection or silence or self._lost
         return Hold(fault, failure=True) if fault else None
 
     def _follow_frame(self) -> None:

@@ -108,6 +108,7 @@ class TrackingNode(PartHost):
         self._diagnostics_timer: Any = None
         self.create_service(Trigger, "~/start", self._serve(lambda loop: loop.start()))
         self.create_service(Trigger, "~/pause", self._serve(lambda loop: loop.pause()))
+        self.create_service(Trigger, "~/resume", self._serve(lambda loop: loop.resume()))
         self.create_service(Trigger, "~/reset", self._serve(lambda loop: loop.reset()))
         self._held = False
         self.create_service(SetBool, "~/hold", self._hold)
