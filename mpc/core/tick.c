@@ -371,8 +371,9 @@ static void lose_time(ddmpc_controller *c, tick_kind kind)
     const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
                                 : kind == TICK_LEAPT ? DDMPC_TIME_LEAPT
                                                      : DDMPC_TIME_PAUSED;
-    /* A single leap may be a glitch, and a small step back is soon made up for. */
-    const int leapt = kind == TICK_PAUSED || c->result.gap < -c->constants->longest_pause;
+    /* A single leap forward may be a glitch. */
+    const ddmpc_time gap = c->result.gap, most = c->constants->resume_within;
+    const int leapt = (kind == TICK_PAUSED && gap > most) || gap < -most;
     ddmpc_brake(c, reason, leapt ? DDMPC_WAITS : DDMPC_FAILURE);
     if (kind == TICK_PAUSED)
         ddmpc_estimator_clear(c);

@@ -150,6 +150,16 @@ def test_old_stamps_count_as_silence():
     assert not rig.run(3.0).any()
 
 
+@pytest.mark.parametrize(("leap", "waits"), [(0.7, False), (1.5, True), (-1.5, True)])
+def test_leap_of_the_clock_counts_as_an_outage_of_that_length(leap, waits):
+    rig = Rig()
+    rig.begin()
+    rig.tick_number += round(leap / DT)
+    rig.run(1.0)
+    assert rig.controller.is_latched is waits
+    assert rig.commands[-1].any() is np.bool_(not waits)
+
+
 def test_silence_during_a_hold_counts():
     rig = Rig()
     rig.begin()

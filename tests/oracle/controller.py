@@ -164,6 +164,7 @@ class OracleController:
             self._configure(self.pending)
             self.pending = None
         notes: list[str] = []
+        self.gap = 0.0 if self.clock.last is None else t - self.clock.last
         kind, fault = self.clock.judge(t)
         notes += [fault] if fault else []
         if kind is TickKind.REPEATED and self.result is not None:
@@ -176,7 +177,7 @@ class OracleController:
             outcome = self._tick(t, measurement, notes, hold)
             self.estimator.commands.append(outcome.command)
         else:
-            outcome = self._lost_time(t, kind, notes)
+            outcome = self._lost_time(kind, notes)
             # No interval of the model begins here: the command in force since the last tick has changed.
             self.estimator.commands.correct_last(outcome.command)
         if not self.in_outage:
@@ -199,10 +200,10 @@ class OracleController:
         )
         return self.result
 
-    def _lost_time(self, t: float, kind: TickKind, notes: list[str]) -> Outcome:
+    def _lost_time(self, kind: TickKind, notes: list[str]) -> Outcome:
         """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
-        back = self.clock.last is not None and t - self.clock.last < -self.clock.longest_pause
-        outcome = self._brake(notes, waits=kind is TickKind.PAUSED or back)
+        gap, most = self.gap, self.config.failure.resume_within
+        outcome = self._brake(notes, waits=(kind is TickKind.PAUSED and gap > most) or gap < -most)
         if kind is TickKind.PAUSED:
             self.estimator.forget()
             self.estimator.commands.clear()
