@@ -433,10 +433,10 @@ class Controller:
 
     @property
     def is_latched(self) -> bool:
-        """Whether the robot waits for `start` or `resume` after a failure.
+        """True while the robot waits for `start` or `resume` after a failure.
 
-        It does after an outage longer than `failure.resume_within`, after a jump of the poses beyond
-        `failure.max_position_error`, after a leap of the clock as long, and with `failure.resume` false after every failure.
+        It waits after an outage or a leap of the clock longer than `failure.resume_within`, after a jump of the poses
+        beyond `failure.max_position_error`, and with `failure.resume` false after every failure.
         """
         return bool(self._tick.lib.ddmpc_is_latched(self._c))
 

@@ -153,7 +153,7 @@ typedef struct {
     int present, has_covariance;
 } ddmpc_stamped;
 
-/* What the application requests beside the reference. A pause is no failure; after a failure `resume` and `resume_within`
+/* Requests of the application beside the reference. A pause is no failure; after a failure `resume` and `resume_within`
    decide; after the last of these requests the robot waits for ddmpc_start or ddmpc_resume in any case. */
 typedef enum { DDMPC_DRIVE, DDMPC_PAUSE, DDMPC_STOP_AS_FAILURE, DDMPC_STOP_AND_WAIT } ddmpc_request;
 
@@ -355,7 +355,7 @@ int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, 
 int ddmpc_relay(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
 /* Continue along the reference after a failure that left the robot waiting. */
 void ddmpc_resume(ddmpc_controller *controller);
-/* Whether the robot waits for ddmpc_start or ddmpc_resume. */
+/* Return 1 while the robot waits for ddmpc_start or ddmpc_resume. */
 int ddmpc_is_latched(const ddmpc_controller *controller);
 /* Forget estimate, plan and commands, for a robot that stands still. The reference stays. */
 void ddmpc_reset(ddmpc_controller *controller);

@@ -53,8 +53,8 @@ class PathWindow:
         sample = reference.sample(times)
         return cls(times, sample.pose, sample.twist, sample.arc_length, _travel(sample.twist[:, 0]))
 
-    def at(self, time: float) -> int:
-        """Index of the sample nearest to `time` [s]."""
+    def index(self, time: float) -> int:
+        """Return the index of the sample nearest to `time` [s]."""
         return int(np.argmin(np.abs(self.times - time)))
 
     def nearest(self, pose: FloatArray, time: float) -> int:

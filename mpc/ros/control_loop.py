@@ -301,7 +301,7 @@ class ControlLoop:
 
     @property
     def _is_latched(self) -> bool:
-        """Whether a drive has stopped after a failure, and waits for a person."""
+        """True while a drive that stopped after a failure waits for a person."""
         return self.state is LoopState.DRIVING and self._controller.is_latched
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:

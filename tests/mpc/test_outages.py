@@ -81,7 +81,7 @@ class Rig:
         """Run for `seconds` [s]; return the commands (n, 2)."""
         return np.array([self.tick().command for _ in range(round(seconds / DT))])
 
-    def begin(self, seconds=2.0):
+    def start_drive(self, seconds=2.0):
         """Drive along the reference for `seconds` [s]."""
         self.run(3 * DT)
         self.loop.start()
@@ -98,7 +98,7 @@ def silent_base(seed, **settings):
     """Switch the base off for 2 to 600 s and on elsewhere; return the rig, and the commands from then on."""
     random = np.random.default_rng(seed)
     rig = Rig(random.choice(["circle", "square", "s", "cane"]), **settings)
-    rig.begin(random.uniform(0.5, 4.0))
+    rig.start_drive(random.uniform(0.5, 4.0))
     rig.on = False
     outage = math.exp(random.uniform(math.log(2.0), math.log(600.0)))
     rig.run(outage / 2)
@@ -131,7 +131,7 @@ def test_no_metre_is_driven_after_any_of_many_silences():
 @pytest.mark.parametrize("outage", np.linspace(0.1, 0.9, 9).round(1))
 def test_robot_continues_after_a_short_silence(outage):
     rig = Rig()
-    rig.begin()
+    rig.start_drive()
     rig.on = False
     rig.run(outage)
     rig.on = True
@@ -143,7 +143,7 @@ def test_robot_continues_after_a_short_silence(outage):
 def test_old_stamps_count_as_silence():
     rig = Rig()
     rig.run(40.0)
-    rig.begin()
+    rig.start_drive()
     rig.delay = 30.0
     rig.run(3.0)
     rig.delay = 0.0
@@ -153,7 +153,7 @@ def test_old_stamps_count_as_silence():
 @pytest.mark.parametrize(("leap", "waits"), [(0.7, False), (1.5, True), (-1.5, True)])
 def test_leap_of_the_clock_counts_as_an_outage_of_that_length(leap, waits):
     rig = Rig()
-    rig.begin()
+    rig.start_drive()
     rig.tick_number += round(leap / DT)
     rig.run(1.0)
     assert rig.controller.is_latched is waits
@@ -162,7 +162,7 @@ def test_leap_of_the_clock_counts_as_an_outage_of_that_length(leap, waits):
 
 def test_silence_during_a_hold_counts():
     rig = Rig()
-    rig.begin()
+    rig.start_drive()
     rig.loop.hold(on=True)
     rig.run(1.0)
     rig.on = False
@@ -175,7 +175,7 @@ def test_silence_during_a_hold_counts():
 
 def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
     rig = Rig("s")
-    rig.begin(4.0)
+    rig.start_drive(4.0)
     reached = rig.loop.last.result.reference[0]
     rig.on = False
     rig.run(1.0)
@@ -196,7 +196,7 @@ def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
 
 def test_resume_far_from_where_the_reference_waits_stays_braked():
     rig = Rig()
-    rig.begin(3.0)
+    rig.start_drive(3.0)
     rig.on = False
     rig.run(2.0)
     # To the other end of the circle: on the path, and still no progress.
@@ -216,7 +216,7 @@ def test_resume_far_from_where_the_reference_waits_stays_braked():
 def test_jump_beyond_the_position_error_waits_and_a_smaller_one_does_not():
     for away, waits in ((0.6, False), (4.2, True)):
         rig = Rig()
-        rig.begin(3.0)
+        rig.start_drive(3.0)
         rig.carry(np.array([0.0, away, 0.0]))
         rig.run(8.0)
         assert rig.controller.is_latched is waits
@@ -227,7 +227,7 @@ def test_resume_is_refused_where_nothing_waits_and_a_new_reference_where_somethi
     rig = Rig()
     with pytest.raises(RefusedError, match="nothing waits for it"):
         rig.loop.resume()
-    rig.begin()
+    rig.start_drive()
     with pytest.raises(RefusedError, match="nothing waits for it"):
         rig.loop.resume()
     rig.on = False

@@ -312,7 +312,7 @@ def _named_fault(attacker: Attacker, random: Random, actions: list[str]) -> None
 
 
 def _outage(attacker: Attacker, random: Random, actions: list[str]) -> None:
-    """Silence the base, and let it return elsewhere: after a long silence nothing moves before a start."""
+    """Stop the messages of the base, and let it return elsewhere; after a long outage nothing moves before a start."""
     lasting = random.random() < 0.7
     actions.append("long outage" if lasting else "short outage")
     attacker.spin(random.uniform(0.0, 1.0))
