@@ -135,6 +135,18 @@ class TrackingNode(PartHost):
             if trigger() is not TransitionCallbackReturn.SUCCESS:
                 raise ValueError(self.failure)
 
+    def brake(self, reason: str) -> float:
+        """Brake for good; returns the longest time that this may take [s]."""
+        if self._loop is None:
+            return 0.0
+        self._loop.end(reason)
+        return self._settings.shutdown_time
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last command was not zero."""
+        return self._loop is not None and self._loop.is_moving
+
     def stop(self) -> None:
         """Send zero as the last command, if the node is active, and stay silent."""
         if self._loop is None:
