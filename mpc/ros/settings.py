@@ -160,7 +160,9 @@ class NodeSettings(StrictModel, strict=True):
         "included; the goal is aborted after 5 s; the speed of a path is limited so that the distance suffices; 0: the "
         "goal is driven to its end [m]",
     )
-    follow_feedback_rate: Rate = Field(10.0, description="how often feedback is sent, at least 10 Hz unless follow_blind_distance is 0 [Hz]")
+    follow_feedback_rate: Rate = Field(
+        10.0, description="how often feedback is sent, at least 10 Hz unless follow_blind_distance is 0 [Hz]"
+    )
     follow_most_poses: Annotated[int, Field(ge=2, le=100_000)] = Field(
         10_000, description="a path of more poses is refused [-]"
     )
