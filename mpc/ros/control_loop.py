@@ -251,7 +251,7 @@ class ControlLoop:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the last command was not zero."""
+        """True if the last command was not zero."""
         return self.last is not None and bool(self.last.command.any())
 
     def release(self) -> None:

@@ -201,7 +201,7 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
 
 
 def _blind_speed(config: ControllerConfig, distance: float) -> float:
-    """Highest speed at which the robot stops within `distance` [m] of the death of its client [m/s]; 0 m: no limit."""
+    """Return the highest speed [m/s] at which the robot stops within `distance` [m] of a death; 0 m: no limit."""
     if not distance:
         return math.inf
     braking, delay = config.limits.v_braking, _SILENCE + _REACTION
@@ -209,7 +209,7 @@ def _blind_speed(config: ControllerConfig, distance: float) -> float:
 
 
 def _speed(tick: LoopTick) -> float:
-    """Estimated speed [m/s]; the commanded one where there is no estimate."""
+    """Return the estimated speed [m/s], or the commanded one where there is no estimate."""
     estimate = None if tick.result is None else tick.result.estimate
     return abs(float(tick.command[0] if estimate is None else estimate.twist[0]))
 

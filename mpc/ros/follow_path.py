@@ -224,7 +224,8 @@ class FollowPathServer:
 
     def _tell(self) -> None:
         now = time.monotonic()
-        for (goal, _, _), heard in zip(self._open, self._watch.check([goal.clients for goal, _, _ in self._open])):
+        heard_goals = self._watch.check([goal.clients for goal, _, _ in self._open])
+        for (goal, _, _), heard in zip(self._open, heard_goals, strict=True):
             goal.unheard = 0 if heard else goal.unheard + 1
             if heard:
                 goal.heard_at = now

@@ -145,7 +145,7 @@ class TrackingNode(PartHost):
 
     @property
     def is_moving(self) -> bool:
-        """Whether the last command was not zero."""
+        """True if the last command was not zero."""
         return self._loop is not None and self._loop.is_moving
 
     def stop(self) -> None:

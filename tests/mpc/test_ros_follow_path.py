@@ -192,11 +192,11 @@ def test_goal_depends_on_its_own_client_only(parts, dead):
         second = parts.Client()
         try:
             follow.until(lambda: second.events, "the second client", pace=parts.DT)
-            owner, other = (follow.client, second) if dead == "other" else (second, follow.client)
+            owner, idle = (follow.client, second) if dead == "other" else (second, follow.client)
             owner.send("a", LONG)
             drives_at_speed(follow, parts.DT)
             place = pose(follow)[0]
-            (owner if dead == "owner" else other).process.kill()
+            (owner if dead == "owner" else idle).process.kill()
             if dead == "owner":
                 follow.until(lambda: not np.any(follow.base.commands[-1]), "the stop", pace=parts.DT)
                 assert pose(follow)[0] < place + 1.0
