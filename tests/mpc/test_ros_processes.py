@@ -57,7 +57,12 @@ def end_with(base, process, *numbers, ticks=True):
     for number in numbers[1:]:
         time.sleep(0.3)
         process.send_signal(number)
-    base.until(lambda: (ticks and base.silent(1) is None) or process.poll() is not None, "the end of the process")
+    while ticks and process.poll() is None:
+        heard = len(base.commands)
+        base.advance_clock()
+        base.until(lambda: len(base.commands) > heard or process.poll() is not None, "a command or the end")  # noqa: B023
+        base.plant.advance(base.commands[-1])
+    base.until(lambda: process.poll() is not None, "the end of the process")
     for _ in range(20):
         base.spin()
     assert base.commands[-1] == (0.0, 0.0)
