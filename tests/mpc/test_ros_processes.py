@@ -107,6 +107,7 @@ def test_killed_node_sends_no_command(driving):
         (["--trajectory", "circel", "--autostart"], "unknown trajectory 'circel'"),
         (["--set", "weights.acros=1"], "did you mean 'weights.across'?"),
         (["--trajectry", "s"], "unknown argument '--trajectry'"),
+        (["--ros-args", "-p", "follow_client_timeout:=1.0"], "set follow_blind_distance [m] instead"),
     ],
 )
 def test_failed_start_is_reported_in_one_line(words, line):
