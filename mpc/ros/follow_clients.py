@@ -10,6 +10,7 @@ from nav2_msgs.action import FollowPath
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 _STALL = 0.2
@@ -30,7 +31,7 @@ class _Link:
         )
 
     def clients(self) -> frozenset[bytes]:
-        """GIDs of the clients that the participant knows."""
+        """Return the GIDs of the clients that the participant knows."""
         writers = self.node.get_publishers_info_by_topic(self._requests, no_mangle=True)
         return frozenset(bytes(writer.endpoint_gid) for writer in writers)
 
@@ -115,19 +116,28 @@ class ClientWatch:
             return True
 
     def _is_ambiguous(self) -> bool:
-        """Whether the missing acknowledgement may be that of another subscription than the goal's client."""
+        """Return True if the missing acknowledgement may be that of another subscription than the goal's client."""
         return self._acknowledges and self._node.count_subscribers(self._graph.publisher.topic_name) > 1
 
     def _renew(self) -> None:
+        name, namespace = self._node.get_name(), self._node.get_namespace()
+        # With SROS 2 the participant uses the same keys, and creates no topic that their policy does not allow.
+        nodes = self._node.get_node_names_and_namespaces_with_enclaves()
+        enclave = next(entry[2] for entry in nodes if entry[:2] == (name, namespace))
         context = Context()
-        context.init(args=[], initialize_logging=False, domain_id=self._node.context.get_domain_id())
+        context.init(
+            args=["--ros-args", "--enclave", enclave],
+            initialize_logging=False,
+            domain_id=self._node.context.get_domain_id(),
+        )
         node = rclpy.create_node(
-            f"{self._node.get_name()}_feedback",
+            f"{name}_feedback",
             context=context,
-            namespace=self._node.get_namespace(),
+            namespace=namespace,
             use_global_arguments=False,
             enable_rosout=False,
             start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         former, self._link = self._link, _Link(node, self._action, context)
         if former is not self._graph:

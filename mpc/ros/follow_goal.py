@@ -413,7 +413,7 @@ class Following:
         return End(GoalOutcome.ABORTED, self._code(tick), tick.message or "no command could be found")
 
     def _has_to_brake(self, goal: FollowGoal, speed: float) -> bool:
-        """Whether the robot, at `speed` [m/s], has to brake now to keep the distance without a living client."""
+        """Return True if the robot, at `speed` [m/s], has to brake now to keep the distance without its client."""
         if goal.blind_since != goal.heard_at:
             goal.blind_since, goal.blind_distance = goal.heard_at, 0.0
         config = self._config()
@@ -425,7 +425,7 @@ class Following:
         return self._silence(goal) > _LONGEST_SILENCE
 
     def _silence(self, goal: FollowGoal) -> float:
-        """Time since the client was heard [s]; zero before several checks have failed, or if it does not matter."""
+        """Return the time since the client was heard [s]; zero until several checks have failed."""
         if goal.unheard < _SILENT_CHECKS or not self._settings.follow_blind_distance:
             return 0.0
         return time.monotonic() - goal.heard_at

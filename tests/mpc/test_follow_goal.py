@@ -194,7 +194,7 @@ def test_robot_waits_for_a_silent_client_drives_on_and_then_gives_up(made, monke
     distance = 0.0
     for count in range(200):
         goal.unheard = count
-        monkeypatch.setattr(follow_goal.time, "monotonic", lambda at=start + count * CONFIG.sample_time: at)
+        monkeypatch.setattr(follow_goal.time, "monotonic", lambda now=start + count * CONFIG.sample_time: now)
         following.after(drives)
         if loop.wait_reason:
             break
