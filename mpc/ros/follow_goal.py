@@ -43,7 +43,7 @@ _SILENT_CHECKS, _SILENCE = 3, 0.3
 """A client counts as silent after so many checks in so long [s]; on a loaded machine it acknowledges within 0.1 s."""
 _LONGEST_SILENCE = 5.0
 """A goal is abandoned after so long without its client [s]; to tell a dead client from another takes up to 3 s."""
-_REACTION = 0.3
+_REACTION = 0.4
 """Time from the death of a client to the first check, and from the verdict to the first braking command [s]."""
 _SETTLES = 1.0
 """After a command of zero for so long the robot is taken to stand, whatever its wheels say [s]."""
