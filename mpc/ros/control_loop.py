@@ -141,6 +141,8 @@ class ControlLoop:
         Whether the robot is kept from moving, whatever the state.
     objection
         Why the node does not let the robot drive; the robot then brakes as for stale odometry. Empty: it may drive.
+    wait_reason
+        Why the robot brakes and stands for now, without a failure; the state does not change. Empty: it drives.
     relaid
         How often the current reference was placed again because its frame had moved.
     warning
@@ -178,7 +180,7 @@ class ControlLoop:
         self.blocked = False
         self.begun: Begun | None = None
         self.held = held
-        self.objection = self.warning = ""
+        self.objection = self.warning = self.wait_reason = self._end_reason = ""
         self._published: tuple[Begun, Due] | None = None
         self._requests = 0
         # A newly activated node counts as reset.
@@ -245,9 +247,18 @@ class ControlLoop:
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
 
+    def end(self, reason: str) -> None:
+        """Brake and stand for good: nothing that is requested afterwards moves the robot."""
+        self._end_reason = reason
+
+    @property
+    def is_moving(self) -> bool:
+        """True if the last command was not zero."""
+        return self.last is not None and bool(self.last.command.any())
+
     def release(self) -> None:
         """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
-        self._next, self._begin_when_ready, self.blocked = None, False, False
+        self._next, self._begin_when_ready, self.blocked, self.wait_reason = None, False, False, ""
         if self._set_aside is not None:
             (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
         if self.state is not LoopState.FAULT:
@@ -317,9 +328,8 @@ class ControlLoop:
     def hold(self, *, on: bool) -> str:
         """Brake and stand while `on`, whatever else is requested; the state does not change. Returns a message."""
         before, self.held = self.held, on
-        standing = self.last is None or not self.last.command.any()
         if on:
-            return "is held already" if before else "is held" if standing else "is held; brakes"
+            return "is held already" if before else "is held; brakes" if self.is_moving else "is held"
         if not before:
             return "was not held"
         if self._is_latched:
@@ -331,7 +341,7 @@ class ControlLoop:
 
     def reset(self) -> str:
         """Forget estimate, measurements and progress; returns what it does; raises RefusedError while it moves."""
-        if self.last is not None and self.last.command.any():
+        if self.is_moving:
             raise RefusedError("the robot is still driving; pause first")
         self._reset_controller()
         self.inbox.restart()
@@ -419,6 +429,8 @@ class ControlLoop:
         self.state, self._reason, self.blocked, self._begin_when_ready = LoopState.DRIVING, "", False, False
 
     def _hold(self, t: float) -> Hold | None:
+        if self._end_reason:
+            return Hold(self._end_reason)
         if self.state is LoopState.PAUSED:
             return Hold(self._reason)
         silence = self.inbox.odometry.fault(t, self._settings.odom_timeout)
@@ -427,6 +439,8 @@ class ControlLoop:
             return Hold(silence, failure=True, waits=True)
         if self.held:
             return Hold(HELD)
+        if self.wait_reason:
+            return Hold(self.wait_reason)
         fault = self.objection or silence or self._lost
         return Hold(fault, failure=True) if fault else None
 
