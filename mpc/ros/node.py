@@ -264,7 +264,9 @@ class TrackingNode(PartHost):
         watched: list[tuple[TopicWatch, Subscription]] = []
 
         def add(kind: type[Any], topic: str, take: Callable[[Any], None], watch: TopicWatch) -> None:
-            made = subscribe_bounded(self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse)
+            made = subscribe_bounded(
+                self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse, series=watch.series
+            )
             self._inputs.append(made)
             watched.append((watch, made))
 
