@@ -23,13 +23,13 @@ class _Series:
     """Number and time of sending of the last messages."""
 
     def fits(self, number: int, sent: int) -> bool:
-        """Whether the publisher of this series can have sent the message: its numbers rise in the order of sending."""
+        """Return True if the publisher of this series can have sent the message: its numbers rise with the time."""
         return number > self.newest - _DEPTH and all(
             sent >= time if number > past else sent <= time and number < past for past, time in self.recent
         )
 
     def lives(self, arrival: float) -> bool:
-        """Whether its publisher may still send at `arrival` [s]."""
+        """Return True if its publisher may still send at `arrival` [s]."""
         (first, began), (last, ended) = min(self.recent), max(self.recent)
         period = 1e-9 * (ended - began) / (last - first) if last > first else _MAX_LIFETIME
         return arrival - self.arrival <= min(max(_LIFETIME, _LIFETIME_PERIODS * period), _MAX_LIFETIME)

@@ -31,7 +31,7 @@ class Driver:
         self.network, self.overtaken = draw.choice([1e-4, 1e-4, 2e-3, 0.01]), draw.choice([0.0, 0.0, 0.01, 0.05])
 
     def messages(self, start, end, first=1):
-        """Messages between two times [s], numbered from `first`, in the order of sending."""
+        """Return the messages between two times [s], numbered from `first`, in the order of arrival."""
         draw, count = self.draw, int((end - start) / self.period)
         sent = start + self.period * np.arange(0, count, self.burst)
         sent = np.repeat(sent + draw.uniform(0.0, self.jitter, len(sent)), self.burst)[:count]
@@ -46,12 +46,12 @@ class Driver:
 
 
 def without_numbers(messages, kind):
-    """The messages as a middleware delivers them that has no numbers."""
+    """Return the messages as a middleware without numbers delivers them."""
     return [message._replace(number={"none": None, "zero": 0, "constant": 9}[kind]) for message in messages]
 
 
 def detected(messages, series=None):
-    """Time at which a second publisher is detected [s]; None if none is."""
+    """Return the time at which a second publisher is detected [s]; None if none is."""
     series = series or MessageSeries()
     for arrival, number, sent in sorted(messages, key=lambda message: message.arrival):
         series.take(number, sent, arrival)
@@ -74,20 +74,20 @@ def twins(seed):
 def restarts(seed, count=50):
     """Return the messages of a driver that is killed and started again `count` times; its stamps go on."""
     draw = np.random.default_rng(seed)
-    found, start = [], 0.0
+    messages, start = [], 0.0
     driver = Driver(draw)
     life = 10.0 ** draw.uniform(-0.5, 0.7)
     for _ in range(count + 1):
         end = start + life * draw.uniform(0.5, 1.5)
         driver.loss = draw.choice([0.0, 0.01, 0.1])
         # The reader misses what is sent before it is discovered.
-        found += driver.messages(start, end, first=1 + int(draw.choice([0, 0, 5, 40])))
+        messages += driver.messages(start, end, first=1 + int(draw.choice([0, 0, 5, 40])))
         start = end + draw.uniform(0.1, 2.0)
-    return found
+    return messages
 
 
 def delay(seed):
-    """Time of the detection since the second's first message, minus the bound [s]; infinite without detection."""
+    """Return the time from the bound to the detection [s], negative within the bound; infinite without detection."""
     ours, theirs = twins(seed)
     theirs.sort()
     time = detected(ours + theirs)
@@ -95,7 +95,7 @@ def delay(seed):
 
 
 def false_alarm(seed):
-    """Whether 50 restarts are taken for two publishers."""
+    """Return True if 50 restarts are taken for two publishers."""
     return detected(restarts(seed)) is not None
 
 

@@ -106,15 +106,15 @@ class OracleJudge:
             self.judge(name, not low - margin <= found <= high + margin, r.lasting)
 
     def _rest(self):
-        """Wheels since the robot has rolled out; the command that moved it last is limited to `stop_within`."""
-        r, answer = self.rules.commands, self.rules.answer
+        """Sum up the motion of the wheels since the robot has rolled out."""
+        r, response = self.rules.commands, self.rules.answer
         crept = np.zeros(2)
         if self.rest_since is not None:
             moved = [t for t, twist in self.sent if self.moves(twist)]
             moved_at = min(moved[-1] if moved else -np.inf, self.rest_since + r.stop_within)
-            begin = moved_at + answer.dead_time + 3 * max(answer.lag_v, answer.lag_omega)
+            rest_at = moved_at + response.dead_time + 3 * max(response.lag_v, response.lag_omega)
             for before, row in zip(self.odometry, self.odometry[1:], strict=False):
-                if row[7] > begin and row[7] >= self.rest_since:
+                if row[7] > max(rest_at, self.rest_since):
                     crept += min(row[0] - before[0], 1.0) * np.array(row[1:3])
         self.judge("creeps", abs(crept[0]) > r.rest_distance)
         self.judge("turns_at_rest", abs(crept[1]) > r.rest_turn)

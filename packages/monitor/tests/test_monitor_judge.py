@@ -62,7 +62,7 @@ def stand(robot):
 
 
 def finish(robot):
-    """The controller drives, stops and says so."""
+    """Let the controller drive, stop and report it."""
     robot.judge.says(robot.now, drives=True)
     robot.judge.reference(robot.now, [[robot.now, *robot.state], [robot.now + 20.0, *robot.state]])
     robot.judge.says(robot.now, drives=False)
@@ -357,7 +357,7 @@ def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(away, rule):
 
 
 def random_drive(seed):
-    """A drive with something wrong, as calls: name, arguments. It begins soundly.
+    """Yield the calls of a drive with something wrong: name, arguments. It begins soundly.
 
     From seed 18 on it also stands, and from seed 26 on it creeps meanwhile.
     """
