@@ -157,7 +157,7 @@ class RivalWatch(NodePart):
         assert self.tools is not None
         others = self.rivals.claim(self.tools.settings.discovery_wait)
         objection = self._objection(self.tools, self.rivals, others)
-        if not objection:
+        if not objection and self.tools.settings.exclusive_inputs:
             self._hear_inputs(self.tools)
             objection = self._objection(self.tools, self.rivals, others)
         if objection:

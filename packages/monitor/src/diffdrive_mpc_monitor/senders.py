@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-_MESSAGES, _TIME = 8, 0.5
-"""Numbers that fall again after so few messages, or so little time [s], are those of two publishers."""
+from collections import deque
+
+_FALLS = 3
+_MESSAGES, _TIME = 6, 0.3
+"""The numbers of two publishers fall three times within so many messages, or so much time [s]."""
 
 
 class Senders:
@@ -14,7 +17,8 @@ class Senders:
     """
 
     def __init__(self) -> None:
-        self._last, self._fall_at, self._since_fall = 0, float("-inf"), _MESSAGES
+        self._last = self._count = 0
+        self._falls: deque[tuple[int, float]] = deque(maxlen=_FALLS)
 
     def take(self, number: int | None, now: float) -> bool:
         """Take in the number of a message that arrives at `now` [s]; None if the middleware has no numbers.
@@ -24,9 +28,9 @@ class Senders:
         if not number:
             return False
         falls, self._last = number <= self._last, number
-        self._since_fall += 1
+        self._count += 1
         if not falls:
             return False
-        is_shared = self._since_fall <= _MESSAGES or now - self._fall_at <= _TIME
-        self._since_fall, self._fall_at = 0, now
-        return is_shared
+        self._falls.append((self._count, now))
+        count, time = self._falls[0]
+        return len(self._falls) == _FALLS and (self._count - count <= _MESSAGES or now - time <= _TIME)
