@@ -113,13 +113,14 @@ def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
     The middleware may take a while to forget a node that was killed. Two publishers of one name therefore count as two
     only if both send, or if the middleware does not tell their messages apart.
     """
-    infos = node.get_publishers_info_by_topic(topic)
-    if len({bytes(info.endpoint_gid) for info in infos}) < 2:
-        watch.series.restart()
-        return ""
+    infos, series = node.get_publishers_info_by_topic(topic), watch.series
     names = sorted({*map(_name, infos)} - {_NAMELESS})
-    if len(names) < 2 and watch.series.is_numbered and not watch.series.is_shared:
-        return ""
+    if len(names) < 2:
+        if len({bytes(info.endpoint_gid) for info in infos}) < 2:
+            series.restart()
+            return ""
+        if series.is_numbered and not series.is_shared:
+            return ""
     who = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or _NAMELESS}"
     return f"{who} publish on {topic}, and nobody knows whose message is true; stop all but one"
 
