@@ -34,7 +34,7 @@ def test_two_publishers_are_detected_within_the_bound(count):
 
 @pytest.mark.parametrize("count", [15, LONG])
 def test_restarts_are_one_publisher(count):
-    """Of a driver that lives for a second; readers of sensors, of best effort, drop messages that were overtaken."""
+    """Readers of sensors, of best effort, drop messages that were overtaken; the driver lives for a second or more."""
     streams = (restarts(seed, is_ordered=True, min_life=1.0) for seed in range(RESERVED, RESERVED + count))
     assert not [stream[0] for stream in streams if detected(stream) is not None]
 
