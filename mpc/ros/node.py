@@ -262,7 +262,9 @@ class TrackingNode(PartHost):
             built.callback(self._outgoing.destroy)
             watched: list[tuple[TopicWatch, Subscription]] = []
             for kind, topic, take, watch in self._input_topics(self._inbox, settings):
-                made = subscribe_bounded(self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse)
+                made = subscribe_bounded(
+                    self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse, series=watch.series
+                )
                 built.callback(self.destroy_subscription, made)
                 watched.append((watch, made))
             wake = self.create_guard_condition(lambda: None)

@@ -68,8 +68,8 @@ class NodeSettings(StrictModel, strict=True):
     )
     exclusive_inputs: bool = Field(
         True,
-        description="refuse activation, and brake, while two nodes publish on `odom`, `imu` or `pose`: which "
-        "message is whose is not known; false: only warn [-]",
+        description="refuse activation, and brake, while two nodes, or two publishers of one name that both send, "
+        "publish on `odom`, `imu` or `pose`: which message is whose is not known; false: only warn [-]",
     )
     discovery_wait: NotNegative = Field(
         1.0, description="time before activation in which the node looks for other nodes [s]"
