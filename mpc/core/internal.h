@@ -257,7 +257,8 @@ struct ddmpc_controller {
     int plan_age;         /* ticks since it was made; -1: there is none */
     int has_reference, has_result, has_driven, latched, finished, pending;
     ddmpc_time deadline; /* of this tick's solve, see ddmpc_input; infinite: none */
-    int most_iterations;
+    int most_iterations, is_late; /* see ddmpc_input */
+    int missed;          /* see ddmpc_report */
     real share;
     /* fence */
     real fence[3]; /* its middle in the frame of poses [m, m, rad] */
