@@ -19,6 +19,8 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long a signal may wait while nothing else happens [s].
 _LONGEST_WAIT = 0.1
+# As of the commands.
+_BAD_INPUT = 2
 
 
 def run(
@@ -83,4 +85,5 @@ def main() -> None:
     try:
         run(sys.argv)
     except (ValueError, OSError, DiffdriveMpcError) as error:
-        sys.exit(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(_BAD_INPUT)
