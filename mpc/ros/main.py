@@ -85,5 +85,5 @@ def main() -> None:
     try:
         run(sys.argv)
     except (ValueError, OSError, DiffdriveMpcError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        sys.stderr.write(f"error: {error}\n")
         sys.exit(_BAD_INPUT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import signal
 from collections.abc import Sequence
@@ -28,6 +27,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.rules import load_rules
 
@@ -101,9 +101,7 @@ _LAST_WORDS = 0.3
 
 
 def _unknown(name: str) -> str:
-    near = difflib.get_close_matches(name, MonitorSettings.model_fields, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(MonitorSettings.model_fields)}"
-    return f"unknown parameter {name!r}; {hint}"
+    return f"unknown parameter {name!r}{suggestion(MonitorSettings, [name])}"
 
 
 class MonitorNode(Node):
