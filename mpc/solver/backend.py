@@ -166,7 +166,7 @@ def ask(
     guess, multipliers, iterations = program.guess, program.multipliers, 0
     while True:
         left = None if deadline is None else deadline - time.monotonic()
-        if left is not None and left <= 0.0:
+        if left is not None and not left > 0.0:  # for NaN, too
             solved = Solved(guess, multipliers, SolverStatus.TIME_LIMIT)
             break
         solved = backend.solve(program, kinds, guess, multipliers, left)

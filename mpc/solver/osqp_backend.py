@@ -134,7 +134,7 @@ class _Workspace:
         # OSQP counts the time of its set-up at the first solve; this one begins at its solution.
         self._solver.solve(raise_error=False)
         self._update()
-        self._time_limit: float | None = None
+        self._time_limit = _NO_TIME_LIMIT
 
     def _set_up(self, settings: Solver) -> osqp.OSQP:
         solver = osqp.OSQP()
@@ -162,9 +162,10 @@ class _Workspace:
         """Solve with the limits of this work space, until `deadline` by `time.monotonic` [s]."""
         values = self._load(program, guess)
         # OSQP counts from the update on, and looks at the clock at every iteration.
-        time_limit = None if deadline is None else max(deadline - time.monotonic(), SHORTEST)
+        left = _NO_TIME_LIMIT if deadline is None else deadline - time.monotonic()
+        time_limit = min(max(left, SHORTEST), _NO_TIME_LIMIT)
         if time_limit != self._time_limit:
-            self._solver.update_settings(time_limit=_NO_TIME_LIMIT if time_limit is None else time_limit)
+            self._solver.update_settings(time_limit=time_limit)
             self._time_limit = time_limit
         try:
             self._update()

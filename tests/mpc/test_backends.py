@@ -1,5 +1,6 @@
 """Every backend of the registry, against conditions of optimality that do not care how a solution was found."""
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -355,6 +356,10 @@ def test_backend_without_time_gives_no_plan_and_repeats_so(backend):
     assert late.solver.status is SolverStatus.TIME_LIMIT
     assert (late.mode, late.solver.missed) == (Mode.REUSED_PLAN, 1)
     assert results[25].mode is Mode.TRACKING
+    never = drive(
+        controller(**{"solver.method": backend}), plant(), 3, deadline=lambda k: [math.inf, math.nan, None][k]
+    )
+    assert [result.solver.status is SolverStatus.SOLVED for result in never] == [True, False, True]
     again = drive(
         controller(**{"solver.method": backend}), plant(), 30, most_iterations=lambda k: 0 if k == 20 else None
     )
