@@ -561,10 +561,12 @@ class Controller:
         A clock that leaps zeroes the command in one tick: where `t` is ahead by more than `estimator.history`, a base
         without commands has stopped by itself. Every other change of the command keeps slew or the braking limits.
 
-        With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock, after one iteration at the
-        earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status` says so. The run
-        then depends on how fast the computer is. `most_iterations` bounds this tick's active set: to repeat a tick that
-        was stopped.
+        With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock. The active set is, after one
+        iteration at the earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status`
+        says so. A backend gives no plan then, and does not begin if its first factorisation would take longer. At
+        `solver.max_missed` such ticks in a row the robot brakes. The run depends on how fast the computer is.
+        `most_iterations` repeats a tick that missed its deadline (`solver.missed`): it bounds the active set by the
+        iterations of that tick, and a backend is not asked if it is 0.
 
         Raises
         ------
@@ -592,6 +594,7 @@ class Controller:
             hold = feature.before_step(t) or hold
         tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
         tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
+        tick_input.is_late = most_iterations is not None
         since_start = t - self._t0
         on_time = pursuit.on_time and since_start >= 0.0
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
@@ -613,7 +616,7 @@ class Controller:
         refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
             backend_began = time.perf_counter()
-            refused = self._ask_backend(deadline)
+            refused = self._ask_backend(0.0 if most_iterations == 0 else deadline)
             solve_time += time.perf_counter() - backend_began
         result = self._build(hold, message, (started, solve_time), refused=refused)
         for feature in self._features.values():
@@ -706,6 +709,7 @@ class Controller:
             c_report.dual_residual,
             bool(c_report.soft_limits),
             c_report.operations,
+            c_report.missed,
         )
         if c.reasons or c.notes or message:
             message = self._messages.sentence(hold, status, message)

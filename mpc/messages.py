@@ -118,6 +118,11 @@ class MessageFormatter:
                 f"the turn is held to limits.min_commanded_radius = {self._config.limits.min_commanded_radius} m",
             ),
             (
+                lib.DDMPC_DEADLINES_MISSED,
+                f"solves missed their deadline at {c.solver.missed} ticks in a row; the limit is solver.max_missed = "
+                f"{self._config.solver.max_missed}: shorten the horizon, or raise solver.time_limit",
+            ),
+            (
                 lib.DDMPC_NOT_AT_REST,
                 f"finished {c.distance:.3f} m from the end, not at rest within {finish.timeout} s",
             ),

@@ -40,6 +40,7 @@ USER = (
     "solver.method",
     "solver.osqp",
     "solver.time_limit",
+    "solver.max_missed",
     "failure.max_pose_age",
     "failure.resume",
     "failure.resume_within",

@@ -52,6 +52,11 @@ class Solver(Group):
         description="the node's: after so long of a tick the solve is stopped, and its plan taken as it is, with "
         "ranges and slew kept; unset: half of sample_time. A simulation is bounded by iterations alone [s]",
     )
+    max_missed: Annotated[int, Field(ge=1, le=100_000)] = Field(
+        5,
+        description="ticks in a row whose solve is cut off by time_limit or ends after it, from which on the robot "
+        "brakes, until a solve is in time again [-]",
+    )
     osqp: Osqp = Osqp()
 
     @property

@@ -116,6 +116,7 @@ typedef struct {
     real slack;                 /* by how much the active set may exceed a limit */
     int active_set;             /* most iterations of the active set at a tick; 0: straight to the backend */
     int forced;                 /* whether the backend is asked at every tick */
+    int max_missed;             /* ticks in a row that miss their deadline, from which on the robot brakes; 0: never */
 
     /* ladder */
     real max_pose_age, dead_reckoning, max_position_error;
@@ -171,6 +172,7 @@ typedef struct {
     /* bounds of this tick's active set: by the clock of the solve time [s], 0: none; and iterations, 0: as configured */
     ddmpc_time deadline;
     int most_iterations;
+    int is_late; /* the tick counts as one that missed its deadline, whatever the clock says: to repeat one that did */
 } ddmpc_input;
 
 /* Why a measurement was rejected; `a` and `b` are the numbers that belong to it. */
@@ -228,7 +230,8 @@ enum {
     DDMPC_POSES_RARE = 2097152,      /* too rare and too late for max_pose_age; `pose_interval` and `pose_latency` */
     DDMPC_POSES_TOO_OLD = 4194304,   /* none is accepted: they come later than the history reaches back; `pose_latency` */
     DDMPC_LEFT_FENCE = 8388608,      /* the way to rest left it; call start or reset to drive on */
-    DDMPC_TURN_HELD = 16777216       /* the command is held to the least commanded radius where the path turns tighter */
+    DDMPC_TURN_HELD = 16777216,      /* the command is held to the least commanded radius where the path turns tighter */
+    DDMPC_DEADLINES_MISSED = 134217728 /* by `max_missed` ticks in a row, this one included */
 };
 
 typedef enum {
@@ -254,6 +257,7 @@ typedef struct {
     int soft_limits; /* whether soft limits took part */
     long long operations; /* of the active set, counted as in ddmpc_limited_bound */
     real primal_residual, dual_residual;
+    int missed; /* ticks in a row, this one included, whose solve was cut off by the clock or ended after the deadline */
 } ddmpc_report;
 
 enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };

@@ -259,7 +259,8 @@ struct ddmpc_controller {
     int is_outage;         /* 1 while this tick brakes for want of measurements */
     ddmpc_time sound_tick; /* time of the last tick that did not [s] */
     ddmpc_time deadline; /* of this tick's solve, see ddmpc_input; infinite: none */
-    int most_iterations;
+    int most_iterations, is_late; /* see ddmpc_input */
+    int missed;          /* see ddmpc_report */
     real share;
     /* fence */
     real fence[3]; /* its middle in the frame of poses [m, m, rad] */

@@ -1,7 +1,11 @@
 /* The ladder: what is sent when a part of a tick fails. A fresh plan, else the rest of the last good one for a few ticks,
  * else braking to a stop. Whatever is sent lies inside range and slew, and turns no tighter than commands may. */
+/* for clock_gettime, which C99 alone does not know */
+#define _POSIX_C_SOURCE 199309L
+#include <limits.h>
 #include <string.h>
 
+#include "clock.h"
 #include "internal.h"
 
 /* The command nearest to `wanted` within `share` of the range and within `step` of the last command. */
@@ -67,7 +71,9 @@ int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop)
     result->reasons |= reason;
     result->has_plan = 0;
     c->plan_age = -1;
-    ddmpc_solver_reset(c);
+    /* A solve that is only too slow goes on from where it got. */
+    if (reason != DDMPC_DEADLINES_MISSED)
+        ddmpc_solver_reset(c);
     c->is_outage = stop == DDMPC_OUTAGE;
     const int lasting = c->is_outage && c->last_tick - c->sound_tick > c->constants->resume_within;
     /* A person may stand next to a robot that has stopped for long. Before the first drive, and after the end of the
@@ -87,10 +93,12 @@ void ddmpc_stand(ddmpc_controller *c)
     c->result.mode = DDMPC_STOPPED;
 }
 
-static void shift_guess(ddmpc_controller *c)
+/* Keep a plan; the next solve begins from the rest of it. */
+static void keep(ddmpc_controller *c)
 {
     const int inputs = INPUTS(c);
     real *guess = c->problem.guess;
+    memcpy(c->kept, c->problem.plan, (size_t)inputs * sizeof(real));
     memcpy(guess, c->kept + 2, (size_t)(inputs - 2) * sizeof(real));
     memcpy(guess + inputs - 2, c->kept + inputs - 2, 2 * sizeof(real));
     c->problem.has_guess = 1;
@@ -101,11 +109,10 @@ static int accept(ddmpc_controller *c)
 {
     ddmpc_result *result = &c->result;
     const size_t size = (size_t)INPUTS(c) * sizeof(real);
-    memcpy(c->kept, c->problem.plan, size);
+    keep(c);
     ddmpc_problem_poses(c, c->kept, result->planned_poses);
     memcpy(result->planned_commands, c->kept, size);
     memcpy(result->aim, c->problem.aim, (size_t)(4 * (STEPS(c) + 1)) * sizeof(real));
-    shift_guess(c);
     c->plan_age = 0;
     result->has_plan = 1;
     result->mode = DDMPC_TRACKING;
@@ -136,10 +143,25 @@ static int is_usable(int status)
            status == DDMPC_QP_STOPPED_IN_TIME;
 }
 
+/* Count the ticks in a row that miss their deadline; a plan in time ends the count. Without a clock none is missed. */
+static int misses_too_many(ddmpc_controller *c)
+{
+    const int is_late = c->result.solver.status == DDMPC_QP_TIME_LIMIT || c->is_late || ddmpc_now() > c->deadline;
+    const int most = c->constants->max_missed;
+    c->missed = !is_late ? 0 : c->missed < INT_MAX ? c->missed + 1 : c->missed;
+    c->result.solver.missed = c->missed;
+    return most > 0 && c->missed >= most;
+}
+
 int ddmpc_use_plan(ddmpc_controller *c)
 {
     real sum = R(0.0);
     for (int i = 0; i < INPUTS(c); i++)
         sum += c->problem.plan[i] * c->problem.plan[i];
-    return is_usable(c->result.solver.status) && isfinite(sum) ? accept(c) : ddmpc_reuse(c);
+    const int is_good = is_usable(c->result.solver.status) && isfinite(sum);
+    if (!misses_too_many(c))
+        return is_good ? accept(c) : ddmpc_reuse(c);
+    if (is_good)
+        keep(c);
+    return ddmpc_brake(c, DDMPC_DEADLINES_MISSED, DDMPC_FAILURE);
 }

@@ -15,7 +15,7 @@ static void forget(ddmpc_controller *c)
     ddmpc_solver_reset(c);
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
-    c->has_result = c->has_driven = c->latched = c->finished = c->is_outage = 0;
+    c->has_result = c->has_driven = c->latched = c->finished = c->is_outage = c->missed = 0;
     c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = R(0.0);
     c->reference_twist[0] = c->reference_twist[1] = R(0.0);
     c->short_one = 0;
@@ -383,7 +383,7 @@ static void lose_time(ddmpc_controller *c, tick_kind kind)
 
 static void clear(ddmpc_result *result)
 {
-    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, 0, (real)NAN, (real)NAN};
+    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, 0, (real)NAN, (real)NAN, 0};
     result->solver = not_run;
     result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;
@@ -438,6 +438,7 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     c->share = R(1.0);
     c->deadline = input->deadline > 0.0 ? input->deadline : (ddmpc_time)INFINITY;
     c->most_iterations = input->most_iterations > 0 ? input->most_iterations : c->constants->active_set;
+    c->is_late = input->is_late;
     if (kind == TICK_NEW) {
         const int pending = new_tick(c, t, input);
         if (!c->result.has_estimate)

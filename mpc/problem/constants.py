@@ -284,6 +284,7 @@ class Problem:
             "slack": SLACK * solver.tolerance,
             "active_set": solver.active_set_iterations,
             "forced": solver.method != "auto",
+            "max_missed": solver.max_missed,
         }
 
     def _ladder(self) -> Constants:

@@ -147,6 +147,8 @@ class ControlLoop:
         How often the current reference was placed again because its frame had moved.
     warning
         Any other anomaly around the loop, for diagnostics.
+    refusal
+        Why the last reference or goal was refused, for diagnostics; empty once one is accepted.
     blocked
         Whether it paused because the robot was blocked.
     """
@@ -180,7 +182,7 @@ class ControlLoop:
         self.blocked = False
         self.begun: Begun | None = None
         self.held = held
-        self.objection = self.warning = self.wait_reason = self._end_reason = ""
+        self.objection = self.warning = self.refusal = self.wait_reason = self._end_reason = ""
         self._published: tuple[Begun, Due] | None = None
         self._requests = 0
         # A newly activated node counts as reset.
@@ -213,7 +215,7 @@ class ControlLoop:
         if placement is not None:
             placement.motion()
         # It states its frame, so it stays where it is.
-        self._reference, self._placement, self._moves_to_robot = reference, placement, False
+        self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
         if self.state is LoopState.DRIVING:
             self._next = self._set_aside = None
             self._start_controller(reference, self.inbox.now)
@@ -239,7 +241,7 @@ class ControlLoop:
         if missing:
             raise RefusedError(missing)
         self._check_speeds(reference)
-        self._next = (reference, t0)
+        self._next, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
         """Brake and stand, whatever the loop is doing; a pending start is cancelled."""

@@ -46,7 +46,8 @@ def diagnostics(
         status.level = _level(loop)
         if loop.last is not None:
             objection = "" if loop.objection in loop.last.message else loop.objection
-            words = "; ".join(filter(None, [loop.last.message, objection, loop.inbox.fault, loop.warning]))
+            faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal
+            words = "; ".join(filter(None, faults))
             status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
     for part in parts:
         if loop is not None:
@@ -68,11 +69,11 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.ERROR
     tick = loop.last
     if tick is None or tick.result is None:
-        return DiagnosticStatus.WARN if loop.held or loop.warning else DiagnosticStatus.OK
+        return DiagnosticStatus.WARN if loop.held or loop.warning or loop.refusal else DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
     well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
-    well = well and not loop.warning
+    well = well and not loop.warning and not loop.refusal
     return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
 
 

@@ -360,7 +360,7 @@ class Following:
         if not _within(gap, self._settings):
             self._refuse(goal, Code.INVALID_PATH, "path: it ends where the robot is, which does not stand there")
             return
-        self._coming = None
+        self._coming, self._loop.refusal = None, ""
         words = f"is there already, {gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
         self._close(goal, GoalOutcome.SUCCEEDED, Code.NONE, words)
         self._give_up("a newer goal took over")
@@ -368,7 +368,7 @@ class Following:
     def _refuse(self, goal: FollowGoal, code: Code, why: str) -> None:
         if goal is not self._coming:
             return
-        self._coming = None
+        self._coming, self._loop.refusal = None, f"goal refused: {why}"
         self._close(goal, GoalOutcome.ABORTED, code, why)
         self._give_up(f"a newer goal could not be driven: {why}")
 

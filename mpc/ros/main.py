@@ -20,6 +20,8 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long a signal may wait while nothing else happens [s].
 _LONGEST_WAIT = 0.1
+# As of the commands.
+_BAD_INPUT = 2
 
 
 def run(
@@ -88,4 +90,5 @@ def main() -> None:
     try:
         run(sys.argv)
     except (ValueError, OSError, DiffdriveMpcError) as error:
-        sys.exit(f"error: {error}")
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(_BAD_INPUT)

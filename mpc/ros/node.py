@@ -30,6 +30,7 @@ from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
 from diffdrive_mpc.mpc.ros.parameters import (
     ParameterChanges,
+    check_overrides,
     declare,
     fields,
     logged,
@@ -93,6 +94,7 @@ class TrackingNode(PartHost):
         self._declared_settings = name_parts(self, defaults, self._declared_config.features)
         declare(self, self._declared_settings, skip=("config",))
         declare(self, self._declared_config)
+        check_overrides(self, self._declared_config)
         self._changes = ParameterChanges(
             self,
             self._declared_settings,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import wraps
@@ -12,7 +13,14 @@ from annotated_types import Ge, Gt, Le, Lt
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -20,7 +28,10 @@ from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
+from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
+from diffdrive_mpc.mpc.config.fixed_values import fixed_values
+from diffdrive_mpc.mpc.config.former_keys import present_place
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
@@ -102,7 +113,61 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
         for key, field, value in _entries(config)
         if key not in skip
     ]
+    overrides = _overrides(node)
+    for key, value, _ in parameters:
+        if key in overrides and isinstance(value, float):
+            overrides[key] = _as_real(overrides[key])
     node.declare_parameters("", parameters)
+
+
+def _as_real(parameter: Parameter) -> Parameter:
+    """Return an integer as the real number that it is, and any other parameter as it is."""
+    if parameter.type_ is not Parameter.Type.INTEGER:
+        return parameter
+    return Parameter(parameter.name, value=float(parameter.value))
+
+
+_OF_ROS = "qos_overrides."
+"""Prefix of parameters that ROS declares itself, some of them later."""
+
+
+def check_overrides(node: Node, config: ControllerConfig) -> None:
+    """Check that each parameter of the command line and of files is declared; warn of those without an effect.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If one is unknown, with the name that it may stand for.
+    """
+    idle: dict[str, list[str]] = {}
+    for name, parameter in _overrides(node).items():
+        group, _, key = plain_key(name).rpartition(".")
+        switch = shown_key(f"{group}.enabled")
+        if node.has_parameter(name):
+            if node.has_parameter(switch) and not node.get_parameter(switch).value and key != "enabled":
+                idle.setdefault(switch, []).append(name)
+        elif is_feature(group.partition(".")[0]) and group.partition(".")[0] not in config.features:
+            idle.setdefault(switch, []).append(name)
+        elif not name.startswith(_OF_ROS) and fixed_values().get(plain_key(name)) != parameter.value:
+            raise ConfigError(unknown_parameter(node, config, name))
+    for switch, names in idle.items():
+        node.get_logger().warning(f"without effect while {switch} is false: {', '.join(names)}")
+
+
+def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
+    """Return the message about a parameter that is not declared: what may be meant, or where its value belongs."""
+    key = plain_key(name)
+    place = present_place(name.removeprefix(f"{EXPERT}."))
+    if key in fixed_values():
+        return f"{name!r} is {place} now, with the value {fixed_values()[key]}; leave it out"
+    if key in dict(_lists(config)) or place:
+        return f"{name!r} is no parameter: state {place or shown_key(key)} in the file that the parameter config names"
+    near = difflib.get_close_matches(name, list(node.list_parameters([], 0).names), n=1, cutoff=0.75)
+    if near:
+        return f"unknown parameter {name!r}; did you mean '{near[0]}'?"
+    hints = (suggestion(schema, key.split("."), shown_key) for schema in (ControllerConfig, NodeSettings))
+    hint = next((hint for hint in hints if "did you mean" in hint), "; docs/parameters.md lists all of them")
+    return f"unknown parameter {name!r}{hint}"
 
 
 def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
@@ -174,6 +239,7 @@ def _take_overrides(node: Node, present_name: Callable[[str], str]) -> None:
         taken = key not in overrides
         if taken:
             overrides[key] = Parameter(key, parameter.type_, parameter.value)
+        del overrides[name]
         outcome = "it was taken" if taken else "it was not taken, as that is stated, too"
         node.get_logger().warning(f"parameter {name} is {key} now; {outcome}")
 
@@ -300,8 +366,20 @@ class ParameterChanges:
         self._running, self._changed = running, changed
         self._known = {name for part in (settings, config) for name, _ in fields(part)} | {"use_sim_time"}
         self.pending = False
+        node.add_pre_set_parameters_callback(self._prepare)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
+
+    def _prepare(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Take integers for real numbers, and name a parameter that is not declared, which rclpy does not."""
+        for parameter in parameters:
+            if not self._node.has_parameter(parameter.name):
+                error = ParameterNotDeclaredException([])
+                error.args = (unknown_parameter(self._node, self._config, parameter.name),)
+                raise error
+        types = {item.name: self._node.describe_parameter(item.name).type for item in parameters}
+        real = ParameterType.PARAMETER_DOUBLE
+        return [_as_real(item) if types[item.name] == real else item for item in parameters]
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         changes = self._declared(parameters)

@@ -214,7 +214,9 @@ class TickRecords:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        late = solver.iterations if solver.status is SolverStatus.STOPPED_IN_TIME else None
+        # A backend that was cut off gave nothing: 0. A bound of 1 leaves the minimiser without limits as it is.
+        cut_off = solver.status is SolverStatus.TIME_LIMIT
+        late = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
         cells = (str(result.mode), result.message, str(solver.method), result.step_time, late)
         return TickRecord(request.number, request.time, self._number, request.measurement, hold, result.command, *cells)
 

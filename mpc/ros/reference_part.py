@@ -67,7 +67,10 @@ class ReferencePart(NodePart):
         return take
 
     def _refuse(self, reason: str) -> None:
-        self.node.get_logger().error(f"reference refused: {reason}")
+        words = f"reference refused: {reason}"
+        if self.loop is not None:
+            self.loop.refusal = words
+        self.node.get_logger().error(words)
 
     def _offer(self, loop: ControlLoop, stated: StatedReference) -> None:
         """Offer a reference to the loop that was active when it arrived; log the reason if it cannot be used."""
@@ -91,6 +94,12 @@ class SpeedLimitPart(NodePart):
     """Speed limit from a topic; it also holds for later activations."""
 
     _limit: SpeedLimit | None = None
+    _refusal = ""
+
+    @property
+    def fault(self) -> str:
+        """Refusal of the last limit; empty once one is accepted."""
+        return self._refusal
 
     def configure(self, tools: NodeTools) -> None:
         """Subscribe to the topic if its type is installed."""
@@ -122,9 +131,11 @@ class SpeedLimitPart(NodePart):
         except ValueError as error:
             self._refuse(str(error))
             return
+        self._refusal = ""
         if limit != self._limit:
             self._limit = limit
             self.change_limits()
 
     def _refuse(self, reason: str) -> None:
-        self.node.get_logger().error(f"speed limit refused, the last one stays: {reason}")
+        self._refusal = f"speed limit refused, the last one stays: {reason}"
+        self.node.get_logger().error(self._refusal)

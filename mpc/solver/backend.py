@@ -7,8 +7,10 @@ are added and it is asked again.
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from typing import NamedTuple, Protocol
 
@@ -23,8 +25,8 @@ from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 
 Kinds = tuple[int, ...]
 """Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from `HARD` on the soft ones."""
-_SHORTEST = 1e-4
-"""Time that a solver is given though none is left [s]."""
+SHORTEST = 1e-9
+"""Time limit of a solver whose time is over [s]; OSQP refuses 0, and DAQP takes it for none."""
 
 
 class Program:
@@ -126,9 +128,31 @@ class Backend(Protocol):
     ) -> Solved:
         """Solve with these kinds of limit, from a plan (2 N,) and multipliers (kinds, N) near the solution.
 
-        With `time_limit` it ends after so long [s].
+        With `time_limit` it ends after so long [s], and does not begin if its factorisation is expected to last longer.
         """
         ...
+
+
+class SetUpTime:
+    """Processor time of work that a time limit does not interrupt, such as a factorisation.
+
+    The shortest measurement counts: a late one must not keep the solver from ever being asked again. Time of other
+    processes does not count.
+    """
+
+    def __init__(self) -> None:
+        self._per_unit = math.inf
+
+    def expected(self, size: float = 1.0) -> float:
+        """Return the time that work of this size needs [s]; 0 without a measurement."""
+        return 0.0 if math.isinf(self._per_unit) else size * self._per_unit
+
+    @contextmanager
+    def measured(self, size: float = 1.0) -> Iterator[None]:
+        """Measure the enclosed work, which has this size."""
+        began = time.thread_time()
+        yield
+        self._per_unit = min(self._per_unit, (time.thread_time() - began) / size)
 
 
 def ask(
@@ -136,21 +160,21 @@ def ask(
 ) -> tuple[Solved, SolverReport]:
     """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept.
 
-    It ends at `deadline`, by `time.monotonic` [s].
+    It ends at `deadline`, by `time.monotonic` [s]; a solve that could not end by then is not begun.
     """
     kinds = tuple(sorted({*range(HARD), *program.kinds}))
     guess, multipliers, iterations = program.guess, program.multipliers, 0
     while True:
-        left = None if deadline is None else max(deadline - time.monotonic(), _SHORTEST)
+        left = None if deadline is None else deadline - time.monotonic()
+        if left is not None and not left > 0.0:  # for NaN, too
+            solved = Solved(guess, multipliers, SolverStatus.TIME_LIMIT)
+            break
         solved = backend.solve(program, kinds, guess, multipliers, left)
         iterations += solved.iterations
         if not np.isfinite(solved.plan).all():
             solved = solved._replace(status=SolverStatus.NOT_FINITE)
         missed = program.broken(solved.plan, slack) if solved.status.usable else ()
         if set(missed) <= set(kinds):
-            break
-        if left == _SHORTEST:
-            solved = solved._replace(status=SolverStatus.TIME_LIMIT)
             break
         kinds = tuple(sorted({*kinds, *missed}))
         guess, multipliers = solved.plan, solved.multipliers

@@ -5,8 +5,9 @@ Soft limits are its own: an exact and a quadratic price on each row, without sla
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
 from ctypes import c_int
+from functools import cache
 
 import daqp
 import numpy as np
@@ -15,9 +16,12 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
-from diffdrive_mpc.mpc.solver.backend import Kinds, Program, Solved
+from diffdrive_mpc.mpc.solver.backend import SHORTEST, Kinds, Program, SetUpTime, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
+# The active set that it was given is not one of independent rows.
+_DEPENDENT = -6
+_TOO_LATE = -7
 _STATUS = {
     2: SolverStatus.SOLVED,  # with a soft limit exceeded
     1: SolverStatus.SOLVED,
@@ -26,12 +30,21 @@ _STATUS = {
     -3: SolverStatus.UNBOUNDED,
     -4: SolverStatus.MAX_ITERATIONS,
     -5: SolverStatus.NOT_CONVEX,
-    -7: SolverStatus.TIME_LIMIT,
+    _TOO_LATE: SolverStatus.TIME_LIMIT,
 }
-# The active set that it was given is not one of independent rows.
-_DEPENDENT = -6
 # Flags of a row; the last says of a soft limit that it is kept, though it presses.
 _ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
+
+
+@cache
+def _set_up_time(steps: int) -> SetUpTime:
+    """Return the time to factorise a Hessian (2 N, 2 N) and to transform a row of limits with it."""
+    measured, n = SetUpTime(), 2 * steps
+    for _ in range(2):  # the first one also loads the library
+        sense = np.zeros(n, dtype=c_int)
+        with measured.measured(n):
+            daqp.Model().setup(np.eye(n) + 1.0, np.zeros(n), np.eye(n), np.ones(n), -np.ones(n), sense)
+    return measured
 
 
 class DaqpBackend:
@@ -40,6 +53,7 @@ class DaqpBackend:
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._steps, self._count, self._weights = steps, kinds, weights
         self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
+        self._set_up_time = _set_up_time(steps)
         commands = np.eye(2 * steps)
         increments = commands.copy()
         increments[2:] -= commands[:-2]
@@ -54,14 +68,14 @@ class DaqpBackend:
         time_limit: float | None = None,
     ) -> Solved:
         """See `mpc.solver.backend.Backend`; the plan that is guessed has no part in it."""
+        deadline = None if time_limit is None else time.monotonic() + time_limit
         rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
         chosen = list(kinds)
         near = multipliers[chosen].reshape(-1)
         soft = np.repeat([kind >= HARD for kind in kinds], self._steps)
-        settings = self._settings if time_limit is None else {**self._settings, "time_limit": time_limit}
-        flag, solved = self._run(program, rows, chosen, soft, near, settings)
+        flag, solved = self._run(program, rows, chosen, soft, near, deadline)
         if flag == _DEPENDENT:
-            flag, solved = self._run(program, rows, chosen, soft, np.zeros_like(near), settings)
+            flag, solved = self._run(program, rows, chosen, soft, np.zeros_like(near), deadline)
         status = _STATUS.get(flag, SolverStatus.NOT_RUN)
         if solved is None:
             return Solved(guess, np.zeros((self._count, self._steps)), status)
@@ -81,25 +95,30 @@ class DaqpBackend:
         kinds: list[int],
         soft: FloatArray,
         near: FloatArray,
-        settings: Mapping[str, float],
+        deadline: float | None,
     ) -> tuple[int, tuple[FloatArray, FloatArray, int] | None]:
         """Solve from the multipliers `near`; nothing is found where DAQP refuses the numbers."""
+        if deadline is not None and self._set_up_time.expected(len(rows)) >= deadline - time.monotonic():
+            return _TOO_LATE, None
         price = self._weights.soft
         sense = np.where(near > 0, _ACTIVE, np.where(near < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
         # Begun from soft limits as exceeded, it may end beside the solution and call it solved.
         sense |= np.where(soft & (near != 0), _KEPT, 0)
         model = daqp.Model()
-        flag, _ = model.setup(
-            np.array(program.H),
-            np.array(program.g),
-            rows,
-            program.upper[kinds].reshape(-1),
-            program.lower[kinds].reshape(-1),
-            np.ascontiguousarray(sense, dtype=c_int),
-        )
+        with self._set_up_time.measured(len(rows)):
+            flag, _ = model.setup(
+                np.array(program.H),
+                np.array(program.g),
+                rows,
+                program.upper[kinds].reshape(-1),
+                program.lower[kinds].reshape(-1),
+                np.ascontiguousarray(sense, dtype=c_int),
+            )
         if flag < 0:
             return int(flag), None
-        model.settings = settings
+        # DAQP counts from here, and looks at the clock at every 32nd iteration.
+        left = {} if deadline is None else {"time_limit": max(deadline - time.monotonic(), SHORTEST)}
+        model.settings = {**self._settings, **left}
         if soft.any():
             looseness, prices = np.full(len(near), 1 / self._weights.soft_quadratic), np.full(len(near), price)
             model.soft_weights(looseness, looseness, prices, prices)

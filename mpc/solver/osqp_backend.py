@@ -8,7 +8,8 @@ matters.
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+import time
+from functools import cache, partial
 
 import numpy as np
 import osqp
@@ -19,7 +20,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
-from diffdrive_mpc.mpc.solver.backend import Kinds, Program, Solved
+from diffdrive_mpc.mpc.solver.backend import SHORTEST, Kinds, Program, SetUpTime, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 _STATUS = {
@@ -41,13 +42,29 @@ _NO_TIME_LIMIT = 1e10
 _MOST_WORKSPACES = 16
 
 
+class _Times:
+    """Times to set up the work space of the hard limits, and to factorise one with the numbers of a tick."""
+
+    def __init__(self) -> None:
+        self.set_up, self.update = SetUpTime(), SetUpTime()
+
+
+@cache
+def _times(_steps: int) -> _Times:
+    return _Times()
+
+
 class OsqpBackend:
     """Implements `mpc.solver.backend.Backend`."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
-        self._count = kinds
-        self._workspace = lru_cache(_MOST_WORKSPACES)(partial(_Workspace, steps, kinds, settings, weights))
-        self._workspace(())
+        self._count, self._steps, self._times = kinds, steps, _times(steps)
+        self._make = partial(_Workspace, steps, kinds, settings, weights, self._times.update)
+        self._workspaces: dict[Kinds, _Workspace] = {}
+        # The first one of a process also loads the library.
+        for _ in range(1 if self._times.set_up.expected() else 2):
+            with self._times.set_up.measured():
+                self._workspaces[()] = self._make(())
 
     def solve(
         self,
@@ -59,13 +76,32 @@ class OsqpBackend:
     ) -> Solved:
         """See `mpc.solver.backend.Backend`."""
         soft = tuple(kind for kind in kinds if kind >= HARD)
-        return self._workspace(soft).solve(program, guess, multipliers, time_limit)
+        deadline = None if time_limit is None else time.monotonic() + time_limit
+        workspace = self._workspaces.get(soft)
+        factorise = self._times.update.expected(_size(soft))
+        needed = factorise if workspace else self._times.set_up.expected() + 2 * factorise
+        if time_limit is not None and needed >= time_limit:
+            return Solved(guess, np.zeros((self._count, self._steps)), SolverStatus.TIME_LIMIT)
+        if workspace is None:
+            if len(self._workspaces) >= _MOST_WORKSPACES:
+                # The oldest but that of the hard limits.
+                del self._workspaces[list(self._workspaces)[1]]
+            workspace = self._workspaces[soft] = self._make(soft)
+        return workspace.solve(program, guess, multipliers, deadline)
+
+
+def _size(soft: Kinds) -> float:
+    """Return the time of a factorisation in units of that without soft limits, whose rows are dense."""
+    return (1.0 + 0.5 * len(soft)) ** 2
 
 
 class _Workspace:
     """One OSQP instance of fixed sparsity: rows of the hard limits, of some soft ones, and bounds of their slacks."""
 
-    def __init__(self, steps: int, count: int, settings: Solver, weights: Weights, soft: Kinds) -> None:
+    def __init__(
+        self, steps: int, count: int, settings: Solver, weights: Weights, update_time: SetUpTime, soft: Kinds
+    ) -> None:
+        self._update_time, self._size_of_update = update_time, _size(soft)
         self._n, self._steps, self._count, self._weights = 2 * steps, steps, count, weights
         kinds = [*range(HARD), *soft]
         # A slice is quicker than a list.
@@ -95,7 +131,10 @@ class _Workspace:
         self._upper = np.full(self._rows + 2 * rows, np.inf)
         self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
         self._solver = self._set_up(settings)
-        self._time_limit: float | None = None
+        # OSQP counts the time of its set-up at the first solve; this one begins at its solution.
+        self._solver.solve(raise_error=False)
+        self._update()
+        self._time_limit = _NO_TIME_LIMIT
 
     def _set_up(self, settings: Solver) -> osqp.OSQP:
         solver = osqp.OSQP()
@@ -114,15 +153,22 @@ class _Workspace:
         )
         return solver
 
-    def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray, time_limit: float | None) -> Solved:
-        """Solve with the limits of this work space."""
+    def _update(self) -> None:
+        changed = {"Ax": self._A.data} if self._soft else {}
+        with self._update_time.measured(self._size_of_update):
+            self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
+
+    def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray, deadline: float | None) -> Solved:
+        """Solve with the limits of this work space, until `deadline` by `time.monotonic` [s]."""
         values = self._load(program, guess)
+        # OSQP counts from the update on, and looks at the clock at every iteration.
+        left = _NO_TIME_LIMIT if deadline is None else deadline - time.monotonic()
+        time_limit = min(max(left, SHORTEST), _NO_TIME_LIMIT)
         if time_limit != self._time_limit:
-            self._solver.update_settings(time_limit=_NO_TIME_LIMIT if time_limit is None else time_limit)
+            self._solver.update_settings(time_limit=time_limit)
             self._time_limit = time_limit
         try:
-            changed = {"Ax": self._A.data} if self._soft else {}
-            self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
+            self._update()
         except (osqp.OSQPException, ValueError):
             return Solved(guess, np.zeros((self._count, self._steps)), SolverStatus.REFUSED)
         self._solver.warm_start(x=self._primal(guess, values), y=self._dual(multipliers))

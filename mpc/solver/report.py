@@ -68,6 +68,9 @@ class SolverReport:
     operations
         Of the active set: multiplications of its loops, also where a backend was asked after it. At most
         `Controller.operations_bound`; docs/tuning.md says how they are counted.
+    missed
+        Ticks in a row, this one included, whose solve was cut off by the deadline or ended after it; from
+        `solver.max_missed` on the robot brakes.
     """
 
     status: SolverStatus
@@ -77,6 +80,7 @@ class SolverReport:
     dual_residual: float = float("nan")
     soft_limits: bool = False
     operations: int = 0
+    missed: int = 0
 
     @property
     def path(self) -> str:

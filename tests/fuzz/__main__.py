@@ -58,7 +58,10 @@ def _fuzzed(name: str, pace: str, words: argparse.Namespace) -> int:
     started = time.monotonic()
 
     def say(ran: Ran, end: str = " so far") -> None:
-        took, steps = time.monotonic() - started, f", {ran.steps} steps" if ran.steps else ""
+        took = time.monotonic() - started
+        steps = (
+            f", {ran.steps} steps of at most {ran.longest_step:.2f} sample times, {ran.late} late" if ran.steps else ""
+        )
         print(
             f"{name:12s} seed {words.seed}: {ran.cases} cases in {took:.0f} s{steps}, {len(ran.lines)} findings{end}",
             flush=True,

@@ -51,6 +51,10 @@ _CHANGEABLE = [
 _KINDS_OF_EVENTS = (*4 * ("tick",), *2 * ("clock", "start", "update", "hold"), "reset", "overrule", "limit_speed")
 _KINDS_OF_EVENTS += ("carry", "foresee", "again", "parameters", "bound")
 _REFUSED = (ConfigError, ModelError, ValueError)
+_SHARE_OF_TICK = 0.5
+"""Every step has the node's deadline, after this share of its sample time [-]."""
+_ITERATION = 5e-3
+"""Processor time of the longest iteration of a solver, at 200 steps; a step may exceed its sample time by it [s]."""
 
 _POSE, _POINT = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
 _DISTANCE = ca.sqrt(ca.sumsqr(_POSE[:2] - _POINT) + 1e-6)
@@ -113,8 +117,10 @@ class ControllerFuzzer:
     name, longest, count = "controller", 60.0, 150
     extras: Sequence[Overrides] = EXTRAS
     """Settings that are off by default and rarely drawn by chance."""
-    steps = 0
-    """Number of steps of all checked cases."""
+    steps = late = 0
+    """Number of steps of all checked cases, and of those that missed their deadline."""
+    longest_step = 0.0
+    """Longest processor time of a step, in units of its sample time."""
 
     def draw(self, random: Random) -> Case:
         """Draw a configuration, references and events."""
@@ -166,7 +172,8 @@ class ControllerFuzzer:
             for event in case["events"]:
                 getattr(life, event[0])(*event[1:])
         finally:
-            self.steps += life.steps
+            self.steps, self.late = self.steps + life.steps, self.late + life.late
+            self.longest_step = max(self.longest_step, life.longest_step)
 
     def simpler(self, case: Case) -> Iterator[Case]:
         """Yield cases with fewer events and settings, and with plainer numbers."""
@@ -193,7 +200,7 @@ class Life:
     def __init__(self, controller: Controller, references: list[Any]) -> None:
         self.controller, self.references = controller, references
         self.t, self.pose, self.twist, self.last = 0.0, np.zeros(3), np.zeros(2), np.zeros(2)
-        self.started, self.steps = False, 0
+        self.started, self.steps, self.late, self.longest_step = False, 0, 0, 0.0
         self.bounds: tuple[int | None, float | None] = None, None
         self.measurement = Measurement()
         self.hold_now: Hold | None = None
@@ -291,14 +298,22 @@ class Life:
             # Python's own arithmetic has to be as clean as the core's.
             warnings.simplefilter("error", RuntimeWarning)
             most, seconds = self.bounds
+            measurement, sample_time = self.measured(spoilt or {}), self.controller.sample_time
+            limit = _SHARE_OF_TICK * sample_time
+            # The time of the thread, as the computer has other work.
+            begun = time.thread_time()
             result = self.controller.step(
                 t,
-                self.measured(spoilt or {}),
+                measurement,
                 self.hold_now,
-                deadline=None if seconds is None else time.monotonic() + seconds,
+                deadline=time.monotonic() + (seconds if seconds is not None and seconds < limit else limit),
                 most_iterations=most,
             )
-        self.steps += 1
+            duration = time.thread_time() - begun
+        self.steps, self.late = self.steps + 1, self.late + (result.solver.missed > 0)
+        self.longest_step = max(self.longest_step, duration / sample_time)
+        if duration > sample_time + _ITERATION:
+            raise FaultError(f"deadline: a step of {1e3 * duration:.1f} ms in a sample of {1e3 * sample_time:g} ms")
         # A repeated tick has the report of the one before.
         fresh = "its command is repeated" not in result.message
         if fresh and most and result.solver.method == SolverMethod.ACTIVE_SET and result.solver.iterations > most:

@@ -302,6 +302,7 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.slack = R(1e-6);
     k.active_set = once_in(4) ? below(5) : 400;
     k.forced = once_in(8);
+    k.max_missed = below(4);
     k.max_pose_age = wild(0.5, seldom);
     k.dead_reckoning = wild(2.0, seldom);
     k.max_position_error = wild(5.0, seldom);
@@ -404,7 +405,7 @@ static int go_on(ddmpc_controller *c, const ddmpc_sizes *s, int pending)
     }
     if (pending == DDMPC_NEEDS_BACKEND) {
         const int seldom = once_in(2) ? 20 : 100000;
-        const ddmpc_report report = {below(DDMPC_QP_NOT_RUN + 1), DDMPC_BACKEND, 7, 1, 0, R(0.0), R(0.0)};
+        const ddmpc_report report = {below(DDMPC_QP_NOT_RUN + 1), DDMPC_BACKEND, 7, 1, 0, R(0.0), R(0.0), 0};
         real *plan = array(2 * s->steps), *multipliers = array(rows);
         int *broken = calloc((size_t)(HARD + s->soft), sizeof(int));
         real *soft = array((long)2 * s->steps * s->steps);
@@ -441,6 +442,7 @@ static void fill_input(ddmpc_input *input, const robot *r)
     input->on_time = !once_in(8);
     input->deadline = once_in(20) ? spoilt(1e-9, 4) : 0.0;
     input->most_iterations = once_in(20) ? below(4) - 1 : 0;
+    input->is_late = once_in(6);
 }
 
 /* The time of the next tick: mostly one sample on. */

@@ -61,11 +61,16 @@ class Order:
 
 @dataclass
 class Ran:
-    """Result of an order: started cases, findings of a line or two each, and steps of the controller."""
+    """Result of an order: started cases, findings of a line or two each, and steps of the controller.
+
+    `late` steps missed their deadline; the longest one took `longest_step` sample times.
+    """
 
     cases: int = 0
     lines: list[str] = field(default_factory=list)
     steps: int = 0
+    late: int = 0
+    longest_step: float = 0.0
 
 
 def run(order: Order, folder: Path = FINDINGS, on_part: Callable[[Ran], None] = lambda _: None) -> Ran:
@@ -81,7 +86,13 @@ def run(order: Order, folder: Path = FINDINGS, on_part: Callable[[Ran], None] = 
         seconds, steps = end - time.monotonic(), order.steps - ran.steps
         rest = Order(order.fuzzer, order.seed, order.first + ran.cases, count, seconds, steps)
         part, died = _in_process(rest, folder)
-        ran = Ran(ran.cases + part.cases, ran.lines + part.lines, ran.steps + part.steps)
+        ran = Ran(
+            ran.cases + part.cases,
+            ran.lines + part.lines,
+            ran.steps + part.steps,
+            ran.late + part.late,
+            max(ran.longest_step, part.longest_step),
+        )
         if died:
             single = Order(order.fuzzer, order.seed, rest.first + part.cases - 1, 1, 600.0)
             ran.lines.append(_kept_death(single, died, folder))
@@ -118,11 +129,11 @@ def _in_process(order: Order, folder: Path) -> tuple[Ran, str]:
                 code = process.wait()
         lines = [json.loads(line) for line in report.read_text().splitlines()] if report.exists() else []
         text = output_file.read_text(errors="replace")
-    steps = max((line["steps"] for line in lines if "steps" in line), default=0)
+    account = next((line["account"] for line in lines if "account" in line), {})
     ran = Ran(
         max((line.get("begun", 0) for line in lines), default=0),
         [line["found"] for line in lines if "found" in line],
-        steps,
+        **account,
     )
     if code == 0:
         return ran, ""
@@ -153,7 +164,8 @@ def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
             out.write(
                 json.dumps({"begun": begun + 1, "found": f"{description}\n    {single.words()}\n    {path}"}) + "\n"
             )
-        out.write(json.dumps({"steps": getattr(fuzzer, "steps", 0)}) + "\n")
+        account = {name: getattr(fuzzer, name, 0) for name in ("steps", "late", "longest_step")}
+        out.write(json.dumps({"account": account}) + "\n")
 
 
 def judged(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from itertools import count
 
 import pytest
 
@@ -65,6 +66,19 @@ def test_steps_of_all_models_keep_the_promises_of_safety(tmp_path):
     assert {case["config"] for case in drawn} == set(CONFIGS)
     assert all(any(extra.items() <= case["overrides"].items() for case in drawn) for extra in EXTRAS)
     assert {"bound", "tick", "again"} <= {event[0] for case in drawn for event in case["events"]}
+
+
+def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
+    fuzzer = type(FUZZERS["controller"])()
+    reference = {"kind": "named", "name": "circle"}
+    events = [["start", 0, 0.0], ["drive", 3], ["bound", None, -1.0], ["drive", 4]]
+    case = {"config": "ssm", "overrides": {}, "terms": [], "references": [reference], "events": events}
+    assert runner.judged(fuzzer, case) is None
+    assert fuzzer.steps == 7 and 4 <= fuzzer.late <= 7
+    assert fuzzer.longest_step > 0.0
+    clock = count(step=0.5)
+    monkeypatch.setattr(time, "thread_time", lambda: next(clock))
+    assert runner.judged(fuzzer, case)[0].startswith("deadline: a step of 500.0 ms in a sample of 20.2 ms")
 
 
 class Planted:

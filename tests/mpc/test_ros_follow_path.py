@@ -247,9 +247,12 @@ def test_goal_that_cannot_be_driven_is_aborted_without_motion(parts):
             result = follow.ended(name)
             assert (result["status"], result["code"]) == (parts.ABORTED, code), name
             assert words in result["words"] and "\n" not in result["words"], result["words"]
+            # Diagnostics warn of it.
+            assert words in follow.made.loop.refusal
         assert not np.any(follow.base.commands)
         follow.client.send("good", STRAIGHT, controller="FollowPath")
         follow.driven("good")
+        assert not follow.made.loop.refusal
         # One that cannot be used ends the drive that it was to replace: whoever sent it does not mean the old one.
         follow.client.send("bad", STRAIGHT[:1])
         assert follow.ended("bad")["code"] == 103

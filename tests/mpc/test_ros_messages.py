@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,8 +32,10 @@ from diffdrive_mpc.mpc.ros.conversions import (
     time_message,
     yaw_of,
 )
+from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.reference_input import read_path, timed_trajectory_reference
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
+from diffdrive_mpc.mpc.trajectories import load_trajectory
 
 RADIUS = 0.0675
 
@@ -233,6 +236,23 @@ def test_too_long_path_is_rejected_unread_and_the_robot_drives_on(capfd):
         assert s.base.run(20)[-1, 0] > 0.1
         assert s.loop.state is LoopState.DRIVING
         assert s.loop.begun.reference.name == "circle"
+
+
+def test_refused_reference_is_a_warning_until_one_is_accepted():
+    with stack() as s:
+        s.base.silent(2)
+
+        def status():
+            return diagnostics("robot", 0, "active", s.loop, s.node.parts.values()).status[0]
+
+        assert (status().level, status().message) == (DiagnosticStatus.OK, "IDLE")
+        publisher = s.publisher(Path, "set_path")
+        publisher.publish(path_of(1))
+        s.base.until(lambda: s.base.silent(1) and s.loop.refusal, "the refusal")
+        assert status().level == DiagnosticStatus.WARN
+        assert status().message == "IDLE: reference refused: it has 1 poses; give 2 to 1000, further apart if need be"
+        s.loop.offer(load_trajectory("circle"))
+        assert (status().level, status().message) == (DiagnosticStatus.OK, "IDLE")
 
 
 def test_control_loop_runs_while_a_reference_is_read():

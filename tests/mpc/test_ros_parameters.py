@@ -1,18 +1,24 @@
 """The schema as ROS parameters: all of it, with type, text and range; changes are judged before and applied after."""
 
+import signal
 import sys
+from contextlib import contextmanager
 
 import pytest
+import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
+from rclpy.context import Context
 from rclpy.parameter import Parameter
 from ros_parts import CONFIG, stack
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.ros.main import main
+from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.parameters import declare, descriptor, fields, read
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
@@ -134,3 +140,78 @@ def test_configuration_file_gives_the_defaults(tmp_path):
         assert s.node.get_parameter("weights.across").value == 321.0
         assert s.node.get_parameter("horizon").value == 25
         assert not set_over_dds(s, config="ssm").successful
+
+
+@contextmanager
+def started_with(*words):
+    """Yield a node with these parameters; it is not configured."""
+    context = Context()
+    rclpy.init(context=context, args=["--ros-args", *(word for pair in words for word in ("-p", pair))])
+    node = None
+    try:
+        node = TrackingNode(context=context)
+        yield node
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("weights.acros:=20.0", "unknown parameter 'weights.acros'; did you mean 'weights.across'?"),
+        ("across:=20.0", "unknown parameter 'across'; did you mean 'weights.across'?"),
+        ("trajectry:=circle", "unknown parameter 'trajectry'; did you mean 'trajectory'?"),
+        ("gadget:=true", "unknown parameter 'gadget'; docs/parameters.md lists all of them"),
+        ("expert.reentry.heading_wait:=9.0", "is the constant reentry.heading_wait"),
+        ("estimator.crab:=[0.1, 0.0, 0.0]", "state expert.estimator.crab in the file"),
+    ],
+)
+def test_unknown_parameter_refuses_the_start_and_is_named(word, message):
+    with pytest.raises(ConfigError) as refusal, started_with(word):
+        pass
+    assert message in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_node_with_an_unknown_parameter_ends_with_code_2(monkeypatch, capfd):
+    """Before it is configured, so nothing moves."""
+    monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", "weights.acros:=20.0"])
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        with pytest.raises(SystemExit) as end:
+            main()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert end.value.code == 2
+    assert capfd.readouterr().err.splitlines()[-1].startswith("error: unknown parameter 'weights.acros'; did you mean")
+
+
+def test_parameters_that_ros_declares_or_that_were_constants_are_accepted(capfd):
+    words = ("qos_overrides./clock.subscription.depth:=3", "use_sim_time:=true", "expert.reentry.heading_wait:=0.3")
+    with started_with(*words, "start_type_description_service:=false", "fence.x:=1.0", "fence.enabled:=false") as node:
+        assert node.get_parameter("use_sim_time").value is True
+    assert "without effect while fence.enabled is false: fence.x" in capfd.readouterr().err
+
+
+def test_integer_is_taken_for_a_real_parameter():
+    with started_with("weights.across:=20", "odom_timeout:=1", "limits.min_turn_radius:=1", "horizon:=12") as node:
+        values = [node.get_parameter(name).value for name in ("weights.across", "odom_timeout", "horizon")]
+        assert values == [20.0, 1.0, 12]
+        assert [type(value) for value in values] == [float, float, int]
+        changes = [Parameter("weights.across", value=30), Parameter("horizon", value=15)]
+        assert node.set_parameters_atomically(changes).successful
+        assert type(node.get_parameter("weights.across").value) is float
+        assert node.get_parameter("weights.across").value == 30.0
+        assert not node.set_parameters_atomically([Parameter("horizon", value=15.0)]).successful
+        assert not node.set_parameters_atomically([Parameter("weights.across", value=-3)]).successful
+
+
+def test_parameter_set_while_running_is_named_if_it_is_unknown():
+    with stack(autostart=False) as s:
+        result = set_over_dds(s, weights__acros=20.0)
+        assert not result.successful
+        assert result.reason == "unknown parameter 'weights.acros'; did you mean 'weights.across'?"
+        assert set_over_dds(s, weights__across=40).successful
+        assert s.node.get_parameter("weights.across").value == 40.0

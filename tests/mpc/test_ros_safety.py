@@ -229,6 +229,11 @@ def test_what_is_no_limit_is_refused_and_the_last_stays(limited, value, capfd):
     limit(value)
     s.base.until(lambda: "speed limit refused, the last one stays" in capfd.readouterr().err, "the refusal")
     assert s.node._controller.speed_limit == 0.2
+    part = s.node.parts["speed_limit"]
+    assert "speed limit refused" in part.fault
+    limit(0.3)
+    settle(s, 0.3)
+    assert not part.fault
 
 
 def test_percentage_limit_follows_its_base_and_outlasts_deactivation(limited):

@@ -12,6 +12,8 @@ import pytest
 import rclpy
 from nav_msgs.msg import Path as PathMessage
 from rclpy.context import Context
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import in_name_space, stack
 from std_msgs.msg import String
@@ -20,6 +22,7 @@ from test_over_dds import BOUND, true_twists
 from two_processes import own_domain, running
 
 import diffdrive_mpc_monitor
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc_monitor.judge import Judge
@@ -91,6 +94,37 @@ def test_monitor_uses_the_topics_of_its_namespace():
         names = ("cmd_vel_unchecked", "odom", "diffdrive_mpc/reference_path", "diffdrive_mpc/mode")
         assert {f"/r2/{name}" for name in names} <= topics
         assert node._name == "r2/monitor"
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"),
+        ("gadget:=1", "unknown parameter 'gadget'; known keys: rules, controller"),
+    ],
+)
+def test_unknown_parameter_refuses_the_start(word, message):
+    context = Context()
+    rclpy.init(context=context, args=["--ros-args", "-p", word, "-p", "qos_overrides./clock.subscription.depth:=3"])
+    try:
+        with pytest.raises(ConfigError) as refusal:
+            MonitorNode(MonitorSettings(), context=context)
+    finally:
+        rclpy.shutdown(context=context)
+    assert message in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_unknown_parameter_is_named_while_it_runs():
+    context = Context()
+    rclpy.init(context=context, args=in_name_space("r3"))
+    node = MonitorNode(MonitorSettings(), context=context)
+    try:
+        with pytest.raises(ParameterNotDeclaredException, match="unknown parameter 'rulez'; did you mean 'rules'"):
+            node.set_parameters_atomically([Parameter("rulez", value="default")])
+        assert not node.set_parameters_atomically([Parameter("rules", value="other")]).successful
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)

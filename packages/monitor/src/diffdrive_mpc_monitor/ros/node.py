@@ -17,16 +17,18 @@ from pydantic import Field
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, check
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.rules import load_rules
 from diffdrive_mpc_monitor.senders import Senders
@@ -97,8 +99,14 @@ _PERIOD = 0.02
 _LOOK_PERIOD, _DIAGNOSTICS_PERIOD = 0.5, 1.0
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STANDING = frozenset({"IDLE", "PAUSED", "FAULT", "STOPPED", "FINISHED", "unconfigured", "inactive", "finalized"})
+# Prefix of parameters that ROS declares itself, some of them later.
+_OF_ROS = "qos_overrides."
 # How long the last command may take to reach the base when the monitor ends [s].
 _LAST_WORDS = 0.3
+
+
+def _unknown(name: str) -> str:
+    return f"unknown parameter {name!r}{suggestion(MonitorSettings, [name])}"
 
 
 class MonitorNode(Node):
@@ -180,8 +188,21 @@ class MonitorNode(Node):
         for name, field in MonitorSettings.model_fields.items():
             about = ParameterDescriptor(description=str(field.description), read_only=True)
             self.declare_parameter(name, getattr(defaults, name), about)
+        for name in self._parameter_overrides:
+            if not self.has_parameter(name) and not name.startswith(_OF_ROS):
+                raise ConfigError(_unknown(name))
+        self.add_pre_set_parameters_callback(self._refuse_unknown)
         names = MonitorSettings.model_fields
         return check(MonitorSettings, {name: self.get_parameter(name).value for name in names}, "parameters")
+
+    def _refuse_unknown(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Name a parameter that is not declared, which rclpy does not."""
+        for parameter in parameters:
+            if not self.has_parameter(parameter.name):
+                error = ParameterNotDeclaredException([])
+                error.args = (_unknown(parameter.name),)
+                raise error
+        return parameters
 
     def _take_command(self, message: Message) -> None:
         settings = self._settings
