@@ -127,6 +127,7 @@ def _as_real(parameter: Parameter) -> Parameter:
     return Parameter(parameter.name, value=float(parameter.value))
 
 
+_NO_HINT = "; docs/parameters.md lists all of them"
 _OF_ROS = "qos_overrides."
 """Prefix of parameters that ROS declares itself, some of them later."""
 
@@ -137,8 +138,10 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If one is unknown, with the name that it may stand for.
+        If one is unknown and resembles a parameter of the node, with the name that it may stand for. Any other one may
+        be meant for another node, since files of a robot share parameters in their section `/**`: it is warned of.
     """
+    groups = {known.partition(".")[0] for known in node.list_parameters([], 0).names if "." in known}
     idle: dict[str, list[str]] = {}
     for name, parameter in _overrides(node).items():
         group, _, key = plain_key(name).rpartition(".")
@@ -149,7 +152,10 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
         elif is_feature(group.partition(".")[0]) and group.partition(".")[0] not in config.features:
             idle.setdefault(switch, []).append(name)
         elif not name.startswith(_OF_ROS) and fixed_values().get(plain_key(name)) != parameter.value:
-            raise ConfigError(unknown_parameter(node, config, name))
+            message = unknown_parameter(node, config, name)
+            if not message.endswith(_NO_HINT) or name.partition(".")[0] in groups:
+                raise ConfigError(message)
+            node.get_logger().warning(f"without effect: {message}")
     for switch, names in idle.items():
         node.get_logger().warning(f"without effect while {switch} is false: {', '.join(names)}")
 
@@ -166,7 +172,7 @@ def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
     if near:
         return f"unknown parameter {name!r}; did you mean '{near[0]}'?"
     hints = (suggestion(schema, key.split("."), shown_key) for schema in (ControllerConfig, NodeSettings))
-    hint = next((hint for hint in hints if "did you mean" in hint), "; docs/parameters.md lists all of them")
+    hint = next((hint for hint in hints if "did you mean" in hint), _NO_HINT)
     return f"unknown parameter {name!r}{hint}"
 
 

@@ -163,7 +163,7 @@ def started_with(*words):
         ("weights.acros:=20.0", "unknown parameter 'weights.acros'; did you mean 'weights.across'?"),
         ("across:=20.0", "unknown parameter 'across'; did you mean 'weights.across'?"),
         ("trajectry:=circle", "unknown parameter 'trajectry'; did you mean 'trajectory'?"),
-        ("gadget:=true", "unknown parameter 'gadget'; docs/parameters.md lists all of them"),
+        ("limits.gadget:=true", "unknown parameter 'limits.gadget'; "),
         ("expert.reentry.heading_wait:=9.0", "is the constant reentry.heading_wait"),
         ("estimator.crab:=[0.1, 0.0, 0.0]", "state expert.estimator.crab in the file"),
     ],
@@ -172,6 +172,11 @@ def test_unknown_parameter_refuses_the_start_and_is_named(word, message):
     with pytest.raises(ConfigError) as refusal, started_with(word):
         pass
     assert message in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_parameter_of_another_node_is_warned_of(capfd):
+    with started_with("gadget:=true"):
+        assert "without effect: unknown parameter 'gadget'; docs/parameters.md lists" in capfd.readouterr().err
 
 
 def test_node_with_an_unknown_parameter_ends_with_code_2(monkeypatch, capfd):

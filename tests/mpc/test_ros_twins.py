@@ -62,6 +62,8 @@ def test_node_brakes_for_the_third_message_of_a_twin(topic):
         assert not braking[-1].any() and before[-1, 0] > 0.1
         twin.close()
         s.base.until(lambda: not s.loop.objection, "the end of it")
+        s.base.run(2)
+        assert s.trigger("resume").success
         assert s.base.run(40)[-1, 0] > 0.1
 
 

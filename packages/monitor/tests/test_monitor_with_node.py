@@ -99,16 +99,12 @@ def test_monitor_uses_the_topics_of_its_namespace():
         rclpy.shutdown(context=context)
 
 
-@pytest.mark.parametrize(
-    ("word", "message"),
-    [
-        ("use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"),
-        ("gadget:=1", "unknown parameter 'gadget'; known keys: rules, controller"),
-    ],
-)
-def test_unknown_parameter_refuses_the_start(word, message):
+def test_unknown_parameter_that_resembles_another_refuses_the_start():
+    word, message = "use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"
     context = Context()
-    rclpy.init(context=context, args=["--ros-args", "-p", word, "-p", "qos_overrides./clock.subscription.depth:=3"])
+    # `gadget` may be meant for another node.
+    words = [word, "qos_overrides./clock.subscription.depth:=3", "gadget:=1"]
+    rclpy.init(context=context, args=["--ros-args", *(part for each in words for part in ("-p", each))])
     try:
         with pytest.raises(ConfigError) as refusal:
             MonitorNode(MonitorSettings(), context=context)

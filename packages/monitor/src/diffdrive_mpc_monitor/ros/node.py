@@ -189,8 +189,13 @@ class MonitorNode(Node):
             about = ParameterDescriptor(description=str(field.description), read_only=True)
             self.declare_parameter(name, getattr(defaults, name), about)
         for name in self._parameter_overrides:
-            if not self.has_parameter(name) and not name.startswith(_OF_ROS):
-                raise ConfigError(_unknown(name))
+            if self.has_parameter(name) or name.startswith(_OF_ROS):
+                continue
+            message = _unknown(name)
+            if "did you mean" in message:
+                raise ConfigError(message)
+            # Files of a robot share parameters of several nodes in their section `/**`.
+            self.get_logger().warning(f"without effect: {message}")
         self.add_pre_set_parameters_callback(self._refuse_unknown)
         names = MonitorSettings.model_fields
         return check(MonitorSettings, {name: self.get_parameter(name).value for name in names}, "parameters")
