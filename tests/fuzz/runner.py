@@ -40,7 +40,9 @@ def environment() -> dict[str, str]:
     """Return the environment of a process that imports the fuzzers and helpers of other tests."""
     tests = Path(__file__).parents[1]
     paths = [str(tests), str(tests / "models"), str(tests / "mpc"), os.environ.get("PYTHONPATH", "")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    # One thread for matrices, as in the node: to wake others takes longer than the sums.
+    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return {**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
 @dataclass(frozen=True)

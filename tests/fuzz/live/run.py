@@ -6,6 +6,8 @@ import json
 import math
 import os
 import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -20,13 +22,17 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="ros-log-"))
 
 import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -35,6 +41,7 @@ from fuzz import odd
 from fuzz.live.base import BLINDING, CHANGES, PERIOD, Base, damaged, make_change
 from fuzz.live.judge import SLACK, Account, Allowed, faults
 from fuzz.live.node_process import NodeProcess
+from ros_types.build import add_types
 
 NODE = "/diffdrive_mpc"
 _PATIENCE = 30.0
@@ -42,6 +49,9 @@ _START_PATIENCE = 180.0
 """Time for a node that first compiles, on a busy machine [s]."""
 _TICKS = 0.1
 """Time of ticks and messages in addition to the stated times [s]."""
+_TWIN = 0.3
+"""Time in which the node notices a second publisher [s]."""
+_CLIENT = Path(__file__).parents[2] / "mpc" / "follow_client.py"
 _MAX_GROWTH = 60.0
 """Memory growth of a node after its first campaigns [MB]."""
 _CAMPAIGNS = 10
@@ -154,9 +164,16 @@ class Attacker:
         step = (values["sample_time"] * rates[0], values["sample_time"] * rates[1])
         self.account.allowed.append(Allowed(time.monotonic(), (values["limits.v"], values["limits.omega"]), step))
 
+    @property
+    def braking(self) -> float:
+        """Time of the braking ramp from the limits [s]."""
+        ramps = (self.limits[f"limits.{n}"] / self.limits[f"expert.limits.{n}_braking"] for n in ("v", "omega"))
+        return _TICKS + max(ramps)
+
     def recover(self) -> None:
         """End all attacks, restore parameters and activate the node."""
         self.base.changes.clear()
+        self.base.twins.clear()
         self.base.blocked = self.base.silent = self.base.clock_stands = False
         self.spin(0.1)
         steps = {
@@ -282,10 +299,7 @@ def _storm(attacker: Attacker, random: Random, actions: list[str]) -> None:
 
 def _named_fault(attacker: Attacker, random: Random, actions: list[str]) -> None:
     """Start a fault in a drive; the command has to be zero within the stated time."""
-    limits = attacker.limits
-    braking = _TICKS + max(
-        limits[f"limits.{name}"] / limits[f"expert.limits.{name}_braking"] for name in ("v", "omega")
-    )
+    limits, braking = attacker.limits, attacker.braking
     faults_of_topics = {"odom": limits["odom_timeout"] + braking}
     if attacker.settings.get("use_pose_topic"):
         faults_of_topics["pose"] = limits["failure.max_pose_age"] + braking
@@ -329,6 +343,52 @@ def _outage(attacker: Attacker, random: Random, actions: list[str]) -> None:
         attacker.wait(lambda: attacker.mode.startswith("TRACKING"), "tracking after a short outage", 5.0)
 
 
+def _twin(attacker: Attacker, random: Random, actions: list[str]) -> None:
+    """Start a second driver of the same name on an input of a driving node, which has to stop in time."""
+    used = ["odom"] + ["imu"] * bool(attacker.settings.get("use_imu", True))
+    topic = random.choice(used + ["pose"] * bool(attacker.settings.get("use_pose_topic")))
+    actions.append(f"twin of {topic}")
+    context = Context()
+    rclpy.init(context=context, args=["--ros-args", "--log-level", "fatal"])
+    twin = rclpy.create_node(attacker.node.get_name(), context=context)
+    kind = {"odom": Odometry, "imu": Imu, "pose": PoseWithCovarianceStamped}[topic]
+    publisher = twin.create_publisher(kind, topic, qos_profile_sensor_data)
+    try:
+        attacker.wait(publisher.get_subscription_count, "subscription of the node")
+        attacker.base.twins[topic] = publisher
+        deadline = time.monotonic() + _TWIN + attacker.braking + SLACK
+        attacker.spin(deadline + 1.0 - time.monotonic())
+        attacker.account.zero.append((deadline, time.monotonic() - 0.05, actions[-1]))
+    finally:
+        attacker.base.twins.clear()
+        twin.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _dead_client(attacker: Attacker, random: Random, actions: list[str]) -> None:
+    """Kill the client of a goal while the robot follows its path, which has to stop within the blind distance."""
+    actions.append("dead client")
+    attacker.trigger("pause")
+    # From now on only a goal moves the robot.
+    attacker.wait(lambda: attacker.trigger("reset"), "accepted reset")
+    x, y, theta = attacker.base.pose
+    poses = [[x + 0.1 * i * math.cos(theta), y + 0.1 * i * math.sin(theta), theta] for i in range(100)]
+    with subprocess.Popen([sys.executable, str(_CLIENT)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as client:
+        try:
+            assert client.stdin is not None
+            client.stdin.write(json.dumps({"send": "goal", "frame": attacker.frame, "poses": poses}).encode() + b"\n")
+            client.stdin.flush()
+            distance = lambda: math.dist(attacker.base.pose[:2], (x, y))  # noqa: E731 - read at two places
+            attacker.wait(lambda: distance() > random.uniform(1.5, 3.0), "motion along the path of the goal")
+        finally:
+            client.kill()
+    place = distance()
+    attacker.spin(6.0)
+    travelled, most = distance() - place, attacker.defaults["follow_blind_distance"].double_value
+    if travelled > most:
+        raise LostError(f"the robot travelled {travelled:.2f} m after the death of its client, more than {most:g} m")
+
+
 def _terminate(attacker: Attacker, number: int) -> list[str]:
     """Send a signal during a drive: the last command is zero and the exit code 0."""
     attacker.recover()
@@ -341,6 +401,10 @@ def _terminate(attacker: Attacker, number: int) -> list[str]:
     if (last := attacker.base.commands[-1]) and (last.v or last.omega):
         findings.append(f"signal {number}: the last command is {last}")
     return findings if code == 0 else [*findings, f"signal {number}: exit code {code}"]
+
+
+ATTACKS = (_named_fault, _storm, _outage, _twin, _dead_client)
+"""Kinds of campaigns, in turns."""
 
 
 class Attack:
@@ -378,7 +442,7 @@ class Attack:
             if is_first:
                 attacker.recover()
                 attacker.drive()
-            (_named_fault, _storm, _outage)[number % 3](attacker, random, actions)
+            ATTACKS[number % len(ATTACKS)](attacker, random, actions)
             attacker.recover()
             attacker.drive()
         except LostError as error:
@@ -406,6 +470,7 @@ def main(seconds: float, seed: int, folder: Path | None, number: int | None) -> 
     """Run campaigns for `seconds`, or campaign `number` alone; return the number of findings."""
     folder = folder or Path(tempfile.mkdtemp(prefix="fuzz-live-"))
     folder.mkdir(parents=True, exist_ok=True)
+    add_types()
     attack = Attack(seed, folder, time.monotonic() + seconds)
     rclpy.init(args=["--ros-args", "--log-level", "fatal"])
     try:
