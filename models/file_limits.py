@@ -24,9 +24,13 @@ class FileLimits:
     multiplications: int
     weights_spare: int
     bag_chunk: int
-    bag_open: int
+    bag_database: int
+    bag_files: int
+    bag_topics: int
     bag_ratio: int
     bag_always: int
+    sqlite_steps: int
+    drive_ticks: int
 
 
 @cache

@@ -10,24 +10,16 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.bag_bounds import check_messages, within_bounds
+from diffdrive_mpc.models.logs.bag_reader import Bag, is_ros1
 from diffdrive_mpc.models.logs.mapping import MotorTopic, Topic
 from diffdrive_mpc.models.logs.record import BoolArray
-
-if TYPE_CHECKING:
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-
-    from diffdrive_mpc.models.logs.drive_log.writer import DriveBag
-
-    Reader: TypeAlias = Reader1 | Reader2 | DriveBag
 
 Reading = tuple[float, ...]
 
@@ -131,7 +123,7 @@ class TopicRows:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Reader]:
+def opened(path: Path) -> Iterator[Bag]:
     """Open a rosbag2, its folder or one .mcap or .db3 file, or a .bag of ROS 1.
 
     Raises
@@ -139,40 +131,20 @@ def opened(path: Path) -> Iterator[Reader]:
     ConfigError
         If it cannot be read, here or while the context reads on.
     """
-    # Only those who read bags need the library.
-    from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
-    from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
-
-    from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log  # noqa: PLC0415
-    from diffdrive_mpc.models.logs.drive_log.writer import DriveBag  # noqa: PLC0415
-
     try:
-        with within_bounds(path) as there:
-            # The library takes no file in which a channel holds something else than ROS messages.
-            make = Reader1 if of_ros1(there) else DriveBag if is_drive_log(there) else Reader2
-            with make(there) as reader:
-                if isinstance(reader, Reader2):
-                    check_messages(path, reader)
-                yield reader
+        with Bag(path) as reader:
+            yield reader
     except ConfigError:
         raise
     except Exception as error:  # a damaged file fails in as many ways as there are bytes
         reason = " ".join(str(error).split()) or type(error).__name__
-        kind, rescue = ("ROS 1", "rosbag reindex") if of_ros1(path) else ("ROS 2", "ros2 bag reindex")
+        kind, rescue = ("ROS 1", "rosbag reindex") if is_ros1(path) else ("ROS 2", "ros2 bag reindex")
         raise ConfigError(
             f"{path}: cannot be read as a {kind} bag ({reason}); is it complete? `{rescue}` may save it"
         ) from error
 
 
-def of_ros1(path: Path) -> bool:
-    """Whether the path is that of a bag of ROS 1: one file that says so in its first bytes, or by its ending."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(7) == b"#ROSBAG" or path.suffix == ".bag"
-
-
-def require_topics(reader: Reader, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
+def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
     """Raise ConfigError with all topics that the bag lacks, or that are of a type without a decoder."""
     sentences, missing = [], []
     for topic, decoders in wanted:
@@ -193,7 +165,7 @@ def require_topics(reader: Reader, path: Path, wanted: Iterable[tuple[Topic, Dec
 
 
 def read_topic(
-    reader: Reader,
+    reader: Bag,
     path: Path,
     topic: Topic,
     decoders: Decoders,
@@ -215,17 +187,17 @@ def read_topic(
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     name = topic.topic
-    connections: list[Any] = [connection for connection in reader.connections if connection.topic == name]
+    connections = [connection for connection in reader.connections if connection.topic == name]
     require_topics(reader, path, [(topic, decoders)])
     kind = connections[0].msgtype
     decode = decoders[kind] if topic.fields is None else _reader_of(path, topic)
-    ros1 = of_ros1(path)
+    ros1 = is_ros1(path)
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
     _register(path, store, kind, definitions)
     # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
     times, values = array("q"), array("d")
     messages = 0
-    for _, timestamp, data in reader.messages(connections=connections):
+    for timestamp, data in reader.messages(connections):
         messages += 1
         if (messages - 1) % stride:
             continue
@@ -238,7 +210,9 @@ def read_topic(
     if not messages:
         raise ConfigError(f"{path}: topic '{name}' holds no message")
     received, stamped = (np.array(times[first::2]) for first in (0, 1))
-    return TopicRows(name, received, stamped, np.array(values).reshape(len(received), -1), stride, kind)
+    order = np.argsort(received, kind="stable")
+    rows = np.array(values).reshape(len(received), -1)
+    return TopicRows(name, received[order], stamped[order], rows[order], stride, kind)
 
 
 def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.bag_reader import Bag
 from diffdrive_mpc.models.logs.bag_topics import (
     BATTERIES,
     COMMANDS,
@@ -30,9 +29,6 @@ from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MappedWheels,
 from diffdrive_mpc.models.logs.record import Finding, ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
-
-if TYPE_CHECKING:
-    from diffdrive_mpc.models.logs.bag_topics import Reader
 
 _WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3, "battery": 2}
 _DECODERS: dict[str, Decoders] = {
@@ -155,7 +151,7 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
     return power_signals
 
 
-def _stride(reader: Reader, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
+def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
     """One in how many messages of a sensor is needed; of commands every one is."""
     count = sum(connection.msgcount for connection in reader.connections if connection.topic == topic.topic)
     if role == "command" or count < 2:
