@@ -8,6 +8,7 @@ no row are counted.
 from __future__ import annotations
 
 import os
+import re
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -35,6 +36,8 @@ _LIMITS = {
     sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH: 1,
     sqlite3.SQLITE_LIMIT_WORKER_THREADS: 0,
 }
+_TABLES = ("messages", "topics")
+_PLAIN = re.compile(r"CREATE (TABLE|INDEX|UNIQUE INDEX|TRIGGER) ", re.IGNORECASE)
 _STEPS = 10_000
 """Steps of SQLite's machine between two looks at them."""
 _ROW = "rowid, topic_id, timestamp, typeof(topic_id), typeof(timestamp), typeof(data), length(data)"
@@ -124,12 +127,11 @@ def _opened(path: Path, zstd: bool) -> Iterator[tuple[sqlite3.Connection, int]]:
 def _rows(
     path: Path, base: sqlite3.Connection, budget: Budget, watch: _Watch, topics: Collection[tuple[str, str]]
 ) -> Iterator[tuple[str, str, int | None, bytes]]:
-    for table in ("messages", "topics"):
-        kinds = [(row[2], row[4]) for row in base.execute(f"PRAGMA table_list({table})")]
-        # Columns that are worked out take no room in the file, and any in memory.
-        made = any(row[6] for row in base.execute(f"PRAGMA table_xinfo({table})"))
-        if kinds != [("table", 0)] or made:
-            raise ConfigError(f"{path}: the table '{table}' is not that of a bag; export it again (`ros2 bag convert`)")
+    # Names and kinds in the schema may be forged, the statements are what SQLite goes by; views cost time when prepared.
+    foreign = any(sql and not _PLAIN.match(str(sql)) for (sql,) in base.execute("SELECT sql FROM sqlite_master"))
+    # Columns that are worked out take no room in the file, and any in memory.
+    if foreign or any(row[6] for table in _TABLES for row in base.execute(f"PRAGMA table_xinfo({table})")):
+        raise ConfigError(f"{path}: it holds views or made columns, not the tables of a bag; export it again")
     known: dict[int, tuple[str, str]] = {}
     for number, row in _increasing(base, "rowid, id, name, type, serialization_format FROM topics", watch):
         if number >= file_limits().bag_topics:

@@ -465,7 +465,7 @@ def _data_base(path: Path, change: str) -> Path:
         (
             "DROP TABLE messages; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
             "data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (1, 10)",
-            "not that of a bag",
+            "not the tables of a bag",
         ),
     ],
 )
