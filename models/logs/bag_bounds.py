@@ -108,4 +108,3 @@ class Inflated:
         except ZstdError as error:
             raise ValueError(f"it cannot be unpacked: {error}") from error
         return b"".join(parts)
-

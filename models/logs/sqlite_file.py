@@ -88,7 +88,9 @@ def sqlite_messages(
             yield from _rows(path, base, Budget(path, size), watch, topics)
     except sqlite3.Error as error:
         if watch.is_over:
-            raise ConfigError(f"{path}: its tables take SQLite too long; export it again (`ros2 bag convert`)") from error
+            raise ConfigError(
+                f"{path}: its tables take SQLite too long; export it again (`ros2 bag convert`)"
+            ) from error
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
             # Ctrl-C came while SQLite called `look`, from which no exception passes through it.
             raise KeyboardInterrupt from error
@@ -127,7 +129,7 @@ def _opened(path: Path, zstd: bool) -> Iterator[tuple[sqlite3.Connection, int]]:
 def _rows(
     path: Path, base: sqlite3.Connection, budget: Budget, watch: _Watch, topics: Collection[tuple[str, str]]
 ) -> Iterator[tuple[str, str, int | None, bytes]]:
-    # Names and kinds in the schema may be forged, the statements are what SQLite goes by; views cost time when prepared.
+    # Names and kinds in the schema may be forged; SQLite goes by the statements, and takes long to prepare views.
     foreign = any(sql and not _PLAIN.match(str(sql)) for (sql,) in base.execute("SELECT sql FROM sqlite_master"))
     # Columns that are worked out take no room in the file, and any in memory.
     if foreign or any(row[6] for table in _TABLES for row in base.execute(f"PRAGMA table_xinfo({table})")):

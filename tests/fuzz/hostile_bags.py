@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - one line for each kind of attack
 """Makers of hostile bags: data bases, MCAP files, bags of ROS 1, and folders of bags."""
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ _SCHEMAS: dict[str, str] = {
     "large messages": f"{_TOPICS} {_MESSAGES} INSERT INTO messages {_NUMBERS} LIMIT 3) SELECT k, 1 + k % 2, k, zeroblob(70000000 * (k % 2)) FROM c;",
     "rows": f"{_TOPICS} {_MESSAGES} INSERT INTO messages {_NUMBERS} LIMIT 400000) SELECT k, 1 + k % 2, k * 1000000, zeroblob(0) FROM c;",
     "tables": f"{_TOPICS} {_MESSAGES} {_ROWS}" + "".join(f"CREATE TABLE t{i}(a, b, c);" for i in range(3_000)),
-    "views of views": f"{_TOPICS} {_MESSAGES} {_ROWS} CREATE VIEW v0 AS SELECT * FROM messages;" + "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" for i in range(1, 60)),
+    "views of views": f"{_TOPICS} {_MESSAGES} {_ROWS} CREATE VIEW v0 AS SELECT * FROM messages;"
+    + "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" for i in range(1, 60)),
     "trigger and statistics": f"{_TOPICS} {_MESSAGES} {_ROWS} CREATE INDEX timestamp_idx ON messages(timestamp); ANALYZE; UPDATE sqlite_stat1 SET stat = '1 1';",
     "collation": f"{_TOPICS} CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB); {_ROWS} {_FORGE} sql = replace(sql, 'timestamp INTEGER', 'timestamp INTEGER COLLATE evil') WHERE name = 'messages';",
     "empty": "",
@@ -82,7 +84,9 @@ def _odd_topics(random: Random, folder: Path) -> Path:
 
 def _damaged_pages(random: Random, folder: Path) -> Path:
     """Bytes and whole pages are something else."""
-    path = _data_base(f"{_TOPICS} {_MESSAGES} {_ROWS} CREATE INDEX timestamp_idx ON messages(timestamp);", random, folder)
+    path = _data_base(
+        f"{_TOPICS} {_MESSAGES} {_ROWS} CREATE INDEX timestamp_idx ON messages(timestamp);", random, folder
+    )
     content = bytearray(path.read_bytes())
     size = int.from_bytes(content[16:18], "big") or 65536
     for _ in range(random.choice((1, 10, 200))):
@@ -115,7 +119,9 @@ def _endless_pages(random: Random, folder: Path) -> Path:
     with sqlite3.connect(path) as base:
         base.execute("PRAGMA page_size = 512")
         base.executescript(_TOPICS + _MESSAGES)
-        (root,) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (random.choice(("messages", "topics")),)).fetchone()
+        (root,) = base.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = ?", (random.choice(("messages", "topics")),)
+        ).fetchone()
     base.close()
     content = bytearray(path.read_bytes())
     depth, first = random.choice((1, 6, 15)), len(content) // 512 + 1
@@ -156,12 +162,16 @@ def _schema(name: str = "geometry_msgs/msg/Twist", number: int = 1, data: bytes 
     return _record(3, struct.pack("<H", number) + _text(name) + _text("ros2msg") + _text(data))
 
 
-def _channel(topic: str = "/cmd_vel", number: int = 1, encoding: str = "cdr", schema: int = 1, data: bytes = b"") -> bytes:
+def _channel(
+    topic: str = "/cmd_vel", number: int = 1, encoding: str = "cdr", schema: int = 1, data: bytes = b""
+) -> bytes:
     return _record(4, struct.pack("<HH", number, schema) + _text(topic) + _text(encoding) + _text(data))
 
 
 def _chunk(packed: bytes, how: str, size: int, checksum: int = 0) -> bytes:
-    return _record(6, struct.pack("<QQQI", 0, 10, size, checksum) + _text(how) + struct.pack("<Q", len(packed)) + packed)
+    return _record(
+        6, struct.pack("<QQQI", 0, 10, size, checksum) + _text(how) + struct.pack("<Q", len(packed)) + packed
+    )
 
 
 def _zeros(megabytes: int, how: str) -> bytes:
@@ -190,31 +200,69 @@ def _ticks(make: Callable[[Random], tuple[bytes, int]], random: Random) -> bytes
 
 _BODIES: dict[str, Callable[[Random], bytes]] = {
     "bomb": _bomb,
-    "chunk in a chunk": lambda random: _chunk(_chunk(_message(b""), "", len(_message(b""))) * 100, "", 100 * len(_chunk(_message(b""), "", len(_message(b""))))),
-    "lengths": lambda random: struct.pack("<BQ", random.choice((3, 4, 5, 6, 9, 12)), random.choice((2**32, 2**63 - 1, 2**64 - 1, 10**8))) + bytes(100),
-    "names": lambda random: _record(random.choice((3, 4, 12)), struct.pack("<HI", 1, random.choice((2**32 - 1, 10**6))) + bytes(10**6)),
+    "chunk in a chunk": lambda random: _chunk(
+        _chunk(_message(b""), "", len(_message(b""))) * 100,
+        "",
+        100 * len(_chunk(_message(b""), "", len(_message(b"")))),
+    ),
+    "lengths": lambda random: (
+        struct.pack("<BQ", random.choice((3, 4, 5, 6, 9, 12)), random.choice((2**32, 2**63 - 1, 2**64 - 1, 10**8)))
+        + bytes(100)
+    ),
+    "names": lambda random: _record(
+        random.choice((3, 4, 12)), struct.pack("<HI", 1, random.choice((2**32 - 1, 10**6))) + bytes(10**6)
+    ),
     "channels": lambda random: _schema() + b"".join(_channel(f"/t{k}", k) for k in range(65_536)),
     "definition": lambda random: _schema(data=bytes(60_000_000)) + _channel(),
-    "qualities": lambda random: _schema() + b"".join(_channel(f"/t{k}", k, data=_text("offered_qos_profiles") + _text("- {a: [" + "1," * 50_000 + "]}\n")) for k in range(20)),
+    "qualities": lambda random: (
+        _schema()
+        + b"".join(
+            _channel(f"/t{k}", k, data=_text("offered_qos_profiles") + _text("- {a: [" + "1," * 50_000 + "]}\n"))
+            for k in range(20)
+        )
+    ),
     "odd names": lambda random: _schema(odd_name(random)) + _channel(odd_name(random)) + _message(b""),
     "unknown records": lambda random: _record(0x80, b"") * 500_000,
-    "metadata": lambda random: _record(12, _text("configuration") + _text(b"".join(_text(f"k{k}") + _text("v") for k in range(100_000)))),
+    "metadata": lambda random: _record(
+        12, _text("configuration") + _text(b"".join(_text(f"k{k}") + _text("v") for k in range(100_000)))
+    ),
     "messages": lambda random: _schema() + _channel() + _message(b"") * 500_000,
     "messages of nothing": lambda random: _message(b"", channel=7) * 10,
-    "arrays": lambda random: _schema("sensor_msgs/msg/JointState") + _channel("/odom") + _schema(number=2) + _channel("/cmd_vel", 2, schema=2) + _message(bytes(60), channel=2) + _message(bytes(12) + b"\xff" * 60),
+    "arrays": lambda random: (
+        _schema("sensor_msgs/msg/JointState")
+        + _channel("/odom")
+        + _schema(number=2)
+        + _channel("/cmd_vel", 2, schema=2)
+        + _message(bytes(60), channel=2)
+        + _message(bytes(12) + b"\xff" * 60)
+    ),
     "deep ticks": partial(_ticks, lambda random: (b'{"a":' + b"[" * random.choice((500, 2_000, 10**6)), 20)),
     "empty ticks": partial(_ticks, lambda random: (b"{}", 450_000)),
     "large ticks": partial(_ticks, lambda random: (b'{"a":[' + b"[]," * 12_000_000 + b"[]]}", 1)),
-    "numbers in ticks": partial(_ticks, lambda random: (b'{"t_s": ' + random.choice((b"9" * 5_000, b"1e999", b"9" * 400, b'"x"', b"null", b"[1]")) + b', "mode": "TRACKING"}', 100)),
-    "keys in ticks": partial(_ticks, lambda random: (b"{" + b",".join(b'"k%d":1' % k for k in range(20_000)) + b"}", 50)),
-    "odd ticks": partial(_ticks, lambda random: ('{"mode": "\x7f\u202e\\u001b[2J", "t_s": 1, "message": "\\u001b[31m"}'.encode(), 100)),
+    "numbers in ticks": partial(
+        _ticks,
+        lambda random: (
+            b'{"t_s": '
+            + random.choice((b"9" * 5_000, b"1e999", b"9" * 400, b'"x"', b"null", b"[1]"))
+            + b', "mode": "TRACKING"}',
+            100,
+        ),
+    ),
+    "keys in ticks": partial(
+        _ticks, lambda random: (b"{" + b",".join(b'"k%d":1' % k for k in range(20_000)) + b"}", 50)
+    ),
+    "odd ticks": partial(
+        _ticks, lambda random: ('{"mode": "\x7f\u202e\\u001b[2J", "t_s": 1, "message": "\\u001b[31m"}'.encode(), 100)
+    ),
 }
 
 
 def _mcap(make: Callable[[Random], bytes], name: str, random: Random, folder: Path) -> Path:
     path = folder / "bag.mcap"
     end = _record(2, struct.pack("<QQI", random.choice((0, 8, 10**6)), 0, 0)) + _MAGIC
-    path.write_bytes(_MAGIC + _record(1, _text("ros2") + _text("x")) + make(random) + random.choice((end, end, b"", bytes(9))))
+    path.write_bytes(
+        _MAGIC + _record(1, _text("ros2") + _text("x")) + make(random) + random.choice((end, end, b"", bytes(9)))
+    )
     return path
 
 
@@ -231,14 +279,28 @@ def _ros1_record(data: bytes, **fields: bytes) -> bytes:
 
 
 def _connection(topic: str = "/odom", kind: str = "nav_msgs/Odometry") -> bytes:
-    inner = _field("type", kind.encode("utf-8", "surrogatepass")) + _field("md5sum", b"0") + _field("message_definition", b"")
+    inner = (
+        _field("type", kind.encode("utf-8", "surrogatepass"))
+        + _field("md5sum", b"0")
+        + _field("message_definition", b"")
+    )
     return _ros1_record(inner, op=b"\x07", conn=bytes(4), topic=topic.encode("utf-8", "surrogatepass"))
 
 
 def _ros1(random: Random, folder: Path) -> Path:
     packed = bz2.compress(_connection() + _ros1_record(bytes(30_000_000), op=b"\x02", conn=bytes(4), time=bytes(8)))
-    chunk = _ros1_record(packed, op=b"\x05", compression=b"bz2", size=struct.pack("<I", random.choice((30_000_200, 100, 2**32 - 1))))
-    info = _ros1_record(bytes(8), op=b"\x06", ver=struct.pack("<I", 1), chunk_pos=struct.pack("<Q", 4117), count=struct.pack("<I", 1), start_time=bytes(8), end_time=bytes(8))
+    chunk = _ros1_record(
+        packed, op=b"\x05", compression=b"bz2", size=struct.pack("<I", random.choice((30_000_200, 100, 2**32 - 1)))
+    )
+    info = _ros1_record(
+        bytes(8),
+        op=b"\x06",
+        ver=struct.pack("<I", 1),
+        chunk_pos=struct.pack("<Q", 4117),
+        count=struct.pack("<I", 1),
+        start_time=bytes(8),
+        end_time=bytes(8),
+    )
     body = random.choice(
         (
             chunk,
@@ -253,7 +315,9 @@ def _ros1(random: Random, folder: Path) -> Path:
             _connection() + _ros1_record(b"\xff" * 80, op=b"\x02", conn=bytes(4), time=bytes(8)) * 50_000,
         )
     )
-    head = _ros1_record(bytes(4027), op=b"\x03", index_pos=struct.pack("<Q", 4117), conn_count=b"\xff" * 4, chunk_count=b"\xff" * 4)
+    head = _ros1_record(
+        bytes(4027), op=b"\x03", index_pos=struct.pack("<Q", 4117), conn_count=b"\xff" * 4, chunk_count=b"\xff" * 4
+    )
     path = folder / "drive.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + head + body)
     return path
@@ -280,7 +344,12 @@ def _folder(random: Random, folder: Path) -> Path:
     elif kind == "place":
         names = ["../../../../etc/passwd", "/dev/zero", "\x00", "\x1b[2J.db3", "x" * 5_000]
     elif kind == "large":
-        more = {"topics_with_message_count": [{"topic_metadata": {"name": f"/t{k}", "offered_qos_profiles": "- a: 1\n" * 20}} for k in range(random.choice((2_000, 60_000)))]}
+        more = {
+            "topics_with_message_count": [
+                {"topic_metadata": {"name": f"/t{k}", "offered_qos_profiles": "- a: 1\n" * 20}}
+                for k in range(random.choice((2_000, 60_000)))
+            ]
+        }
     elif kind == "no names":
         names = random.choice((None, {}, "bag.db3", 5, [], [[]], [None]))
     elif kind == "missing":
@@ -289,7 +358,11 @@ def _folder(random: Random, folder: Path) -> Path:
         (bag / "bag.db3").unlink()
         special(bag / "bag.db3", random)
     elif kind == "counts":
-        more = {"topics_with_message_count": [{"topic_metadata": {"name": "/odom"}, "message_count": random.choice((10**30, -1, "x", 1e99))}]}
+        more = {
+            "topics_with_message_count": [
+                {"topic_metadata": {"name": "/odom"}, "message_count": random.choice((10**30, -1, "x", 1e99))}
+            ]
+        }
     stated = {"version": 5, "storage_identifier": "sqlite3", "relative_file_paths": names, **more}
     text = yaml.dump({"rosbag2_bagfile_information": stated}, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper))
     (bag / "metadata.yaml").write_text(text, encoding="utf-8")
@@ -303,7 +376,13 @@ def _packed(random: Random, folder: Path) -> Path:
     mode = random.choice(("file", "FILE", "message"))
     head = random.choice((_MAGIC + struct.pack("<BQ", 9, 2**62), b"SQLite format 3\0", b""))
     packer = zstandard.ZstdCompressor().compressobj()
-    bomb = b"".join([packer.compress(head), *(packer.compress(bytes(1_000_000)) for _ in range(random.choice((15, 500)))), packer.flush()])
+    bomb = b"".join(
+        [
+            packer.compress(head),
+            *(packer.compress(bytes(1_000_000)) for _ in range(random.choice((15, 500)))),
+            packer.flush(),
+        ]
+    )
     name = "bag.db3.zstd"
     if mode == "message":
         name = "bag.db3"
@@ -313,10 +392,16 @@ def _packed(random: Random, folder: Path) -> Path:
         base.close()
     elif random.random() < 0.3:
         _data_base(f"{_TOPICS} {_MESSAGES} {_ROWS}", random, bag)
-        (bag / name).write_bytes(zstandard.ZstdCompressor().compress((bag / "bag.db3").read_bytes())[: random.choice((None, 5_000))])
+        (bag / name).write_bytes(
+            zstandard.ZstdCompressor().compress((bag / "bag.db3").read_bytes())[: random.choice((None, 5_000))]
+        )
     else:
         (bag / name).write_bytes(bomb)
-    stated = {"relative_file_paths": [name], "compression_mode": mode, "compression_format": random.choice(("zstd", "zstd", "rar"))}
+    stated = {
+        "relative_file_paths": [name],
+        "compression_mode": mode,
+        "compression_format": random.choice(("zstd", "zstd", "rar")),
+    }
     (bag / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": stated}), encoding="utf-8")
     return bag
 
@@ -350,7 +435,11 @@ BAGS: dict[str, Callable[[Random, Path], Path]] = {
     **{f"log: SQLite {name}": make for name, make in (("file beside", _beside), ("odd topics", _odd_topics))},
     **{f"log: SQLite damaged pages {k}": _damaged_pages for k in range(6)},
     **{f"log: SQLite endless pages {k}": _endless_pages for k in range(3)},
-    **{f"{door}: MCAP {name}": partial(_mcap, make, name) for name, make in _BODIES.items() for door in ("log", "replay")},
+    **{
+        f"{door}: MCAP {name}": partial(_mcap, make, name)
+        for name, make in _BODIES.items()
+        for door in ("log", "replay")
+    },
     **{f"log: ROS 1 {k}": _ros1 for k in range(10)},
     **{f"log: folder {k}": _folder for k in range(10)},
     **{f"log: packed {k}": _packed for k in range(6)},

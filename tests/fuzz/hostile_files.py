@@ -1,4 +1,4 @@
-"""Hostile files of all kinds: each is read, or refused with one line, within bounds of time, memory and temporary space.
+"""Hostile files of all kinds: each is read, or refused with one line, within bounds of time, memory and space.
 
 `python -m fuzz.hostile_files --count 300 --seed 1` prints the figures; it leaves with 1 if a file breaks a bound.
 """
@@ -194,7 +194,7 @@ def _space(process: int, scratch: Path) -> float:
     with suppress(OSError):
         handles = list(Path(f"/proc/{process}/fd").iterdir())
         named = [path for path in scratch.rglob("*") if path.is_file()]
-        for path in (*named, *(handle for handle in handles if os.readlink(handle).startswith(str(scratch)))):
+        for path in (*named, *(handle for handle in handles if str(handle.readlink()).startswith(str(scratch)))):
             with suppress(OSError):
                 state = path.stat()
                 sizes[state.st_dev, state.st_ino] = state.st_size
@@ -216,7 +216,10 @@ def main() -> None:
         faults = "; ".join(outcome.faults())
         figures = f"{outcome.seconds:5.1f} s {outcome.memory:5.0f} MB {outcome.temporary:3.0f} MB"
         stopped = "" if outcome.interrupted is None else f" Ctrl-C {outcome.interrupted:.2f} s"
-        print(f"{figures}{stopped} {outcome.name}: {outcome.end[:150]!r}{'  FAULT ' + faults[:300] if faults else ''}", flush=True)
+        print(
+            f"{figures}{stopped} {outcome.name}: {outcome.end[:150]!r}{'  FAULT ' + faults[:300] if faults else ''}",
+            flush=True,
+        )
 
     outcomes = run(words.seed, words.count, say)
     slow = [outcome.interrupted for outcome in outcomes if outcome.interrupted is not None]

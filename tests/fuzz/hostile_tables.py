@@ -24,7 +24,9 @@ def _rows(count: int, time: Callable[[int], object], cell: Callable[[int], objec
 
 def _steps(random: Random) -> str:
     """Times that go to and fro, stand still, or leap."""
-    pace = random.choice((lambda k: k % 2, lambda k: -k, lambda k: 0, lambda k: k * 10**random.choice((6, 12)), lambda k: k * 1e-9))
+    pace = random.choice(
+        (lambda k: k % 2, lambda k: -k, lambda k: 0, lambda k: k * 10 ** random.choice((6, 12)), lambda k: k * 1e-9)
+    )
     return _rows(100_000, pace, lambda k: k % 7)
 
 
@@ -43,7 +45,9 @@ _TEXTS: dict[str, Callable[[Random], str | bytes]] = {
     "returns": lambda random: _HEAD + "\r" * 5_000_000,
     "odd names": lambda random: f"{odd_name(random)},{odd_name(random)},v,w\n1,2,3,4\n",
     "odd cells": lambda random: _HEAD + f"1,2,3,4,5\n2,{odd_name(random)!r},3,4,5\n3,\x1b[2J,3,4,5\n",
-    "numbers": lambda random: _rows(3_000, lambda k: random.choice(("nan", "inf", "1e308", "-1e308", "0x10", k)), lambda k: "9" * 400),
+    "numbers": lambda random: _rows(
+        3_000, lambda k: random.choice(("nan", "inf", "1e308", "-1e308", "0x10", k)), lambda k: "9" * 400
+    ),
     "utf-16": lambda random: codecs.BOM_UTF16_LE + b"\0\xd8" * 100_000,
     "bytes": lambda random: bytes(random.randrange(256) for _ in range(10_000)),
     "long cell": lambda random: _HEAD + "1," + "2" * 900_000 + ",3,4,5\n",
@@ -127,7 +131,7 @@ def _parquet(random: Random, folder: Path) -> Path:
         parquet.write_table(pyarrow.table({odd_name(random): [1.0], "v": ["\x1b[2J"]}), path)
     else:
         count = 20_000_000 if kind == "bomb" else 20_000
-        table = pyarrow.table({name: np.zeros(count if name == "t" else count) for name in names[:2]})
+        table = pyarrow.table({name: np.zeros(count) for name in names[:2]})
         parquet.write_table(table, path, compression="zstd", use_dictionary=False)
         content = bytearray(path.read_bytes())
         if kind == "lying":
@@ -150,7 +154,13 @@ def _lying_parquet(random: Random, folder: Path) -> Path:
     count = 120_000_000
     table = pyarrow.table({"t": np.zeros(count, np.float64)})
     parquet.write_table(
-        table, whole, compression="zstd", use_dictionary=False, data_page_size=2**30, row_group_size=count, write_statistics=False
+        table,
+        whole,
+        compression="zstd",
+        use_dictionary=False,
+        data_page_size=2**30,
+        row_group_size=count,
+        write_statistics=False,
     )
     content = whole.getvalue()
     size = parquet.ParquetFile(whole).metadata.row_group(0).column(0).total_uncompressed_size

@@ -51,9 +51,9 @@ _YAML: dict[str, Callable[[Random], str | bytes]] = {
     "number": _number,
     "circle": lambda random: "a: &a [*a]",
     "keys": lambda random: "".join(f"key{i}: {i}\n" for i in range(random.choice((40_000, 400_000)))),
-    "unknown keys of groups": lambda random: "weights: {"
-    + ", ".join(f"weight{i}: 1" for i in range(random.choice((5_000, 40_000))))
-    + "}",
+    "unknown keys of groups": lambda random: (
+        "weights: {" + ", ".join(f"weight{i}: 1" for i in range(random.choice((5_000, 40_000)))) + "}"
+    ),
     "wrong values": lambda random: f"segments: [{', '.join(['{v: a, omega: b}'] * 12_000)}]",
     "values": lambda random: f"a: [{'1,' * _MANY}]",
     "long text": lambda random: f"name: {'x' * random.choice((100_000, _LARGE))}",
@@ -66,7 +66,9 @@ _YAML: dict[str, Callable[[Random], str | bytes]] = {
     "odd bytes": lambda random: bytes(random.randrange(256) for _ in range(random.choice((1, 100, 10_000)))),
     "zeros": lambda random: bytes(random.choice((1, 1_000_000))),
     "utf-16": lambda random: "name: a\n".encode("utf-16"),
-    "tag": lambda random: random.choice(("!!python/object/apply:os.system [x]", "!!set {a, b}", "a: !!binary A" + "A" * 9_000_000)),
+    "tag": lambda random: random.choice(
+        ("!!python/object/apply:os.system [x]", "!!set {a, b}", "a: !!binary A" + "A" * 9_000_000)
+    ),
     "timestamp": lambda random: f"a: {random.choice(('2020-13-40', '9999999999-01-01', '2020-01-01T99:99:99Z'))}",
     "quotes": lambda random: '"' + "\\x1b" * 1_000_000,
     "directive": lambda random: "%TAG ! " + "x" * 1_000_000,
@@ -76,7 +78,9 @@ _JSON: dict[str, Callable[[Random], str]] = {
     "number": lambda random: '{"a":' + "9" * random.choice((5_000, 4_000_000)) + "}",
     "lists": lambda random: "[" + "[]," * 10_000_000 + "[]]",
     "keys": lambda random: json.dumps({f"k{i}": i for i in range(200_000)}),
-    "wrong": lambda random: json.dumps(random.choice(([], 1, "x", None, {"a": [1]}, {"report.html": {"by": 1, "bytes": 1e400}}))),
+    "wrong": lambda random: json.dumps(
+        random.choice(([], 1, "x", None, {"a": [1]}, {"report.html": {"by": 1, "bytes": 1e400}}))
+    ),
     "odd": lambda random: json.dumps({"format": odd_name(random), odd_name(random): 1}),
 }
 
@@ -122,7 +126,7 @@ def _changed(door: str, random: Random, folder: Path) -> Path:
     from fuzz.yaml_files import seeds
 
     tree: Any = yaml.safe_load(random.choice(list(seeds(door).values())))
-    places = [place for place in mutation._places(tree)]
+    places = list(mutation._places(tree))
     holder, key = random.choice(places)
     holder[key] = random.choice(
         (

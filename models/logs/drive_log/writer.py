@@ -206,4 +206,3 @@ def _status(now: int, row: TickRow) -> ros.Message:
         "step time [ms]": f"{1e3 * step:.2f}" if isinstance(step := row.get("step_time_s"), float) else "-",
     }
     return ros.diagnostics(now, level, f"{mode}: {message}" if message else mode, values)
-
