@@ -60,7 +60,7 @@ def test_errors_show_escapes_of_names(name, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES[:4])
 def test_logs_show_escapes_of_columns_and_topics(name, tmp_path):
-    text = name.replace("\x00", "").replace("\n", "").replace("\r", "")
+    text = f"\x1b{name}".translate(dict.fromkeys(map(ord, "\x00\n\r\u2028\x85;")))
     columns = drive(seconds=6.0)
     log = write_csv(tmp_path / "log.csv", {f"{key}{text}": values for key, values in columns.items()})
     assert "\\" in check_refused(lambda: read_log(log, write_mapping(tmp_path / "map.yaml")))
