@@ -28,7 +28,7 @@ REPORT = "report.html"
 """Name of the page in a folder of results."""
 CONTENTS = ".contents.json"
 """In the folder; hidden, as nobody needs to read it."""
-_LARGEST = 50 * MEGABYTE
+_LARGEST = 16 * MEGABYTE
 
 
 Entries = dict[str, dict[str, Any]]

@@ -16,7 +16,6 @@ class FileLimits:
     yaml_bytes: int
     yaml_depth: int
     yaml_values: int
-    model_values: int
     states: int
     window: int
     units: int
@@ -31,6 +30,11 @@ class FileLimits:
     bag_always: int
     sqlite_steps: int
     drive_ticks: int
+    drive_ticks_always: int
+    json_bytes: int
+    run_bytes: int
+    poses_bytes: int
+    csv_words: int
 
 
 @cache

@@ -131,6 +131,9 @@ class Bag:
                 "(`ros2 bag convert`)"
             )
         self._files = [self._path / name for name in names]
+        places = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
+        if len(places) < len(names):
+            raise ConfigError(f"{path}: names one file under several names; name each file once")
         self._packed = str(bag.get("compression_mode") or "").lower()
         if self._packed in ("file", "message") and bag.get("compression_format") != "zstd":
             raise ValueError(f"it is packed by '{bag.get('compression_format')}'; only zstd is read")

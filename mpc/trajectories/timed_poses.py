@@ -6,7 +6,7 @@ import csv
 from array import array
 from collections.abc import Mapping
 from dataclasses import replace
-from io import TextIOWrapper
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import checked_number, described, wrong_type
-from diffdrive_mpc.models.input_file import open_input
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
@@ -87,7 +88,8 @@ def _read(path: Path) -> FloatArray:
     settings = load_settings()
     most = settings.max_pieces // settings.least_pieces_per_row
     try:
-        with TextIOWrapper(open_input(path), encoding="utf-8-sig", newline="") as file:
+        text = read_input(path, file_limits().poses_bytes).decode("utf-8-sig")
+        with StringIO(text, newline="") as file:
             reader = csv.reader(file)
             header = [cell.strip() for cell in next(reader, [])]
             missing = [name for name in _COLUMNS if name not in header]

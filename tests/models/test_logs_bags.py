@@ -8,7 +8,7 @@ import sqlite3
 import struct
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import lz4.frame
@@ -22,7 +22,8 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.logs import read_log, sqlite_file
 from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, unpacked
 from diffdrive_mpc.models.logs.bag_topics import opened
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
@@ -498,3 +499,56 @@ def test_a_compressed_bag_is_unpacked_within_bounds_and_read(tmp_path: Path) -> 
         assert [data for _, data in reader.messages(reader.connections)] == [b"\0" * 52]
     (bag / "bag.mcap.zstd").write_bytes(_zeros_in_zstd(400, _MAGIC + struct.pack("<BQ", 9, 400_000_000)))
     assert "unpacks to more than" in _refused(bag)
+
+
+@pytest.mark.parametrize("count", [2, 10_000])
+def test_file_that_is_named_again_is_refused_at_once(tmp_path: Path, count: int) -> None:
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
+    metadata = bag / "metadata.yaml"
+    stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+    stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3"] * count
+    metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"'bag.db3' {count:,} times; name each file once"):
+        read_log(bag)
+    (bag / "linked.db3").symlink_to("bag.db3")
+    stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3", "linked.db3"]
+    metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
+    with pytest.raises(ConfigError, match="under several names"):
+        read_log(bag)
+
+
+_ENDLESS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c)"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        f"DROP TABLE messages; CREATE VIEW messages AS {_ENDLESS} SELECT k AS id, 1 AS topic_id, k AS timestamp FROM c;",
+        f"DROP TABLE topics; CREATE VIEW topics AS {_ENDLESS} SELECT k AS id, '/t' AS name FROM c;",
+        "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, data);",
+        # A chain of views takes SQLite for ever to prepare, even if nobody reads one.
+        "CREATE VIEW v0 AS SELECT * FROM messages;"
+        + "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" for i in range(1, 60)),
+    ],
+)
+def test_views_and_virtual_tables_of_a_data_base_are_refused(tmp_path: Path, change: str) -> None:
+    assert "not the tables of a bag" in _refused(_data_base(tmp_path / "bag.db3", change))
+
+
+def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No exception passes through SQLite: one that Ctrl-C raises in the progress handler must not get lost."""
+
+    def interrupted(_: object) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sqlite_file._Watch, "look", interrupted)
+    monkeypatch.setattr(sqlite_file, "_STEPS", 1)
+    with pytest.raises(KeyboardInterrupt):
+        read_log(_data_base(tmp_path / "bag.db3", ""))
+
+
+def test_statement_of_too_many_steps_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sqlite_file, "_STEPS", 1)
+    limits = replace(file_limits(), sqlite_steps=3)
+    monkeypatch.setattr(sqlite_file, "file_limits", lambda: limits)
+    assert "too long" in _refused(_data_base(tmp_path / "bag.db3", ""))

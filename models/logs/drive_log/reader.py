@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,11 @@ from diffdrive_mpc.models.logs.mapping import FOUR_WHEELS, Columns, load_mapping
 from diffdrive_mpc.models.logs.mcap_file import McapChannel, McapContent, McapMessage, McapMetadata, mcap_content
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.logs.sampling import RawLog
+from diffdrive_mpc.models.table import plain_line
+
+_LARGEST = 2**63
+_LEAST_TICK = 20
+"""Bytes of a packed tick."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,7 @@ class _Found:
     rows: list[tuple[int, TickRow]] = field(default_factory=list)
     plans: dict[int, FloatArray] = field(default_factory=dict)
     cut: bool = False
+    most: int = 0
 
 
 def is_drive_log(path: Path) -> bool:
@@ -109,6 +116,8 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     """
     path, content = Path(path), _Found()
     try:
+        always = file_limits().drive_ticks_always
+        content.most = min(file_limits().drive_ticks, always + path.stat().st_size // _LEAST_TICK)
         for record in mcap_content(path):
             _take(path, record, content, plans=plans)
     except OSError as error:
@@ -132,15 +141,31 @@ def messages(path: Path) -> Iterator[McapMessage]:
         return
 
 
+def _check_row(row: object) -> None:
+    """Raise ValueError if a tick is none, or a cell is of another type than its column."""
+    if not isinstance(row, dict):
+        raise ValueError(f"a tick is {type(row).__name__}, not keys and values")
+    for name, cell in row.items():
+        kind = _cell_types().get(name)
+        if kind and (not isinstance(cell, kind) or (isinstance(cell, int) and abs(cell) > _LARGEST)):
+            raise ValueError(f"a tick's '{plain_line(name, 40)}' is {type(cell).__name__}, or too large")
+
+
+@cache
+def _cell_types() -> Mapping[str, tuple[type, ...]]:
+    types = {"number": (int, float), "string": (str,)}
+    columns = tick_schema()["properties"].items()
+    return {name: types[entry["type"]] for name, entry in columns if entry["type"] in types}
+
+
 def _take(path: Path, record: McapContent, content: _Found, *, plans: bool) -> None:
     if isinstance(record, McapMetadata):
         content.metadata[record.name] = record.values
     elif isinstance(record, McapMessage) and record.channel.topic == topic.STATE:
         row = parse_json(bytes(record.data))
-        if not isinstance(row, dict):
-            raise ValueError(f"a tick is {type(row).__name__}, not keys and values")
-        if len(content.rows) == file_limits().drive_ticks:
-            raise ConfigError(f"{path}: more than {file_limits().drive_ticks:,} ticks; cut it (`mcap filter`)")
+        _check_row(row)
+        if len(content.rows) == content.most:
+            raise ConfigError(f"{path}: more than {content.most:,} ticks; cut it (`mcap filter`)")
         content.rows.append((record.log_time, row))
     elif isinstance(record, McapMessage) and plans and record.channel.topic == topic.PLAN:
         drawn = ros.decoded(topic.KINDS[topic.PLAN], bytes(record.data))
