@@ -33,7 +33,6 @@ class FileLimits:
     drive_ticks_always: int
     json_bytes: int
     run_bytes: int
-    poses_bytes: int
     csv_words: int
 
 

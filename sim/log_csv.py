@@ -69,15 +69,21 @@ def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, list[str]], 
     findings: list[str] = []
     try:
         text = read_input(path, file_limits().run_bytes).decode("utf-8-sig")
-        header, *rows = list(csv.reader(io.StringIO(text, newline="")))
-    except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
+        reader = csv.reader(io.StringIO(text, newline=""))
+        header, rows, cut = next(reader, []), list[list[str]](), False
+        for row in reader:
+            if rows and len(rows[-1]) != len(header):
+                break
+            rows.append(row)
+        else:  # only the last row may be cut off
+            cut = bool(rows) and len(rows[-1]) < len(header)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
-    if rows and len(rows[-1]) < len(header):
+    if rows and len(rows[-1]) != len(header) and not cut:
+        raise ConfigError(f"{path}, line {len(rows) + 1}: {len(rows[-1])} cells, the header names {len(header)}")
+    if cut:
         rows.pop()
         findings.append(f"{path.name}: the last line is cut off; it is left out")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise ConfigError(f"{path}, line {number}: {len(row)} cells, the header names {len(header)}")
     if not rows:
         raise ConfigError(f"{path}: the log holds no row; record for longer")
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
