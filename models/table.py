@@ -112,7 +112,7 @@ def plain_line(text: str, longest: int = LONGEST) -> str:
 
 
 def escaped(text: str, allowed: str = "") -> str:
-    r"""`text` with escapes such as ``\x1b`` for characters that cannot be printed and are not in `allowed`."""
+    r"""Return `text` with escapes such as ``\x1b`` for characters that cannot be printed and are not in `allowed`."""
     if text.isprintable():
         return text
     return "".join(

@@ -72,7 +72,7 @@ class Bag:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing is held open."""
+        """Close nothing: no file is held open."""
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[int, bytes]]:
         """Yield time of receipt [ns] and bytes of the messages of some topics, in the order of the files."""
@@ -141,7 +141,7 @@ class Bag:
 
 
 def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
-    """Number of messages by topic, as far as it is stated."""
+    """Return the stated number of messages by topic."""
     counts = {}
     for entry in topics if isinstance(topics, list) else ():
         topic = entry.get("topic_metadata") if isinstance(entry, Mapping) else None
@@ -151,7 +151,7 @@ def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
 
 
 def is_ros1(path: Path) -> bool:
-    """Whether the path is that of a bag of ROS 1: one file that says so in its first bytes, or by its ending."""
+    """Return True for the path of a bag of ROS 1, known by the first bytes of the file or its ending."""
     if not path.is_file():
         return False
     return path.suffix == ".bag" or _head(path, zstd=False).startswith(_ROS1)

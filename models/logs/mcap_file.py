@@ -77,37 +77,37 @@ def mcap_content(path: Path, *, zstd: bool = False) -> Iterator[McapContent]:
                 kinds[number], _ = _text(record, 2)
             elif kind == _CHANNEL:
                 number, schema = struct.unpack_from("<HH", record)
-                topic, at = _text(record, 4)
-                encoding, _ = _text(record, at)
+                topic, offset = _text(record, 4)
+                encoding, _ = _text(record, offset)
                 channels[number] = McapChannel(topic, kinds.get(schema, ""), encoding)
                 yield channels[number]
             else:
-                name, at = _text(record, 0)
-                yield McapMetadata(name, _words(record, at))
+                name, offset = _text(record, 0)
+                yield McapMetadata(name, _words(record, offset))
         except (struct.error, UnicodeDecodeError) as error:
             raise ValueError("a record of schema, channel, message or metadata is damaged") from error
 
 
-def _text(record: memoryview, at: int, longest: int = _LONGEST_NAME) -> tuple[str, int]:
-    """Text with its length before it, and the place behind it."""
-    (length,) = struct.unpack_from("<I", record, at)
-    end = at + 4 + length
+def _text(record: memoryview, offset: int, longest: int = _LONGEST_NAME) -> tuple[str, int]:
+    """Read a text with its length before it; return it and the place behind it."""
+    (length,) = struct.unpack_from("<I", record, offset)
+    end = offset + 4 + length
     if end > len(record) or length > longest:
         raise ValueError(f"a name of {length:,} bytes is longer than its record, or than {longest:,}")
-    return bytes(record[at + 4 : end]).decode("utf-8"), end
+    return bytes(record[offset + 4 : end]).decode("utf-8"), end
 
 
-def _words(record: memoryview, at: int) -> dict[str, str]:
-    (length,) = struct.unpack_from("<I", record, at)
-    at, end, words = at + 4, at + 4 + length, dict[str, str]()
-    while at < end:
-        key, at = _text(record, at)
-        words[key], at = _text(record, at, MOST_UNPACKED)
+def _words(record: memoryview, offset: int) -> dict[str, str]:
+    (length,) = struct.unpack_from("<I", record, offset)
+    offset, end, words = offset + 4, offset + 4 + length, dict[str, str]()
+    while offset < end:
+        key, offset = _text(record, offset)
+        words[key], offset = _text(record, offset, MOST_UNPACKED)
     return words
 
 
 def _records(path: Path, zstd: bool) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of every record of `_KINDS` up to the end of the data, those inside of chunks included."""
+    """Yield kind and content of every record of `_KINDS` up to the end of the data, those inside of chunks included."""
     with open_input(path) as file:
         budget = Budget(path, os.fstat(file.fileno()).st_size)
         stream: IO[bytes] | Inflated = Inflated(file, budget) if zstd else file
@@ -146,7 +146,7 @@ def _skip(stream: IO[bytes] | Inflated, count: int) -> None:
 
 
 def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:
-    """Records of a chunk, within the budget if they are packed."""
+    """Return the records of a chunk, within the budget if they are packed."""
     try:
         _, _, size, checksum, name = struct.unpack_from("<QQQII", record)
         how = bytes(record[32 : 32 + name]).decode("ascii")
@@ -164,14 +164,14 @@ def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:
 
 
 def _inside(chunk: memoryview) -> Iterator[tuple[int, memoryview]]:
-    at, whole = 0, len(chunk)
-    while at < whole:
-        if at + _HEAD.size > whole:
+    offset, whole = 0, len(chunk)
+    while offset < whole:
+        if offset + _HEAD.size > whole:
             raise ValueError("a record in a chunk is cut off")
-        kind, length = _HEAD.unpack_from(chunk, at)
-        start = at + _HEAD.size
-        at = start + length
-        if at > whole:
+        kind, length = _HEAD.unpack_from(chunk, offset)
+        start = offset + _HEAD.size
+        offset = start + length
+        if offset > whole:
             raise ValueError("a record in a chunk is longer than the chunk")
         if kind in _KINDS:
-            yield kind, chunk[start:at]
+            yield kind, chunk[start:offset]

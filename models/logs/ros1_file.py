@@ -64,7 +64,7 @@ def _name(fields: _Fields, name: bytes) -> str:
 
 
 def _records(path: Path) -> Iterator[tuple[_Fields, bytes]]:
-    """Fields and data of connections and messages, in chunks and outside of them."""
+    """Yield fields and data of connections and messages, in chunks and outside of them."""
     with open_input(path) as file:
         size = os.fstat(file.fileno()).st_size
         if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
@@ -87,25 +87,25 @@ def _records(path: Path) -> Iterator[tuple[_Fields, bytes]]:
 
 
 def _heads(file: BinaryIO, size: int) -> Iterator[tuple[_Fields, int]]:
-    """Fields of each record and the length of its data, which begin at the file's place."""
-    while (at := file.tell()) < size:
+    """Yield the fields of each record and the length of its data, which begin at the file's place."""
+    while (offset := file.tell()) < size:
         (header,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
-        if header > min(size - at - 8, MEGABYTE):
-            raise ValueError(f"the record at byte {at:,} is damaged or cut off")
+        if header > min(size - offset - 8, MEGABYTE):
+            raise ValueError(f"the record at byte {offset:,} is damaged or cut off")
         fields = _fields(file.read(header))
         (length,) = struct.unpack("<I", file.read(4))
-        end = at + 8 + header + length
+        end = offset + 8 + header + length
         if end > size:
-            raise ValueError(f"the record at byte {at:,} is cut off")
+            raise ValueError(f"the record at byte {offset:,} is cut off")
         yield fields, length
         file.seek(end)
 
 
 def _fields(header: bytes) -> _Fields:
-    fields, at = _Fields(), 0
-    while at + 4 <= len(header):
-        (size,) = struct.unpack_from("<I", header, at)
-        name, _, value = header[at + 4 : at + 4 + size].partition(b"=")
+    fields, offset = _Fields(), 0
+    while offset + 4 <= len(header):
+        (size,) = struct.unpack_from("<I", header, offset)
+        name, _, value = header[offset + 4 : offset + 4 + size].partition(b"=")
         fields[name] = value
-        at += 4 + size
+        offset += 4 + size
     return fields

@@ -52,7 +52,7 @@ class _Watch:
         self.is_over = False
 
     def look(self) -> bool:
-        """Whether to end the statement."""
+        """Return True to end the statement."""
         self.looks += 1
         self.is_over = self.looks > file_limits().sqlite_steps // _STEPS
         return self.is_over
@@ -99,7 +99,7 @@ def sqlite_messages(
 
 @contextmanager
 def _opened(path: Path, zstd: bool) -> Iterator[tuple[sqlite3.Connection, int]]:
-    """Give the data base, which nothing can change, and the size of its file."""
+    """Open the data base, which nothing can change; yield it and the size of its file."""
     with open_input(path) as file:
         size = os.fstat(file.fileno()).st_size
         if zstd:
@@ -150,7 +150,7 @@ def _rows(
         if tuple(kinds) != _TYPES:
             wrong += 1
         elif topic in known:
-            yield *known[topic], time, data or b""
+            yield *known[int(topic)], int(time), data or b""
     if wrong:
         raise ConfigError(
             f"{path}: {wrong} messages have a stamp that is no whole number of nanoseconds, or hold no bytes; "
@@ -159,7 +159,7 @@ def _rows(
 
 
 def _increasing(base: sqlite3.Connection, columns: str, watch: _Watch) -> Iterator[tuple[int, tuple[object, ...]]]:
-    """Number of each row from 0, and what follows its `rowid`; pages that come again are damage."""
+    """Yield the number of each row from 0, and what follows its `rowid`; pages that come again are damage."""
     before = None
     for number, (rowid, *row) in enumerate(base.execute(f"SELECT {columns} NOT INDEXED")):
         if not isinstance(rowid, int) or (before is not None and rowid <= before):

@@ -121,7 +121,7 @@ def _read(path: Path) -> FloatArray:
 
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
-    """Lines without their ends; a line that does not end is refused before it is read whole."""
+    """Yield lines without their ends; a line that does not end is refused before it is read whole."""
     coding = "utf-8-sig"
     while line := rest_of_line(path, file):
         yield from line.decode(coding).removesuffix("\n").removesuffix("\r").split("\r")

@@ -64,7 +64,7 @@ def _data_base(script: str, random: Random, folder: Path) -> Path:
 
 
 def _beside(random: Random, folder: Path) -> Path:
-    """A journal or log of changes beside the file."""
+    """Put a journal or log of changes beside the file."""
     path = _data_base(f"{_TOPICS} {_MESSAGES} {_ROWS}", random, folder)
     beside = path.with_name(path.name + random.choice(("-wal", "-journal", "-shm")))
     if random.random() < 0.5:
@@ -83,38 +83,40 @@ def _odd_topics(random: Random, folder: Path) -> Path:
 
 
 def _damaged_pages(random: Random, folder: Path) -> Path:
-    """Bytes and whole pages are something else."""
+    """Change bytes and whole pages."""
     path = _data_base(
         f"{_TOPICS} {_MESSAGES} {_ROWS} CREATE INDEX timestamp_idx ON messages(timestamp);", random, folder
     )
     content = bytearray(path.read_bytes())
     size = int.from_bytes(content[16:18], "big") or 65536
     for _ in range(random.choice((1, 10, 200))):
-        page, other = random.randrange(len(content) // size) * size, random.randrange(len(content) // size) * size
+        page, source = random.randrange(len(content) // size) * size, random.randrange(len(content) // size) * size
         if random.random() < 0.3 and page:
-            content[page : page + size] = content[other : other + size]
+            content[page : page + size] = content[source : source + size]
         else:
-            at = random.randrange(100, len(content) - 4)
-            content[at : at + 4] = random.choice((bytes(4), b"\xff" * 4, struct.pack(">I", random.randrange(50))))
+            offset = random.randrange(100, len(content) - 4)
+            content[offset : offset + 4] = random.choice(
+                (bytes(4), b"\xff" * 4, struct.pack(">I", random.randrange(50)))
+            )
     path.write_bytes(content)
     return path
 
 
 def _page(kind: int, cells: list[bytes], right: int = 0) -> bytes:
-    """A page of 512 bytes of a b-tree."""
+    """Return a page of 512 bytes of a b-tree."""
     head = struct.pack(">BHHHB", kind, 0, len(cells), 0, 0) + (struct.pack(">I", right) if kind == 5 else b"")
-    page, at = bytearray(512), 512
+    page, offset = bytearray(512), 512
     for number, cell in enumerate(cells):
-        at -= len(cell)
-        page[at : at + len(cell)] = cell
-        struct.pack_into(">H", page, len(head) + 2 * number, at)
+        offset -= len(cell)
+        page[offset : offset + len(cell)] = cell
+        struct.pack_into(">H", page, len(head) + 2 * number, offset)
     page[: len(head)] = head
-    struct.pack_into(">H", page, 5, at)
+    struct.pack_into(">H", page, 5, offset)
     return bytes(page)
 
 
 def _endless_pages(random: Random, folder: Path) -> Path:
-    """A table whose pages name one page below them again and again: some kilobytes, and rows without end."""
+    """Write a table whose pages name one page below them again and again: some kilobytes, and rows without end."""
     path = folder / "bag.db3"
     with sqlite3.connect(path) as base:
         base.execute("PRAGMA page_size = 512")
@@ -188,13 +190,17 @@ def _bomb(random: Random) -> bytes:
 
 
 def _ticks(make: Callable[[Random], tuple[bytes, int]], random: Random) -> bytes:
-    """Ticks of a drive in chunks that pack well."""
+    """Return ticks of a drive in chunks that pack well."""
     row, count = make(random)
     body = _schema("diffdrive_mpc.State", 1) + _channel("/diffdrive_mpc/state", 1, "json")
     whole = b"".join(_message(row, k) for k in range(count))
     return body + b"".join(
-        _chunk(zstandard.ZstdCompressor().compress(whole[at : at + 10**7]), "zstd", len(whole[at : at + 10**7]))
-        for at in range(0, len(whole), 10**7)
+        _chunk(
+            zstandard.ZstdCompressor().compress(whole[offset : offset + 10**7]),
+            "zstd",
+            len(whole[offset : offset + 10**7]),
+        )
+        for offset in range(0, len(whole), 10**7)
     )
 
 
@@ -327,7 +333,7 @@ def _ros1(random: Random, folder: Path) -> Path:
 
 
 def _folder(random: Random, folder: Path) -> Path:
-    """metadata.yaml names what it likes."""
+    """Write a metadata.yaml with odd names of files."""
     bag = folder / "bag"
     bag.mkdir()
     _data_base(f"{_TOPICS} {_MESSAGES} {_ROWS}", random, bag)
@@ -353,7 +359,7 @@ def _folder(random: Random, folder: Path) -> Path:
     elif kind == "no names":
         names = random.choice((None, {}, "bag.db3", 5, [], [[]], [None]))
     elif kind == "missing":
-        names = ["other.db3"]
+        names = ["source.db3"]
     elif kind == "special":
         (bag / "bag.db3").unlink()
         special(bag / "bag.db3", random)
@@ -370,7 +376,7 @@ def _folder(random: Random, folder: Path) -> Path:
 
 
 def _packed(random: Random, folder: Path) -> Path:
-    """A bag that is compressed as a whole, or message by message."""
+    """Write a bag that is compressed as a whole, or message by message."""
     bag = folder / "bag"
     bag.mkdir()
     mode = random.choice(("file", "FILE", "message"))
@@ -411,7 +417,7 @@ def _special(random: Random, folder: Path) -> Path:
 
 
 def _edited(random: Random, folder: Path) -> Path:
-    """A sound log in which many bytes are others."""
+    """Change bytes of a sound log."""
     from fuzz import logs, mutation
 
     base = random.choice(logs.BASES)
@@ -423,7 +429,7 @@ def _edited(random: Random, folder: Path) -> Path:
 
 
 def _many_zeros(random: Random, folder: Path) -> Path:
-    """A hole of a gigabyte behind the first bytes of a bag."""
+    """Write a hole of a gigabyte behind the first bytes of a bag."""
     path = folder / f"bag.{random.choice(('db3', 'mcap', 'bag'))}"
     path.write_bytes(random.choice((b"SQLite format 3\0", _MAGIC, b"#ROSBAG V2.0\n", b"")))
     os.truncate(path, 1_000_000_000)

@@ -189,7 +189,7 @@ def _inside(read: Callable[[Path], object], path: Path, scratch: Path, report: P
 
 
 def _space(process: int, scratch: Path) -> float:
-    """Size of temporary files [MB], of those also that have no name any more."""
+    """Return the size of temporary files [MB], including those that have no name any more."""
     sizes: dict[tuple[int, int], int] = {}
     with suppress(OSError):
         handles = list(Path(f"/proc/{process}/fd").iterdir())

@@ -23,7 +23,7 @@ def _rows(count: int, time: Callable[[int], object], cell: Callable[[int], objec
 
 
 def _steps(random: Random) -> str:
-    """Times that go to and fro, stand still, or leap."""
+    """Return rows whose times go to and fro, stand still, or leap."""
     pace = random.choice(
         (lambda k: k % 2, lambda k: -k, lambda k: 0, lambda k: k * 10 ** random.choice((6, 12)), lambda k: k * 1e-9)
     )
@@ -65,7 +65,7 @@ def _csv(make: Callable[[Random], str | bytes], random: Random, folder: Path) ->
 
 
 def _own(make: Callable[[Random], str | bytes], random: Random, folder: Path) -> Path:
-    """Of the columns of `simulate --log`."""
+    """Write a log with the columns of `simulate --log`."""
     from fuzz.logs import base_files
 
     head, row = (base_files() / "own.csv").read_bytes().splitlines()[:2]
@@ -81,12 +81,12 @@ def _many_rows(random: Random, folder: Path) -> Path:
 
     head, row = (base_files() / "own.csv").read_bytes().splitlines()[:2]
     path = folder / "log.csv"
-    path.write_bytes(head + b"\n" + (row + b"\n") * random.choice((50_000, 400_000)))
+    path.write_bytes(head + b"\n" + (row + b"\n") * random.choice((5_000, 400_000)))
     return path
 
 
 def _hole(random: Random, folder: Path) -> Path:
-    """A gigabyte that takes no room on the disk."""
+    """Write a gigabyte that takes no room on the disk."""
     path = folder / "log.csv"
     with path.open("wb") as file:
         file.write(random.choice((b"", _HEAD.encode())))
@@ -95,7 +95,7 @@ def _hole(random: Random, folder: Path) -> Path:
 
 
 def _poses(random: Random, folder: Path) -> Path:
-    """Timed poses."""
+    """Write timed poses."""
     path = folder / "path.csv"
     path.write_bytes(
         random.choice(
@@ -144,7 +144,7 @@ def _parquet(random: Random, folder: Path) -> Path:
 
 
 def _lying_parquet(random: Random, folder: Path) -> Path:
-    """Pages unpack to a gigabyte, and the directory says that they are small."""
+    """Write pages that unpack to a gigabyte, and a directory that states a small size."""
     import pyarrow
     from pyarrow import parquet
 
@@ -164,11 +164,11 @@ def _lying_parquet(random: Random, folder: Path) -> Path:
     )
     content = whole.getvalue()
     size = parquet.ParquetFile(whole).metadata.row_group(0).column(0).total_uncompressed_size
-    for number, other in ((size, 1_000), (count, 1_000), (8 * count, 8_000)):
+    for number, small in ((size, 1_000), (count, 1_000), (8 * count, 8_000)):
         # Footer only: zigzag varints of the same length.
-        at = content.rfind(_varint(number))
-        if at > len(content) // 2:
-            content = content[:at] + _varint(other, len(_varint(number))) + content[at + len(_varint(number)) :]
+        offset = content.rfind(_varint(number))
+        if offset > len(content) // 2:
+            content = content[:offset] + _varint(small, len(_varint(number))) + content[offset + len(_varint(number)) :]
     path.write_bytes(content)
     return path
 

@@ -121,7 +121,7 @@ def _special(random: Random, folder: Path) -> Path:
 
 
 def _changed(door: str, random: Random, folder: Path) -> Path:
-    """A shipped file in which one value is something else."""
+    """Change one value of a shipped file."""
     from fuzz import mutation
     from fuzz.yaml_files import seeds
 

@@ -45,9 +45,9 @@ def test_errors_show_escapes_of_names(name, tmp_path):
         cls for cls in _subclasses(DiffdriveMpcError) if "__init__" in vars(cls)
     }:
         assert str(kind(f"odd{name}")).isprintable()
-    with pytest.warns(FormerNameWarning) as told:
+    with pytest.warns(FormerNameWarning) as caught:
         warnings.warn(FormerNameWarning(f"a{name}"), stacklevel=1)
-    assert str(told[0].message).isprintable()
+    assert str(caught[0].message).isprintable()
     assert str(Finding("gap", "note", f"a{name}", name)).isprintable()
     file = tmp_path / "file.yaml"
     for load in (load_config, load_model, load_trajectory):

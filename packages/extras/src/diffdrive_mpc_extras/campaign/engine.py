@@ -171,7 +171,7 @@ class Store:
 
 
 def _sums(key: str, row: Row) -> dict[str, str]:
-    """Checksum of each figure, of which run it is included: a file that was edited or exchanged is found by it."""
+    """Return a checksum for each figure, over key, column and value: it finds a file that was edited or exchanged."""
     cells = {name: json.dumps([key, name, value]).encode() for name, value in row.items()}
     return {name: hashlib.sha256(cell).hexdigest()[:16] for name, cell in cells.items()}
 
