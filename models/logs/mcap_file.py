@@ -117,6 +117,8 @@ def _records(path: Path, zstd: bool) -> Iterator[tuple[int, memoryview]]:
             kind, length = _HEAD.unpack(_exactly(stream, _HEAD.size))
             if kind in (_DATA_END, _FOOTER):
                 return
+            if kind == 0:
+                raise ValueError("zeros stand in place of a record")
             if kind not in (*_KINDS, _CHUNK):
                 _skip(stream, length)
                 continue

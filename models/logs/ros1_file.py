@@ -93,6 +93,8 @@ def _heads(file: BinaryIO, size: int) -> Iterator[tuple[_Fields, int]]:
         if header > min(size - offset - 8, MEGABYTE):
             raise ValueError(f"the record at byte {offset:,} is damaged or cut off")
         fields = _fields(file.read(header))
+        if b"op" not in fields:
+            raise ValueError(f"the record at byte {offset:,} has no kind")
         (length,) = struct.unpack("<I", file.read(4))
         end = offset + 8 + header + length
         if end > size:

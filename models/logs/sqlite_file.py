@@ -13,6 +13,7 @@ import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -150,7 +151,7 @@ def _rows(
         if tuple(kinds) != _TYPES:
             wrong += 1
         elif topic in known:
-            yield *known[int(topic)], int(time), data or b""
+            yield *known[topic], time, data or b""
     if wrong:
         raise ConfigError(
             f"{path}: {wrong} messages have a stamp that is no whole number of nanoseconds, or hold no bytes; "
@@ -158,7 +159,7 @@ def _rows(
         )
 
 
-def _increasing(base: sqlite3.Connection, columns: str, watch: _Watch) -> Iterator[tuple[int, tuple[object, ...]]]:
+def _increasing(base: sqlite3.Connection, columns: str, watch: _Watch) -> Iterator[tuple[int, tuple[Any, ...]]]:
     """Yield the number of each row from 0, and what follows its `rowid`; pages that come again are damage."""
     before = None
     for number, (rowid, *row) in enumerate(base.execute(f"SELECT {columns} NOT INDEXED")):
