@@ -139,7 +139,7 @@ class Store:
     def save(self, key: str, identity: dict[str, object], row: Row) -> None:
         """Keep the row of the run with `key`, and beside it all that the key is the hash of."""
         record = {"key": key, **identity, "row": row, "sums": _sums(key, row)}
-        with whole_file(self._path(key)) as draft:
+        with whole_file(self._path(key), rewrites=True) as draft:
             draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     def load(self, key: str) -> Row | None:
