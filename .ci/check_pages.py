@@ -6,6 +6,7 @@ Each is held against what `tests/bench/opened_report.py` asks of every report; t
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "bench"))
 from opened_report import check_report
 

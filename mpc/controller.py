@@ -431,6 +431,19 @@ class Controller:
             feature.forget()
         self._result = None
 
+    @property
+    def is_latched(self) -> bool:
+        """True while the robot waits for `start` or `resume` after a failure.
+
+        It waits after an outage or a leap of the clock longer than `failure.resume_within`, after a jump of the poses
+        beyond `failure.max_position_error`, and with `failure.resume` false after every failure.
+        """
+        return bool(self._tick.lib.ddmpc_is_latched(self._c))
+
+    def resume(self) -> None:
+        """Continue along the reference where it waits, after a failure that left the robot waiting."""
+        self._tick.lib.ddmpc_resume(self._c)
+
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
@@ -577,7 +590,7 @@ class Controller:
             ) from error
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
-        tick_input.request = 0 if hold is None else 2 if hold.failure else 1
+        tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
         tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
         since_start = t - self._t0
         on_time = pursuit.on_time and since_start >= 0.0
@@ -696,6 +709,8 @@ class Controller:
         )
         if c.reasons or c.notes or message:
             message = self._messages.sentence(hold, status, message)
+        else:
+            self._messages.cause = ""
         return StepResult(
             layout.take(block, "command"),
             self._messages.modes[c.mode],

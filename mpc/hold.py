@@ -14,9 +14,12 @@ class Hold:
     reason
         Why, in words; it becomes part of the step's message.
     failure
-        Whether it counts as a failure: then `failure.resume` of the configuration decides whether the robot drives on
-        by itself when the hold ends. A pause is none.
+        Whether it counts as a failure: then `failure.resume` and `failure.resume_within` of the configuration decide
+        whether the robot drives on by itself when the hold ends. A pause is none.
+    waits
+        Whether the robot waits for `start` or `resume` when the hold ends, however short it was.
     """
 
     reason: str
     failure: bool = False
+    waits: bool = False

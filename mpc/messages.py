@@ -42,6 +42,8 @@ class MessageFormatter:
         self.not_a_new_tick: int = (
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
+        self.cause = ""
+        """Why the robot waits for a person, as the tick said that stopped it; empty while it does not wait."""
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:
@@ -74,6 +76,12 @@ class MessageFormatter:
             parts.append(target)
         if reasons & lib.DDMPC_SOLVE_FAILED:
             parts.append(f"solve failed: {status}")
+        if reasons & lib.DDMPC_LATCHED:
+            cause = f" ({self.cause})" if self.cause else ""
+            self.cause = self.cause or "; ".join(parts)
+            parts.append(f"stopped after a failure{cause}; call start or resume to drive on")
+        elif not reasons & lib.DDMPC_TIME_REPEATED:
+            self.cause = ""
         return "; ".join(parts)
 
     @staticmethod
@@ -96,7 +104,6 @@ class MessageFormatter:
             (lib.DDMPC_ELSEWHERE, "poses agree that the robot is somewhere else"),
             (lib.DDMPC_LOST, "the estimate is not finite; it starts anew"),
             (lib.DDMPC_OLD_POSE, f"no pose was accepted for {age:.2f} s"),
-            (lib.DDMPC_LATCHED, "stopped after a failure; call start or reset to drive on"),
             (
                 lib.DDMPC_TOO_FAR,
                 f"{c.distance:.2f} m from the reference; the limit is {failure.max_position_error} m",

@@ -2,7 +2,9 @@
 
 import ast
 import re
+import tomllib
 from collections import defaultdict
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -182,6 +184,17 @@ def test_controller_folders_import_only_lower_layers_of_the_page():
 @pytest.mark.parametrize("prefix", FOLDERS)
 def test_type_marker_ships(prefix):
     assert (FOLDERS[prefix] / "py.typed").exists()
+
+
+@pytest.mark.parametrize("package", sorted(path.name for path in (ROOT / "packages").iterdir()))
+def test_wheel_holds_every_file_of_its_package(package):
+    folder = ROOT / "packages" / package
+    patterns = tomllib.loads((folder / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["*"]
+    files = [path for path in (folder / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    others = [path for path in files if path.suffix not in (".py", ".so") and not path.name.endswith(".schema.json")]
+    others = [path for path in others if not any(part.endswith(".egg-info") for part in path.parts)]
+    assert others
+    assert [path for path in others if not any(fnmatch(path.name, pattern) for pattern in patterns)] == []
 
 
 def test_public_class_names_are_unique():

@@ -42,6 +42,7 @@ USER = (
     "solver.time_limit",
     "failure.max_pose_age",
     "failure.resume",
+    "failure.resume_within",
     "fence",
     "online_dead_time.enabled",
     "terms",

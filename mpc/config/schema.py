@@ -254,6 +254,11 @@ class Failure(Group):
         1.0, description="further than this from where the reference is, the robot brakes and says so [m]"
     )
     resume: bool = Field(True, description="drive on when poses and solves are good again after a stop [-]")
+    resume_within: Positive = Field(
+        1.0,
+        description="after a silence of the base, or a stop for want of poses, that lasted longer, the robot waits for "
+        "`start` or `resume` [s]",
+    )
 
 
 Place = Annotated[float, Field(ge=-1e6, le=1e6)]

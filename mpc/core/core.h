@@ -128,6 +128,7 @@ typedef struct {
     real turn_held_from[2], turn_held_share;
     real finish_position, finish_speed, finish_timeout;
     int max_reused_ticks, resume;
+    ddmpc_time resume_within; /* [s] */
 
     /* when the robot counts as on its path and on time; else somebody else has to say what to track */
     int reentry;
@@ -152,8 +153,9 @@ typedef struct {
     int present, has_covariance;
 } ddmpc_stamped;
 
-/* What the application asks beside the reference. A pause is no failure; after one, `resume` decides. */
-typedef enum { DDMPC_DRIVE, DDMPC_PAUSE, DDMPC_STOP_AS_FAILURE } ddmpc_request;
+/* Requests of the application beside the reference. A pause is no failure; after a failure `resume` and `resume_within`
+   decide; after the last of these requests the robot waits for ddmpc_start or ddmpc_resume in any case. */
+typedef enum { DDMPC_DRIVE, DDMPC_PAUSE, DDMPC_STOP_AS_FAILURE, DDMPC_STOP_AND_WAIT } ddmpc_request;
 
 /* What one tick begins with. Leave `present` and `has_sent` zero where nothing is new. */
 typedef struct {
@@ -207,7 +209,7 @@ enum {
     DDMPC_ELSEWHERE = 4,             /* poses agree that the robot is somewhere else */
     DDMPC_LOST = 8,                  /* the estimate is not finite; it starts anew */
     DDMPC_OLD_POSE = 16,             /* no pose was accepted for longer than max_pose_age */
-    DDMPC_LATCHED = 32,              /* stopped after a failure; call start or reset to drive on */
+    DDMPC_LATCHED = 32,              /* stopped after a failure; call start or resume to drive on */
     DDMPC_TOO_FAR = 64,              /* from the reference: max_position_error; `distance` says how far */
     DDMPC_SOLVE_FAILED = 128,        /* the report says why */
     DDMPC_NOT_AT_REST = 256,         /* finished by finish_timeout, at `distance` from the end */
@@ -324,7 +326,7 @@ int ddmpc_network_output(const real **arguments, real **results, long long *iw, 
 
 typedef struct ddmpc_controller ddmpc_controller;
 
-/* What a call of ddmpc_step or ddmpc_resume leaves to do. */
+/* What a call of ddmpc_step leaves to do. */
 typedef enum {
     DDMPC_DONE,
     DDMPC_NEEDS_TARGET, /* off the path or off its time: call ddmpc_track or ddmpc_too_far */
@@ -351,6 +353,10 @@ int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, 
    [s]. Estimate, plan and fence stay. Returns 0, and changes nothing, if there is none under way, or `t0` or the duration
    is not finite. */
 int ddmpc_relay(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
+/* Continue along the reference after a failure that left the robot waiting. */
+void ddmpc_resume(ddmpc_controller *controller);
+/* Return 1 while the robot waits for ddmpc_start or ddmpc_resume. */
+int ddmpc_is_latched(const ddmpc_controller *controller);
 /* Forget estimate, plan and commands, for a robot that stands still. The reference stays. */
 void ddmpc_reset(ddmpc_controller *controller);
 /* Forget the estimate and the plan, keep the commands on their way. */

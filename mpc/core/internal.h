@@ -256,6 +256,8 @@ struct ddmpc_controller {
     real *kept;           /* [2N] the last good plan */
     int plan_age;         /* ticks since it was made; -1: there is none */
     int has_reference, has_result, has_driven, latched, finished, pending;
+    int is_outage;         /* 1 while this tick brakes for want of measurements */
+    ddmpc_time sound_tick; /* time of the last tick that did not [s] */
     ddmpc_time deadline; /* of this tick's solve, see ddmpc_input; infinite: none */
     int most_iterations;
     real share;
@@ -377,7 +379,10 @@ int ddmpc_use_plan(ddmpc_controller *c);
 /* The rest of the last good plan, for a few ticks; then braking. */
 int ddmpc_reuse(ddmpc_controller *c);
 /* The command ramps to zero for `reason`; a `failure` may latch. */
-int ddmpc_brake(ddmpc_controller *c, unsigned int reason, int failure);
+/* Consequences of a stop: the robot continues by itself; it does unless `resume` is off; it does within `resume_within`;
+   it waits for ddmpc_start or ddmpc_resume. */
+typedef enum { DDMPC_NO_FAILURE, DDMPC_FAILURE, DDMPC_OUTAGE, DDMPC_WAITS } ddmpc_stop;
+int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop);
 void ddmpc_ramp(ddmpc_controller *c);
 /* Zero at once. */
 void ddmpc_stand(ddmpc_controller *c);

@@ -61,15 +61,21 @@ void ddmpc_ramp(ddmpc_controller *c)
             c->result.command[i] = R(0.0);
 }
 
-int ddmpc_brake(ddmpc_controller *c, unsigned int reason, int failure)
+int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop)
 {
     ddmpc_result *result = &c->result;
     result->reasons |= reason;
     result->has_plan = 0;
     c->plan_age = -1;
     ddmpc_solver_reset(c);
-    /* Waiting for the first pose is no failure to be latched. */
-    c->latched = c->latched || (failure && c->has_driven && !c->constants->resume);
+    c->is_outage = stop == DDMPC_OUTAGE;
+    const int lasting = c->is_outage && c->last_tick - c->sound_tick > c->constants->resume_within;
+    /* A person may stand next to a robot that has stopped for long. Before the first drive, and after the end of the
+       reference, there is nothing to resume. */
+    if (c->has_driven && !c->finished && (stop == DDMPC_WAITS || lasting || (stop && !c->constants->resume)))
+        c->latched = 1;
+    if (c->latched)
+        result->reasons |= DDMPC_LATCHED;
     ddmpc_ramp(c);
     result->mode = result->command[0] != R(0.0) || result->command[1] != R(0.0) ? DDMPC_BRAKING : DDMPC_STOPPED;
     return DDMPC_DONE;
@@ -116,7 +122,7 @@ int ddmpc_reuse(ddmpc_controller *c)
     c->result.reasons |= DDMPC_SOLVE_FAILED;
     ddmpc_solver_reset(c);
     if (c->plan_age < 0 || ++c->plan_age > usable)
-        return ddmpc_brake(c, 0, 1);
+        return ddmpc_brake(c, 0, DDMPC_FAILURE);
     c->result.mode = DDMPC_REUSED_PLAN;
     c->result.has_plan = 1;
     clip(c, c->kept + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);

@@ -15,7 +15,7 @@ static void forget(ddmpc_controller *c)
     ddmpc_solver_reset(c);
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
-    c->has_result = c->has_driven = c->latched = c->finished = 0;
+    c->has_result = c->has_driven = c->latched = c->finished = c->is_outage = 0;
     c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = R(0.0);
     c->reference_twist[0] = c->reference_twist[1] = R(0.0);
     c->short_one = 0;
@@ -70,6 +70,14 @@ int ddmpc_relay(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
     return 1;
 }
 
+void ddmpc_resume(ddmpc_controller *c)
+{
+    c->latched = 0;
+    c->sound_tick = c->last_tick;
+}
+
+int ddmpc_is_latched(const ddmpc_controller *c) { return c->latched; }
+
 typedef enum { TICK_NEW, TICK_REPEATED, TICK_LEAPT, TICK_PAUSED, TICK_FAULTY } tick_kind;
 
 /* Classify a call at `t` relative to the last tick. */
@@ -107,16 +115,6 @@ static tick_kind classify_tick(ddmpc_controller *c, ddmpc_time t)
     return kind;
 }
 
-/* Restart the estimate at the pose on which the rejected poses agree, once every command on its way is zero. */
-static int restart_elsewhere(ddmpc_controller *c)
-{
-    const real *commands = ddmpc_commands(c);
-    for (int i = 0; i < 2 * WINDOW(c); i++)
-        if (commands[i] != R(0.0))
-            return 0;
-    return c->constants->resume && ddmpc_estimator_restart_elsewhere(c);
-}
-
 static void take_estimate(ddmpc_controller *c)
 {
     c->result.has_estimate = ddmpc_estimator_state(c) & READY;
@@ -133,6 +131,22 @@ static real distance_to(const ddmpc_controller *c, const real pose[3])
 {
     const real *here = pose_of(c);
     return ddmpc_hypot(here[0] - pose[0], here[1] - pose[1]);
+}
+
+/* Once every command on its way is zero, restart the estimate at the pose on which the rejected poses agree. Returns the
+ * distance between the two estimates [m]; negative while it cannot restart. */
+static real restart_elsewhere(ddmpc_controller *c)
+{
+    const real *commands = ddmpc_commands(c);
+    for (int i = 0; i < 2 * WINDOW(c); i++)
+        if (commands[i] != R(0.0))
+            return R(-1.0);
+    take_estimate(c);
+    const real before[2] = {pose_of(c)[0], pose_of(c)[1]};
+    if (!c->constants->resume || !ddmpc_estimator_restart_elsewhere(c))
+        return R(-1.0);
+    take_estimate(c);
+    return distance_to(c, before);
 }
 
 /* Whether the robot is at rest at the end of its reference, or finish_timeout has passed; once true, it stays true. */
@@ -238,7 +252,7 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
         if (distance <= c->constants->max_position_error) /* false for NaN, too */
             return track(c);
         c->result.distance = distance;
-        return ddmpc_brake(c, DDMPC_TOO_FAR, 1);
+        return ddmpc_brake(c, DDMPC_TOO_FAR, DDMPC_OUTAGE);
     }
     const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose, c->reference_twist);
     /* Before its start the reference rests, and the robot with it. */
@@ -298,6 +312,11 @@ static int has_old_pose(ddmpc_controller *c)
     return rare || c->result.reasons & DDMPC_OLD_POSE;
 }
 
+static ddmpc_stop stop_of(int request)
+{
+    return request == DDMPC_PAUSE ? DDMPC_NO_FAILURE : request == DDMPC_STOP_AND_WAIT ? DDMPC_WAITS : DDMPC_OUTAGE;
+}
+
 static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
 {
     ddmpc_result *result = &c->result;
@@ -310,26 +329,31 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     ddmpc_monitor_report(c);
     report_rate(c);
     if (input->request != DDMPC_DRIVE)
-        return ddmpc_brake(c, DDMPC_HELD, input->request == DDMPC_STOP_AS_FAILURE);
+        return ddmpc_brake(c, DDMPC_HELD, stop_of(input->request));
     if (!(state & READY))
-        return ddmpc_brake(c, missing(c, DDMPC_NO_POSE), 1);
-    if ((state & MOVED) && !restart_elsewhere(c))
-        return ddmpc_brake(c, DDMPC_ELSEWHERE, 1);
+        return ddmpc_brake(c, missing(c, DDMPC_NO_POSE), DDMPC_OUTAGE);
+    if (state & MOVED) {
+        const real jump = restart_elsewhere(c);
+        if (jump < R(0.0))
+            return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_FAILURE);
+        if (c->has_driven && !(jump <= c->constants->max_position_error))
+            return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_WAITS);
+    }
     take_estimate(c);
     const real *pose = pose_of(c);
     if (!(isfinite(pose[0]) && isfinite(pose[1]) && isfinite(pose[2]))) {
         ddmpc_estimator_forget(c);
         result->has_estimate = 0;
-        return ddmpc_brake(c, DDMPC_LOST, 1);
+        return ddmpc_brake(c, DDMPC_LOST, DDMPC_FAILURE);
     }
     if (result->reasons & DDMPC_POSE_ACCUSED)
-        return ddmpc_brake(c, 0, 1);
+        return ddmpc_brake(c, 0, DDMPC_FAILURE);
     if (has_old_pose(c))
-        return ddmpc_brake(c, 0, 1);
+        return ddmpc_brake(c, 0, result->reasons & DDMPC_OLD_POSE ? DDMPC_OUTAGE : DDMPC_FAILURE);
     if (!ddmpc_fence_holds(c))
-        return ddmpc_brake(c, DDMPC_LEFT_FENCE, 1);
+        return ddmpc_brake(c, DDMPC_LEFT_FENCE, DDMPC_FAILURE);
     if (c->latched)
-        return ddmpc_brake(c, DDMPC_LATCHED, 1);
+        return ddmpc_brake(c, DDMPC_LATCHED, DDMPC_FAILURE);
     carry(c);
     ddmpc_watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
@@ -347,7 +371,10 @@ static void lose_time(ddmpc_controller *c, tick_kind kind)
     const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
                                 : kind == TICK_LEAPT ? DDMPC_TIME_LEAPT
                                                      : DDMPC_TIME_PAUSED;
-    ddmpc_brake(c, reason, 1);
+    /* A single leap forward may be a glitch. */
+    const ddmpc_time gap = c->result.gap, most = c->constants->resume_within;
+    const int leapt = (kind == TICK_PAUSED && gap > most) || gap < -most;
+    ddmpc_brake(c, reason, leapt ? DDMPC_WAITS : DDMPC_FAILURE);
     if (kind == TICK_PAUSED)
         ddmpc_estimator_clear(c);
     if (kind != TICK_FAULTY)
@@ -370,6 +397,9 @@ static int finish_tick(ddmpc_controller *c, int pending, int is_new)
     c->pending = pending;
     if (pending != DDMPC_DONE)
         return pending;
+    if (!c->is_outage)
+        c->sound_tick = c->last_tick;
+    c->is_outage = 0;
     if (is_new)
         ddmpc_estimator_append(c, c->result.command);
     else
@@ -434,7 +464,7 @@ int ddmpc_too_far(ddmpc_controller *c, real distance)
     if (c->pending != DDMPC_NEEDS_TARGET)
         return c->pending;
     c->result.distance = distance;
-    return finish_tick(c, ddmpc_brake(c, DDMPC_TOO_FAR, 1), 1);
+    return finish_tick(c, ddmpc_brake(c, DDMPC_TOO_FAR, DDMPC_OUTAGE), 1);
 }
 
 int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers, const ddmpc_report *report)

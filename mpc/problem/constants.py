@@ -294,6 +294,7 @@ class Problem:
             "max_position_error": failure.max_position_error,
             "max_reused_ticks": failure.max_reused_ticks,
             "resume": failure.resume,
+            "resume_within": failure.resume_within,
             "finish_position": finish.position,
             "finish_speed": finish.speed,
             "finish_timeout": finish.timeout,

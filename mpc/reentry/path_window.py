@@ -53,6 +53,10 @@ class PathWindow:
         sample = reference.sample(times)
         return cls(times, sample.pose, sample.twist, sample.arc_length, _travel(sample.twist[:, 0]))
 
+    def index(self, time: float) -> int:
+        """Return the index of the sample nearest to `time` [s]."""
+        return int(np.argmin(np.abs(self.times - time)))
+
     def nearest(self, pose: FloatArray, time: float) -> int:
         """Index of the sample nearest to the position of `pose` (3,), those near `time` [s] being preferred."""
         offset = self.pose[:, :2] - pose[:2]

@@ -201,7 +201,7 @@ class Pursuit:
         sample = followed.sample(time + ahead)
         off, v = self._stray(sample)
         if off.outside:
-            way_back = self._return(reference, time, since_start, estimate)
+            way_back = self._return(reference, time, since_start, estimate, sample.pose[0])
             if isinstance(way_back, TooFar | StandingReference):
                 no_way = "no way: nothing free leads back to the path; waits"
                 return Target(way_back, since_start, no_way) if isinstance(way_back, StandingReference) else way_back
@@ -264,15 +264,20 @@ class Pursuit:
         return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
 
     def _return(
-        self, reference: Reference, time: float, since_start: float, estimate: Estimate
+        self, reference: Reference, time: float, since_start: float, estimate: Estimate, waiting: FloatArray
     ) -> Rejoin | TooFar | StandingReference | None:
         """Plan a way back; return `StandingReference` if there is no room for one.
 
         Returns None if the robot is on its path after all, only earlier or later than the reference.
         """
         settings = self._settings
+        away = float(np.hypot(*(estimate.pose - waiting)[:2]))
+        # A displacement while nobody drives is no progress: it counts from `waiting`, where the reference waits.
+        if self._resumes and away > self._config.failure.max_position_error:
+            return TooFar(away)
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
-        here = window.nearest(estimate.pose, time)
+        waited = self._resumes and self._way_back is None
+        here = window.index(time) if waited else window.nearest(estimate.pose, time)
         along, across = window.beside(estimate.pose, here)
         distance = math.hypot(along, across)
         if distance > self._config.failure.max_position_error:

@@ -141,6 +141,8 @@ class ControlLoop:
         Whether the robot is kept from moving, whatever the state.
     objection
         Why the node does not let the robot drive; the robot then brakes as for stale odometry. Empty: it may drive.
+    wait_reason
+        Why the robot brakes and stands for now, without a failure; the state does not change. Empty: it drives.
     relaid
         How often the current reference was placed again because its frame had moved.
     warning
@@ -178,7 +180,7 @@ class ControlLoop:
         self.blocked = False
         self.begun: Begun | None = None
         self.held = held
-        self.objection = self.warning = ""
+        self.objection = self.warning = self.wait_reason = self._end_reason = ""
         self._published: tuple[Begun, Due] | None = None
         self._requests = 0
         # A newly activated node counts as reset.
@@ -206,6 +208,8 @@ class ControlLoop:
             If the reference exceeds the speed limits, or the position of its frame is not known.
         """
         self._check_speeds(reference)
+        if self._is_latched:
+            raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
             placement.motion()
         # It states its frame, so it stays where it is.
@@ -243,9 +247,18 @@ class ControlLoop:
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
 
+    def end(self, reason: str) -> None:
+        """Brake and stand for good: nothing that is requested afterwards moves the robot."""
+        self._end_reason = reason
+
+    @property
+    def is_moving(self) -> bool:
+        """True if the last command was not zero."""
+        return self.last is not None and bool(self.last.command.any())
+
     def release(self) -> None:
         """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
-        self._next, self._begin_when_ready, self.blocked = None, False, False
+        self._next, self._begin_when_ready, self.blocked, self.wait_reason = None, False, False, ""
         if self._set_aside is not None:
             (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
         if self.state is not LoopState.FAULT:
@@ -270,9 +283,7 @@ class ControlLoop:
             If the robot drives already, measurements are missing, or there is no reference within the limits.
         """
         if self.state is LoopState.PAUSED:
-            self._refuse_if_missing()
-            self.state, self._reason, self.blocked = LoopState.DRIVING, "", False
-            return f"drives on{self._once_let_go()}"
+            return self.resume()
         standing = self.last is not None and self.last.mode in (Mode.FINISHED, Mode.STOPPED)
         if self.state is LoopState.DRIVING and not standing:
             raise RefusedError("it is driving already; pause it first")
@@ -283,6 +294,26 @@ class ControlLoop:
             self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
         return f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
+
+    def resume(self) -> str:
+        """Drive on along the reference where it waits, after a pause or a failure; returns what it does.
+
+        Raises
+        ------
+        ValueError
+            If nothing waits for it, or measurements are missing.
+        """
+        if self.state is not LoopState.PAUSED and not self._is_latched:
+            raise RefusedError(f"nothing waits for it ({self.state}); call start to begin")
+        self._refuse_if_missing()
+        self._controller.resume()
+        self.state, self._reason, self.blocked = LoopState.DRIVING, "", False
+        return f"drives on{self._once_let_go()}"
+
+    @property
+    def _is_latched(self) -> bool:
+        """True while a drive that stopped after a failure waits for a person."""
+        return self.state is LoopState.DRIVING and self._controller.is_latched
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
         """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it stands idle."""
@@ -297,11 +328,12 @@ class ControlLoop:
     def hold(self, *, on: bool) -> str:
         """Brake and stand while `on`, whatever else is requested; the state does not change. Returns a message."""
         before, self.held = self.held, on
-        standing = self.last is None or not self.last.command.any()
         if on:
-            return "is held already" if before else "is held" if standing else "is held; brakes"
+            return "is held already" if before else "is held; brakes" if self.is_moving else "is held"
         if not before:
             return "was not held"
+        if self._is_latched:
+            return "let go; stands after a failure; call start or resume to drive"
         if self.state is LoopState.DRIVING:
             return "let go; drives on"
         waits = " begins when it can" if self._begin_when_ready else " stands; call start to drive"
@@ -309,7 +341,7 @@ class ControlLoop:
 
     def reset(self) -> str:
         """Forget estimate, measurements and progress; returns what it does; raises RefusedError while it moves."""
-        if self.last is not None and self.last.command.any():
+        if self.is_moving:
             raise RefusedError("the robot is still driving; pause first")
         self._reset_controller()
         self.inbox.restart()
@@ -397,11 +429,19 @@ class ControlLoop:
         self.state, self._reason, self.blocked, self._begin_when_ready = LoopState.DRIVING, "", False, False
 
     def _hold(self, t: float) -> Hold | None:
+        if self._end_reason:
+            return Hold(self._end_reason)
         if self.state is LoopState.PAUSED:
             return Hold(self._reason)
+        silence = self.inbox.odometry.fault(t, self._settings.odom_timeout)
+        within = self._controller.config.failure.resume_within
+        if silence and not -within <= self.inbox.odometry.age(t) <= within:
+            return Hold(silence, failure=True, waits=True)
         if self.held:
             return Hold(HELD)
-        fault = self.objection or self.inbox.odometry.fault(t, self._settings.odom_timeout) or self._lost
+        if self.wait_reason:
+            return Hold(self.wait_reason)
+        fault = self.objection or silence or self._lost
         return Hold(fault, failure=True) if fault else None
 
     def _follow_frame(self) -> None:

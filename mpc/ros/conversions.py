@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
@@ -20,6 +21,7 @@ from sensor_msgs.msg import Imu
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 NANOSECONDS = 1_000_000_000
 # Rows of x, y and yaw in the 6 x 6 covariance of a pose message.
@@ -157,6 +159,7 @@ def subscribe_bounded(
     *,
     refuse: Callable[[str], None],
     most: int = SENSOR_BYTES,
+    series: MessageSeries | None = None,
 ) -> Subscription:
     """Subscribe to `topic`; messages of more than `most` bytes are not read.
 
@@ -170,9 +173,13 @@ def subscribe_bounded(
         Called with the reason instead, where one is too long or cannot be read.
     most
         Bytes of a serialised message at most.
+    series
+        Takes in the publication number of each message.
     """
 
-    def look(raw: bytes) -> None:
+    def look(raw: bytes, info: dict[str, Any]) -> None:
+        if series is not None:
+            series.take(info["publication_sequence_number"], info["source_timestamp"], time.monotonic())
         if len(raw) > most:
             refuse(too_long(len(raw), most))
             return
@@ -184,6 +191,16 @@ def subscribe_bounded(
         take(message)
 
     return node.create_subscription(kind, topic, look, qos, raw=True)
+
+
+def take_waiting(subscription: Subscription) -> None:
+    """Pass the messages that wait to the callback of a bounded subscription, while the executor is blocked."""
+    for _ in range(subscription.qos_profile.depth):
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        if taken is None:
+            return
+        subscription.callback(*taken)
 
 
 # Types of messages that only some installations have.

@@ -37,7 +37,14 @@ _MOST_OUTDATED = 3
 """A path that was outdated so often is prepared for a robot that stands."""
 _LONGEST_LAYING = 15.0
 """A path that is not laid after so long is given up, whatever the process beside the loop does [s of the computer]."""
+_SILENT = "the client of the goal does not acknowledge feedback"
 _ABANDONED = "nobody waits for it any more: its client has ended"
+_SILENT_CHECKS, _SILENCE = 3, 0.3
+"""A client counts as silent after so many checks in so long [s]; on a loaded machine it acknowledges within 0.1 s."""
+_LONGEST_SILENCE = 5.0
+"""A goal is abandoned after so long without its client [s]; to tell a dead client from another takes up to 3 s."""
+_REACTION = 0.4
+"""Time from the death of a client to the first check, and from the verdict to the first braking command [s]."""
 _SETTLES = 1.0
 """After a command of zero for so long the robot is taken to stand, whatever its wheels say [s]."""
 
@@ -75,7 +82,7 @@ class End:
 
 @dataclass(eq=False)
 class FollowGoal:
-    """One goal. The loop's thread writes `progress` and `end`, that of the action server `cancelled` and `abandoned`.
+    """One goal. The loop's thread writes `progress` and `end`, that of the action server what concerns the client.
 
     Attributes
     ----------
@@ -89,8 +96,12 @@ class FollowGoal:
         Why it cannot be driven, as was found before the loop saw it; None if nothing was.
     cancelled
         Whether it shall end.
-    abandoned
-        Whether nobody waits for it any more.
+    clients
+        GIDs of the clients that may have sent it.
+    heard_at
+        Time of the last check at which its client was alive, by `time.monotonic` [s].
+    unheard
+        Number of checks since then.
     progress
         Distance to the goal along the path [m] and speed [m/s]; None until it is driven.
     end
@@ -102,7 +113,9 @@ class FollowGoal:
     stamp: int = 0
     fault: tuple[Code, str] | None = None
     cancelled: bool = False
-    abandoned: bool = False
+    clients: frozenset[bytes] = frozenset()
+    heard_at: float = field(default_factory=time.monotonic)
+    unheard: int = 0
     progress: tuple[float, float] | None = None
     end: End | None = None
     laid: Laid | None = field(default=None, repr=False)
@@ -111,6 +124,9 @@ class FollowGoal:
     outdated: int = 0
     began: bool = False
     since: float = math.nan
+    blind_since: float = math.nan
+    blind_distance: float = 0.0
+    waits: bool = False
     ending: End | None = None
 
 
@@ -176,12 +192,26 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
     limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
     share, slew = settings.follow_speed_share, settings.follow_acceleration_share
     return TrajectoryLimits(
-        v=share * min(v * limits.v, limits.wheel_speed),
+        v=min(share * min(v * limits.v, limits.wheel_speed), _blind_speed(config, settings.follow_blind_distance)),
         omega=share * omega * limits.omega,
         v_acceleration=slew * v * limits.v_slew,
         omega_acceleration=slew * omega * limits.omega_slew,
         min_turn_radius=limits.least_radius_of_ways,
     )
+
+
+def _blind_speed(config: ControllerConfig, distance: float) -> float:
+    """Return the highest speed [m/s] at which the robot stops within `distance` [m] of a death; 0 m: no limit."""
+    if not distance:
+        return math.inf
+    braking, delay = config.limits.v_braking, _SILENCE + _REACTION
+    return braking * (math.sqrt(delay**2 + 2.0 * distance / braking) - delay)
+
+
+def _speed(tick: LoopTick) -> float:
+    """Return the estimated speed [m/s], or the commanded one where there is no estimate."""
+    estimate = None if tick.result is None else tick.result.estimate
+    return abs(float(tick.command[0] if estimate is None else estimate.twist[0]))
 
 
 def _not_laid(why: str) -> Code:
@@ -249,13 +279,15 @@ class Following:
             self._close(coming, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
             # Whoever sent it did not mean the one that it was to replace either.
             self._give_up("a newer goal was cancelled")
-        elif coming is not None and coming.abandoned:
+        elif coming is not None and self._is_abandoned(coming):
             self._refuse(coming, Code.UNKNOWN, _ABANDONED)
         elif coming is not None and time.monotonic() - coming.handed_on > _LONGEST_LAYING:
             self._refuse(coming, Code.CONTROLLER_TIMED_OUT, f"to lay the path takes longer than {_LONGEST_LAYING:g} s")
         if goal is None:
             return
         if goal.ending is None:
+            goal.waits = goal.unheard > 0 and (goal.waits or self._has_to_brake(goal, _speed(tick)))
+            self._loop.wait_reason = _SILENT if goal.waits else ""
             goal.ending = self._verdict(goal, tick)
             if goal.ending is not None and goal.ending.outcome is not GoalOutcome.SUCCEEDED:
                 self._loop.brake(goal.ending.words)
@@ -357,7 +389,7 @@ class Following:
         goal.began = goal.began or ours
         if goal.cancelled:
             return End(GoalOutcome.CANCELED, Code.NONE, "cancelled")
-        if goal.abandoned:
+        if self._is_abandoned(goal):
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, _ABANDONED)
         if tick.state is LoopState.FAULT:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, tick.message)
@@ -369,7 +401,7 @@ class Following:
         if loop.blocked:
             return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, tick.message or "blocked")
         result = tick.result
-        if result is None or tick.state is LoopState.PAUSED or loop.held:
+        if result is None or tick.state is LoopState.PAUSED or loop.held or goal.waits:
             goal.since = now
             return None
         if result.mode is Mode.FINISHED:
@@ -379,6 +411,24 @@ class Following:
         if now - goal.since <= settings.follow_patience:
             return None
         return End(GoalOutcome.ABORTED, self._code(tick), tick.message or "no command could be found")
+
+    def _has_to_brake(self, goal: FollowGoal, speed: float) -> bool:
+        """Return True if the robot, at `speed` [m/s], has to brake now to keep the distance without its client."""
+        if goal.blind_since != goal.heard_at:
+            goal.blind_since, goal.blind_distance = goal.heard_at, 0.0
+        config = self._config()
+        goal.blind_distance += speed * config.sample_time
+        stop = speed * _REACTION + 0.5 * speed**2 / config.limits.v_braking
+        return self._silence(goal) > _SILENCE and goal.blind_distance + stop > self._settings.follow_blind_distance
+
+    def _is_abandoned(self, goal: FollowGoal) -> bool:
+        return self._silence(goal) > _LONGEST_SILENCE
+
+    def _silence(self, goal: FollowGoal) -> float:
+        """Return the time since the client was heard [s]; zero until several checks have failed."""
+        if goal.unheard < _SILENT_CHECKS or not self._settings.follow_blind_distance:
+            return 0.0
+        return time.monotonic() - goal.heard_at
 
     def _arrived(self, goal: FollowGoal, tick: LoopTick) -> End:
         assert tick.result is not None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -24,6 +25,7 @@ from rclpy.task import Future
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds, planar_pose
+from diffdrive_mpc.mpc.ros.follow_clients import ClientWatch
 from diffdrive_mpc.mpc.ros.follow_goal import Code, End, FollowGoal, Following, GoalOutcome
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
@@ -36,10 +38,22 @@ _LONG_WORK = 0.005
 """After work that took longer [s] the thread rests as long: the interpreter runs one thread, and the loop's is due."""
 _RESULT_KEPT = 60
 """How long a result waits for its client [s]: one that sends hundreds of goals a second reads their answers late."""
+_MIN_CHECK_RATE = 10.0
+"""Lowest rate of feedback while the clients are observed [Hz]."""
 _LOOK = 0.02
 """How often ends are looked for [s]."""
 _FAREWELL = 0.4
 """How long the last results may take [s]."""
+
+
+class _Server(ActionServer):
+    """Action server that keeps the sequence number of the goal request that it handles, which rclpy hides."""
+
+    sequence_number = 0
+
+    async def _execute_goal_request(self, request_header_and_message: tuple[Any, Any]) -> None:
+        self.sequence_number = int(request_header_and_message[0].sequence_number)
+        await super()._execute_goal_request(request_header_and_message)
 
 
 class FollowPathServer:
@@ -66,25 +80,27 @@ class FollowPathServer:
             use_global_arguments=False,
             start_parameter_services=False,
         )
-        self._server = ActionServer(
+        # As the node's own remappings have it.
+        action = node.resolve_topic_name(ACTION)
+        self._clients: dict[bytes, frozenset[bytes]] = {}
+        self._watch = ClientWatch(self._side, action)
+        self._server = _Server(
             self._side,
             FollowPath,
-            # As the node's own remappings have it.
-            node.resolve_topic_name(ACTION),
+            action,
             self._execute,
             goal_callback=self._judge,
+            handle_accepted_callback=self._accepted,
             cancel_callback=self._cancel,
             goal_service_qos_profile=_REQUESTS,
             result_service_qos_profile=_REQUESTS,
             cancel_service_qos_profile=_REQUESTS,
             result_timeout=_RESULT_KEPT,
         )
-        # Every client of an action hears its feedback: where nobody does, the client is gone.
-        self._feedback = f"{node.resolve_topic_name(ACTION)}/_action/feedback"
-        self._client_seen = time.monotonic()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._side.create_timer(_LOOK, self._look, clock=steady)
-        self._side.create_timer(1.0 / settings.follow_feedback_rate, self._tell, clock=steady)
+        rate = max(settings.follow_feedback_rate, _MIN_CHECK_RATE if settings.follow_blind_distance else 0.0)
+        self._side.create_timer(1.0 / rate, self._tell, clock=steady)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._side)
         self._closing = self._said = False
@@ -111,6 +127,7 @@ class FollowPathServer:
         self._closing = True
         self._thread.join(2.0 * _FAREWELL)
         self._server.destroy()
+        self._watch.destroy()
         self._executor.shutdown()
         self._side.destroy_node()
         self._node.destroy_guard_condition(self._arrived)
@@ -147,6 +164,10 @@ class FollowPathServer:
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
+    def _accepted(self, handle: ServerGoalHandle) -> None:
+        self._clients[bytes(handle.goal_id.uuid)] = self._watch.claim(self._server.sequence_number)
+        handle.execute()
+
     def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         for goal, held, _ in self._open:
             if bytes(held.goal_id.uuid) == bytes(handle.goal_id.uuid):
@@ -155,7 +176,7 @@ class FollowPathServer:
         return CancelResponse.REJECT
 
     async def _execute(self, handle: ServerGoalHandle) -> FollowPath.Result:
-        end = self._begin(handle)
+        end = self._begin(handle, self._clients.pop(bytes(handle.goal_id.uuid)))
         if isinstance(end, Future):
             end = await end
         self._log(end)
@@ -170,7 +191,7 @@ class FollowPathServer:
             result.error_msg = "" if end.outcome is GoalOutcome.SUCCEEDED else end.words
         return result
 
-    def _begin(self, handle: ServerGoalHandle) -> Future | End:
+    def _begin(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
         """Hand a goal to the loop; returns what will hold its end, or the end."""
         request, following, settings = handle.request, self._following, self._settings
         # A fault ends the drive that the goal was to replace, too: that is the loop's to do.
@@ -185,7 +206,7 @@ class FollowPathServer:
         if following is None:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
-        goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault)
+        goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
         # The handle keeps its request as long as its result: to collect so many objects stops the loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
@@ -202,16 +223,17 @@ class FollowPathServer:
             entry[2].set_result(entry[0].end)
 
     def _tell(self) -> None:
-        patience, now = self._settings.follow_client_timeout, time.monotonic()
-        if not self._open or self._side.count_subscribers(self._feedback):
-            self._client_seen = now
-        elif patience and now - self._client_seen > patience:
-            for goal, _, _ in self._open:
-                goal.abandoned = True
+        now = time.monotonic()
+        heard_goals = self._watch.check([goal.clients for goal, _, _ in self._open])
+        for (goal, _, _), heard in zip(self._open, heard_goals, strict=True):
+            goal.unheard = 0 if heard else goal.unheard + 1
+            if heard:
+                goal.heard_at = now
         for goal, handle, _ in self._open:
             if goal.progress is not None and goal.end is None:
                 distance, speed = goal.progress
-                handle.publish_feedback(FollowPath.Feedback(distance_to_goal=distance, speed=speed))
+                feedback = FollowPath.Feedback(distance_to_goal=distance, speed=speed)
+                self._watch.send(FollowPath.Impl.FeedbackMessage(goal_id=handle.goal_id, feedback=feedback))
 
     def _log(self, end: End) -> None:
         log = self._node.get_logger()

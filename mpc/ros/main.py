@@ -1,9 +1,10 @@
-"""Run the node as a process: signals end it with zero as its last command."""
+"""Run the node as a process: a signal ends it after a braking ramp, with zero as its last command."""
 
 from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from types import FrameType
 
@@ -26,7 +27,7 @@ def run(
     settings: NodeSettings | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> None:
-    """Run the node until SIGINT, SIGTERM or SIGHUP.
+    """Run the node until SIGINT, SIGTERM or SIGHUP; a second signal ends the braking ramp, too.
 
     Parameters
     ----------
@@ -68,6 +69,10 @@ def run(
             with threadpool_limits(limits=1):
                 while not signals:
                     executor.spin_once(timeout_sec=_LONGEST_WAIT)
+                # By the computer's clock, as the node's may stand.
+                end = time.monotonic() + node.brake(f"{signal.Signals(signals[0]).name}: the node is shut down")
+                while node.is_moving and len(signals) == 1 and (left := end - time.monotonic()) > 0.0:
+                    executor.spin_once(timeout_sec=min(left, _LONGEST_WAIT))
         except ExternalShutdownException:
             pass
         finally:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -105,9 +106,10 @@ class TrackingNode(PartHost):
         self._loop: ControlLoop | None = None
         self._timer: Any = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._diagnostics_timer: Any = None
+        self._built = ExitStack()
         self.create_service(Trigger, "~/start", self._serve(lambda loop: loop.start()))
         self.create_service(Trigger, "~/pause", self._serve(lambda loop: loop.pause()))
+        self.create_service(Trigger, "~/resume", self._serve(lambda loop: loop.resume()))
         self.create_service(Trigger, "~/reset", self._serve(lambda loop: loop.reset()))
         self._held = False
         self.create_service(SetBool, "~/hold", self._hold)
@@ -135,6 +137,18 @@ class TrackingNode(PartHost):
             if trigger() is not TransitionCallbackReturn.SUCCESS:
                 raise ValueError(self.failure)
 
+    def brake(self, reason: str) -> float:
+        """Brake for good; returns the longest time that this may take [s]."""
+        if self._loop is None:
+            return 0.0
+        self._loop.end(reason)
+        return self._settings.shutdown_time
+
+    @property
+    def is_moving(self) -> bool:
+        """True if the last command was not zero."""
+        return self._loop is not None and self._loop.is_moving
+
     def stop(self) -> None:
         """Send zero as the last command, if the node is active, and stay silent."""
         if self._loop is None:
@@ -155,7 +169,7 @@ class TrackingNode(PartHost):
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to send commands, zero until driving begins, unless another node of this project does so already."""
-        if self._changes.pending:
+        if self._changes.pending or self._controller is None:
             self._tear_down()
             self._build()
         self._each_part(lambda part: part.check_activation())
@@ -230,67 +244,64 @@ class TrackingNode(PartHost):
             hook(part)
 
     def _build(self) -> None:
+        """Build everything that lives from configuration to cleanup, or nothing if a step fails."""
         settings, config = read(self, self._declared_settings), read(self, self._declared_config)
         trajectory: Trajectory | None = None
         if settings.trajectory:
             trajectory = load_trajectory(settings.trajectory, config)
             check_speeds(trajectory, config.limits, config.sample_time)
-        controller = self._controller = Controller(config)
+        controller = Controller(config)
+        with ExitStack() as built:
+            frames: Frames | None = None
+            if settings.use_tf or settings.poses_from == "tf":
+                frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
+                for subscription in listen(self, frames):
+                    built.callback(self.destroy_subscription, subscription)
+            self._inbox = Inbox(settings, self._now, self._now(), frames)
+            self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
+            built.callback(self._outgoing.destroy)
+            watched: list[tuple[TopicWatch, Subscription]] = []
+            for kind, topic, take, watch in self._input_topics(self._inbox, settings):
+                made = subscribe_bounded(
+                    self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse, series=watch.series
+                )
+                built.callback(self.destroy_subscription, made)
+                watched.append((watch, made))
+            wake = self.create_guard_condition(lambda: None)
+            built.callback(self.destroy_guard_condition, wake)
+            self._aside = SideProcess(wake.trigger, _MAX_READING_TIME)
+            built.callback(self._aside.close)
+            wake.callback = self._aside.deliver
+            self._due = self.create_guard_condition(self._tick)
+            built.callback(self.destroy_guard_condition, self._due)
+            built.callback(self.tear_down_parts)
+            self.configure_parts(NodeTools(settings, controller, self._inbox, self._outgoing, self._aside, watched))
+            diagnostics_timer = self.create_timer(
+                1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+            built.callback(self.destroy_timer, diagnostics_timer)
+            self._built = built.pop_all()
+        self._controller = controller
         self._settings, self._trajectory, self._changes.pending = settings, trajectory, False
-        self._inputs: list[Subscription] = []
-        frames: Frames | None = None
-        if settings.use_tf or settings.poses_from == "tf":
-            frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
-            self._inputs += listen(self, frames)
-        self._inbox = Inbox(settings, self._now, self._now(), frames)
-        self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
-        watched = self._subscribe(self._inbox, settings)
-        self._read = self.create_guard_condition(lambda: None)
-        self._aside = SideProcess(self._read.trigger, _MAX_READING_TIME)
-        self._read.callback = self._aside.deliver
-        self._due = self.create_guard_condition(self._tick)
-        tools = NodeTools(settings, controller, self._inbox, self._outgoing, self._aside, watched)
-        try:
-            self.configure_parts(tools)
-        except Exception:
-            self._tear_down()
-            raise
-        self._diagnostics_timer = self.create_timer(
-            1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
 
-    def _subscribe(self, inbox: Inbox, settings: NodeSettings) -> list[tuple[TopicWatch, Subscription]]:
-        """Subscribe to the inputs of the controller."""
-        watched: list[tuple[TopicWatch, Subscription]] = []
-
-        def add(kind: type[Any], topic: str, take: Callable[[Any], None], watch: TopicWatch) -> None:
-            made = subscribe_bounded(self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse)
-            self._inputs.append(made)
-            watched.append((watch, made))
-
-        add(Odometry, "odom", inbox.take_odometry, inbox.odometry)
+    @staticmethod
+    def _input_topics(
+        inbox: Inbox, settings: NodeSettings
+    ) -> Iterator[tuple[type[Any], str, Callable[[Any], None], TopicWatch]]:
+        """Yield type, topic, receiver and watch of each input of the controller."""
+        yield Odometry, "odom", inbox.take_odometry, inbox.odometry
         if settings.use_imu:
-            add(Imu, "imu", inbox.take_imu, inbox.imu)
+            yield Imu, "imu", inbox.take_imu, inbox.imu
         if settings.poses_from == "topic":
-            add(PoseWithCovarianceStamped, "pose", inbox.take_pose, inbox.pose)
-        return watched
+            yield PoseWithCovarianceStamped, "pose", inbox.take_pose, inbox.pose
 
     def _now(self) -> int:
         """Return the node's time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def _tear_down(self) -> None:
-        if self._controller is None:
-            return
         self._controller = None
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        self._outgoing.destroy()
-        self.destroy_timer(self._diagnostics_timer)
-        self._aside.close()
-        self.tear_down_parts()
-        self.destroy_guard_condition(self._read)
-        self.destroy_guard_condition(self._due)
+        self._built.close()
 
     def _tick(self) -> None:
         loop, outgoing = self._loop, self._outgoing

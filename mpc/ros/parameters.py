@@ -18,13 +18,13 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.settings import FORMER_SETTINGS, NodeSettings
+from diffdrive_mpc.mpc.ros.settings import FORMER_SETTINGS, REPLACED_SETTINGS, NodeSettings
 
 Value = bool | int | float | str
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -132,10 +132,15 @@ def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> N
 
     Raises
     ------
+    ConfigError
+        If the parameters name one that was replaced.
     MissingPackageError
         If no installed package has a part that the parameters name.
     """
     overrides = _overrides(node)
+    for name, remedy in REPLACED_SETTINGS.items():
+        if name in overrides:
+            raise ConfigError(f"parameter {name} was removed: {remedy}")
     for name in FORMER_SETTINGS.keys() & overrides.keys():
         # Files of version 0.2.0 that state the default must not require the package of the part.
         if overrides[name].value == FORMER_SETTINGS[name][1]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.command_output import command_topic
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopTick, RefusedError
+from diffdrive_mpc.mpc.ros.conversions import take_waiting
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.publishers import deaf_to_commands, publishers_of
+from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 _CLAIM = "_diffdrive_mpc"
 """Below the topic of the commands: whoever of this project drives by it has a publisher there, which never sends."""
@@ -91,7 +94,7 @@ class Rivals:
         return Others(tuple(project), tuple(foreign))
 
     def _beside_own(self, topic: str) -> list[str]:
-        names = _publishing(self._node, topic)
+        names = sorted(map(_name, self._node.get_publishers_info_by_topic(topic)))
         own = self._node.get_fully_qualified_name()
         # One of that name is this node; a second one is another.
         if own in names:
@@ -99,24 +102,27 @@ class Rivals:
         return names
 
 
-def _publishing(node: Node, topic: str) -> list[str]:
-    """Full names of the nodes that publish on `topic`, one for each publisher."""
-    return sorted(
-        _NAMELESS if _UNKNOWN in each.node_name else f"{each.node_namespace.rstrip('/')}/{each.node_name}"
-        for each in node.get_publishers_info_by_topic(topic)
-    )
+def _name(info: Any) -> str:  # noqa: ANN401 - rclpy has no types
+    """Return the full name of the node of a publisher."""
+    return _NAMELESS if _UNKNOWN in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
-def speak_together(node: Node, topics: Iterable[str]) -> str:
-    """Which nodes publish on the same input, and what to do; empty where each input has one voice.
+def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
+    """Return which publishers share an input, and what to do; empty if only one publishes.
 
-    A node that was started again has the name of the one before, which the middleware may take a while to forget.
+    The middleware may take a while to forget a node that was killed. Two publishers of one name therefore count as two
+    only if both send, or if the middleware does not tell their messages apart.
     """
-    for topic in topics:
-        names = sorted(set(_publishing(node, topic)) - {_NAMELESS})
-        if len(names) > 1:
-            return f"{_names(names)} publish on {topic}, and nobody knows whose message is true; stop all but one"
-    return ""
+    infos, series = node.get_publishers_info_by_topic(topic), watch.series
+    names = sorted({*map(_name, infos)} - {_NAMELESS})
+    if len(names) < 2:
+        if len({bytes(info.endpoint_gid) for info in infos}) < 2:
+            series.restart()
+            return ""
+        if series.is_numbered and not series.is_shared:
+            return ""
+    who = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or _NAMELESS}"
+    return f"{who} publish on {topic}, and nobody knows whose message is true; stop all but one"
 
 
 def drive_too(others: Others, topic: str) -> str:
@@ -140,6 +146,7 @@ class RivalWatch(NodePart):
 
     rivals: Rivals | None = None
     _timer: Any = None
+    _was_shared = False
 
     def configure(self, tools: NodeTools) -> None:
         """Prepare the claim of the topic of the commands."""
@@ -149,7 +156,11 @@ class RivalWatch(NodePart):
         """Claim the topic of the commands; raise RefusedError if the robot must not be driven."""
         assert self.rivals is not None
         assert self.tools is not None
-        objection = self._objection(self.tools, self.rivals, self.rivals.claim(self.tools.settings.discovery_wait))
+        others = self.rivals.claim(self.tools.settings.discovery_wait)
+        objection = self._objection(self.tools, self.rivals, others)
+        if not objection and self.tools.settings.exclusive_inputs:
+            self._hear_inputs(self.tools)
+            objection = self._objection(self.tools, self.rivals, others)
         if objection:
             self.rivals.release()
             raise RefusedError(objection)
@@ -158,6 +169,13 @@ class RivalWatch(NodePart):
         """Look for rivals now and periodically."""
         self._look_around()
         self._timer = self.node.create_timer(_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def tick(self, tick: LoopTick) -> None:  # noqa: ARG002 - that of the base class
+        """Look for rivals at once if the messages of an input turn out to come from two publishers."""
+        is_shared = self.tools is not None and any(watch.series.is_shared for watch, _ in self.tools.watched)
+        if is_shared and not self._was_shared:
+            self._look_around()
+        self._was_shared = is_shared
 
     def deactivate(self) -> None:
         """Release the topic of the commands."""
@@ -181,7 +199,20 @@ class RivalWatch(NodePart):
         return objection
 
     def _shared_input(self, tools: NodeTools) -> str:
-        return speak_together(self.node, (subscription.topic_name for _, subscription in tools.watched))
+        shared = (speak_together(self.node, watch, made.topic_name) for watch, made in tools.watched)
+        return next(filter(None, shared), "")
+
+    def _hear_inputs(self, tools: NodeTools) -> None:
+        """Take in messages of inputs with two publishers of one name, until both were heard or the time is up."""
+
+        def unclear() -> list[Subscription]:
+            return [made for _, made in tools.watched if self.node.count_publishers(made.topic_name) > 1]
+
+        end = time.monotonic() + tools.settings.discovery_wait
+        while unclear() and not any(watch.series.is_shared for watch, _ in tools.watched) and time.monotonic() < end:
+            for made in unclear():
+                take_waiting(made)
+            time.sleep(_POLL)
 
     def _look_around(self) -> None:
         """Pass objection and warnings to the loop, which brakes for an objection."""

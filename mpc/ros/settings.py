@@ -68,8 +68,8 @@ class NodeSettings(StrictModel, strict=True):
     )
     exclusive_inputs: bool = Field(
         True,
-        description="refuse activation, and brake, while two nodes publish on `odom`, `imu` or `pose`: which "
-        "message is whose is not known; false: only warn [-]",
+        description="refuse activation, and brake, while two nodes, or two publishers of one name that both send, "
+        "publish on `odom`, `imu` or `pose`: which message is whose is not known; false: only warn [-]",
     )
     discovery_wait: NotNegative = Field(
         1.0, description="time before activation in which the node looks for other nodes [s]"
@@ -117,6 +117,11 @@ class NodeSettings(StrictModel, strict=True):
     drive_on_reference: bool = Field(
         False, description="drive along a reference as soon as it has arrived and was accepted [-]"
     )
+    shutdown_time: NotNegative = Field(
+        1.0,
+        description="longest time for the braking ramp after SIGINT, SIGTERM or SIGHUP, by the computer's clock; then, "
+        "or at a second signal, zero is sent; 0: zero at once [s]",
+    )
     record: bool = Field(False, description="record each activation into an MCAP file of its own [-]")
     record_folder: str = Field(
         "~/.ros/diffdrive_mpc", min_length=1, description="folder of these files; made where it is missing [-]"
@@ -149,13 +154,15 @@ class NodeSettings(StrictModel, strict=True):
     follow_patience: Positive = Field(
         1.0, description="a goal is aborted if the robot cannot be driven for longer: no pose, no way, no solution [s]"
     )
-    follow_client_timeout: NotNegative = Field(
+    follow_blind_distance: NotNegative = Field(
         1.0,
-        description="a goal is aborted, and the robot braked, where nobody has waited for it for longer: its client "
-        "has ended, or was killed and the middleware has noticed (Fast DDS: after 20 s); 0: it is driven to its end "
-        "[s]",
+        description="distance that the robot may travel after the client of its goal has ended or was killed, braking "
+        "included; the goal is aborted after 5 s; the speed of a path is limited so that the distance suffices; 0: the "
+        "goal is driven to its end [m]",
     )
-    follow_feedback_rate: Rate = Field(10.0, description="how often feedback is sent [Hz]")
+    follow_feedback_rate: Rate = Field(
+        10.0, description="how often feedback is sent, at least 10 Hz unless follow_blind_distance is 0 [Hz]"
+    )
     follow_most_poses: Annotated[int, Field(ge=2, le=100_000)] = Field(
         10_000, description="a path of more poses is refused [-]"
     )
@@ -215,3 +222,9 @@ FORMER_SETTINGS: Mapping[str, tuple[str, bool | float | str]] = {
     "error_calibration": ("predicted_error", ""),
 }
 """Part and default by the former name of a parameter; its name is `parts.<part>.<former name>` now."""
+
+REPLACED_SETTINGS: Mapping[str, str] = {
+    "follow_client_timeout": "set follow_blind_distance [m] instead, the distance that the robot may travel after its "
+    "client has ended (default 1, 0: no limit)",
+}
+"""Remedy by the former name of a parameter that has no equivalent."""

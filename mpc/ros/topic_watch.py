@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from diffdrive_mpc.mpc.ros.conversions import MessageError
+from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 
 class TopicWatch:
@@ -30,6 +31,8 @@ class TopicWatch:
         What the topic is and who publishes on it, in words, for a topic on which nothing has come yet.
     delay
         From the stamp of the last good message to its arrival [s]; NaN before the first.
+    series
+        Publication numbers of all messages, refused ones included.
     """
 
     def __init__(self, name: str) -> None:
@@ -37,6 +40,7 @@ class TopicWatch:
         self.accepted = self.refused = 0
         self.reason = self.last_refusal = self.source = ""
         self.delay = math.nan
+        self.series = MessageSeries()
         self.restart()
 
     def restart(self) -> None:

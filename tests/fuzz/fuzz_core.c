@@ -312,6 +312,7 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.finish_timeout = wild(2.0, seldom);
     k.max_reused_ticks = below(6);
     k.resume = !once_in(4);
+    k.resume_within = wild(1.0, seldom);
     k.reentry = once_in(2);
     k.band = wild(0.3, seldom), k.heading_band = wild(1.0, seldom);
     k.wait = wild(0.1, seldom) + R(1e-12), k.heading_wait = wild(0.5, seldom) + R(1e-12);
@@ -435,7 +436,7 @@ static void fill_input(ddmpc_input *input, const robot *r)
     input->has_sent = once_in(6);
     for (int i = 0; i < 2; i++)
         input->sent[i] = (real)spoilt(r->twist[i], 6);
-    input->request = once_in(40) ? 1 + below(2) : DDMPC_DRIVE;
+    input->request = once_in(40) ? 1 + below(3) : DDMPC_DRIVE;
     input->reference_time = spoilt(r->reference_time, 200);
     input->on_time = !once_in(8);
     input->deadline = once_in(20) ? spoilt(1e-9, 4) : 0.0;
@@ -476,6 +477,7 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
         break;
     case 0: ddmpc_reset(c); break;
     case 1: ddmpc_forget(c); break;
+    case 7: ddmpc_resume(c); break;
     case 2:
         if (ddmpc_start(c, &reference, t0) != (isfinite(t0) && isfinite(reference.duration)))
             abort();

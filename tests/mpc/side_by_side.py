@@ -69,6 +69,10 @@ class Pair:
         for controller in self.both:
             controller.reset()
 
+    def resume(self):
+        for controller in self.both:
+            controller.resume()
+
     def update(self, **changes):
         product, oracle = (controller.update(**changes) for controller in self.both)
         assert product == oracle

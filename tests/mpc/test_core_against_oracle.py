@@ -80,6 +80,12 @@ def no_pose(k, t, m, both):
     return t, changed(m, pose=None) if 60 <= k < 110 or k < 3 else m, None
 
 
+def no_pose_for_long(k, t, m, both):
+    if k == 180:
+        both.resume()
+    return t, changed(m, pose=None) if 30 <= k < 175 else m, None
+
+
 def first_pose_wrong(k, t, m, both):
     return t, shifted(m, [0.0, 0.8, 0.0]) if k == 0 else m, None
 
@@ -125,6 +131,16 @@ def held_by_a_failure(k, t, m, both):
     return t, m, Hold("bumper", failure=True) if 60 <= k < 64 else None
 
 
+def held_by_a_long_failure(k, t, m, both):
+    return t, m, Hold("bumper", failure=True) if 60 <= k < 100 else None
+
+
+def silent(k, t, m, both):
+    if k == 70:
+        both.resume()
+    return t, m, Hold("no odometry", failure=True, waits=True) if k == 60 else None
+
+
 def updated(k, t, m, both):
     if k == 40:
         both.update(limits={"v": 0.35, "v_slew": 0.7, "omega_slew": 2.0, "corridor": 0.01})
@@ -152,7 +168,13 @@ def clock_astray(k, t, m, both):
     return times.get(k, t), m, None
 
 
+def set_back(k, t, m, both):
+    return t - (1.5 if k >= 60 else 0.0), restamped(m, -1.5 if k >= 60 else 0.0), None
+
+
 def paused(k, t, m, both):
+    if k == 80:
+        both.resume()
     return t + (5.0 if k >= 60 else 0.0), restamped(m, 5.0 if k >= 60 else 0.0), None
 
 
@@ -189,9 +211,9 @@ EVENTS = {
     "chased": (carried, {"reentry.enabled": False}, ["TRACKING"], ""),
     "carried too far": (
         carried_far,
-        {"failure.max_position_error": 0.5, "reentry.enabled": False},
+        {"failure.max_position_error": 0.5},
         ["TRACKING", "BRAKING", "STOPPED"],
-        "m from the reference",
+        "stopped after a failure",
     ),
     "false pose": (false_pose, {}, ["TRACKING", "BRAKING", "TRACKING"], "it jumps by"),
     "no pose": (no_pose, {}, ["STOPPED", "TRACKING", "BRAKING", "STOPPED", "TRACKING"], "no pose was accepted"),
@@ -212,6 +234,16 @@ EVENTS = {
     ),
     "clock astray": (clock_astray, {}, None, "time ran backwards"),
     "paused": (paused, {"failure.max_position_error": 9.0}, ["TRACKING", "STOPPED", "TRACKING"], "starts anew"),
+    "set back": (set_back, {}, ["TRACKING", "BRAKING", "STOPPED"], "time ran backwards"),
+    "no pose for long": (no_pose_for_long, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "call start or resume"),
+    "held by a short failure": (held_by_a_failure, {}, ["TRACKING", "BRAKING", "TRACKING"], "bumper"),
+    "held by a long failure": (
+        held_by_a_long_failure,
+        {"failure.resume_within": 0.5},
+        ["TRACKING", "BRAKING", "STOPPED"],
+        "stopped after a failure",
+    ),
+    "silent": (silent, {}, ["TRACKING", "BRAKING", "TRACKING"], "call start or resume"),
     "blocked": (Blocked(), {}, ["TRACKING"], "blocked for"),
     "no compensation of dead time": (Late(), {"compensation.dead_time": False}, ["TRACKING"], ""),
     "no v offset": (carried, {"compensation.v_offset": False}, ["TRACKING"], ""),

@@ -43,6 +43,7 @@ RANGES = {
     "failure.max_reused_ticks": (2, 5),
     "failure.max_pose_age": (0.25, 0.45),
     "failure.max_position_error": (0.6, 0.9),
+    "failure.resume_within": (0.1, 0.2),
     "reentry.band": (0.1, 0.2),
     "reentry.blocked_after": (0.2, 0.4),
     "reentry.max_progress": (1.05, 1.4),
@@ -173,6 +174,8 @@ def driven(name, seed):
     both.start(reference, 0.0)
     for k in range(TICKS):
         troubles.happen(k)
+        if k in (89, 170, 230, 280):
+            both.resume()
         reference.spoilt = k in (20, 21) or 30 <= k < 40 or 66 <= k < 82
         hold = Hold("held", failure=True) if 84 <= k < 88 else None
         command = both.step(troubles.robot.time, troubles.measure(k, command), hold).command
@@ -205,7 +208,15 @@ def test_a_drive_on_which_every_field_matters(name, seed):
 
 
 @pytest.mark.parametrize(
-    "words", ["blocked for", "m from the reference", "not at rest within", "the history reaches back", "jumps from"]
+    "words",
+    [
+        "blocked for",
+        "m from the reference",
+        "stopped after a failure",
+        "not at rest within",
+        "the history reaches back",
+        "jumps from",
+    ],
 )
 def test_everything_happens_on_the_drives(words):
     assert any(words in driven(name, seed)[0].words for name in MODELS for seed in SEEDS)

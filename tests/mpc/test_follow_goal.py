@@ -22,6 +22,7 @@ class Loop:
     def __init__(self):
         self.inbox = SimpleNamespace(now=0.0)
         self.state, self.begun, self.held, self.blocked = LoopState.IDLE, None, False, False
+        self.wait_reason = ""
         self.told = []
 
     def missing(self):
@@ -181,3 +182,41 @@ def test_paths_are_driven_inside_what_the_robot_reaches():
     assert bounds.v == pytest.approx(SETTINGS.follow_speed_share * 0.5 * CONFIG.limits.v)
     assert bounds.omega == pytest.approx(SETTINGS.follow_speed_share * CONFIG.limits.omega)
     assert bounds.v_acceleration < CONFIG.limits.v_slew and bounds.omega_acceleration < CONFIG.limits.omega_slew
+
+
+def test_robot_waits_for_a_silent_client_drives_on_and_then_gives_up(made, monkeypatch):
+    loop, beside, following = made
+    goal = FollowGoal(STRAIGHT, "odom")
+    following.take(goal)
+    beside.answer()
+    start = goal.heard_at
+    drives = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
+    distance = 0.0
+    for count in range(200):
+        goal.unheard = count
+        monkeypatch.setattr(follow_goal.time, "monotonic", lambda now=start + count * CONFIG.sample_time: now)
+        following.after(drives)
+        if loop.wait_reason:
+            break
+        distance += 0.6 * CONFIG.sample_time
+    braking = 0.6**2 / (2.0 * CONFIG.limits.v_braking)
+    assert SETTINGS.follow_blind_distance - 0.35 < distance + braking < SETTINGS.follow_blind_distance - 0.1
+    following.after(standing())
+    assert "does not acknowledge" in loop.wait_reason and goal.ending is None
+    goal.unheard, goal.heard_at = 0, goal.heard_at + 2.0
+    following.after(standing())
+    assert loop.wait_reason == ""
+    goal.unheard = 3
+    monkeypatch.setattr(follow_goal.time, "monotonic", lambda: goal.heard_at + 5.1)
+    following.after(standing())
+    assert goal.end.outcome is GoalOutcome.ABORTED and "its client has ended" in goal.end.words
+
+
+def test_speed_of_a_path_is_limited_so_that_the_blind_distance_suffices():
+    limited, free = (
+        path_limits(CONFIG, np.eye(2), NodeSettings(follow_speed_share=1.0, follow_blind_distance=distance)).v
+        for distance in (0.2, 0.0)
+    )
+    delay = follow_goal._SILENCE + follow_goal._REACTION
+    assert limited * delay + limited**2 / (2.0 * CONFIG.limits.v_braking) == pytest.approx(0.2)
+    assert free == min(CONFIG.limits.v, CONFIG.limits.wheel_speed) > limited

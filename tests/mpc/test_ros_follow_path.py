@@ -158,21 +158,55 @@ def test_each_goal_of_a_fast_burst_gets_one_answer_and_one_result(parts, goals, 
         assert not np.any(follow.base.commands[-1])
 
 
-@pytest.mark.parametrize("how", ["terminate", pytest.param("kill", marks=pytest.mark.long)])
-def test_goal_of_an_ended_client_brakes(parts, how):
-    """One that is killed says nothing: the middleware forgets it after its lease."""
-    # Long enough for 25 s at 0.6 m/s.
-    path = np.column_stack([np.linspace(0.0, 20.0, 401), np.zeros((401, 2))])
-    with parts.following(follow_client_timeout=0.5) as follow:
-        follow.client.send("a", path)
-        follow.driven()
-        since, place = len(follow.base.commands), pose(follow)[0]
+# Long enough for 25 s at 0.6 m/s.
+LONG = np.column_stack([np.linspace(0.0, 20.0, 401), np.zeros((401, 2))])
+SPEED = 0.59
+
+
+def drives_at_speed(follow, pace):
+    follow.until(lambda: follow.base.commands[-1][0] > SPEED, "its speed", pace=pace)
+
+
+@pytest.mark.parametrize("how", ["terminate", "kill"])
+@pytest.mark.parametrize("distance", [1.0, 0.6])
+def test_robot_brakes_within_the_blind_distance_of_an_ended_client(parts, how, distance):
+    with parts.following(follow_blind_distance=distance) as follow:
+        follow.client.send("a", LONG)
+        drives_at_speed(follow, parts.DT)
+        since = len(follow.base.commands)
         getattr(follow.client.process, how)()
+        follow.until(lambda: follow.client.process.poll() is not None, "the end of the client", pace=parts.DT)
+        place = pose(follow)[0]
         follow.until(lambda: not np.any(follow.base.commands[-1]), "the stop", pace=parts.DT)
         limits = follow.made.node._controller.config.limits
         braking = np.array([limits.v_braking, limits.omega_braking]) * parts.DT
         assert (np.abs(np.diff(commanded(follow, since), axis=0)) <= braking * 1.001).all()
-        assert pose(follow)[0] < place + (1.2 if how == "terminate" else 15.0)
+        assert pose(follow)[0] < place + distance
+
+
+@pytest.mark.parametrize("dead", ["owner", "other"])
+def test_goal_depends_on_its_own_client_only(parts, dead):
+    with parts.following() as follow:
+        follow.client.send("first", STRAIGHT[:20])
+        follow.ended("first")
+        second = parts.Client()
+        try:
+            follow.until(lambda: second.events, "the second client", pace=parts.DT)
+            owner, idle = (follow.client, second) if dead == "other" else (second, follow.client)
+            owner.send("a", LONG)
+            drives_at_speed(follow, parts.DT)
+            place = pose(follow)[0]
+            (owner if dead == "owner" else idle).process.kill()
+            if dead == "owner":
+                follow.until(lambda: not np.any(follow.base.commands[-1]), "the stop", pace=parts.DT)
+                assert pose(follow)[0] < place + 1.0
+            else:
+                # It may brake meanwhile, where discovery is slow, but goes on.
+                follow.until(lambda: pose(follow)[0] > place + 2.0, "two more metres", pace=parts.DT)
+                assert owner.result("a") is None
+        finally:
+            second.process.kill()
+            second.close()
 
 
 def test_goal_is_aborted_without_odometry_or_progress(parts):

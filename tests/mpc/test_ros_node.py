@@ -1,6 +1,8 @@
 """Lifecycle, services, references by topic and what the node publishes, over DDS."""
 
+import itertools
 import math
+import pkgutil
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from geometry_msgs.msg import Transform, Vector3Stamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, drive_along, stack
 from std_msgs.msg import String
@@ -107,12 +110,69 @@ def test_failed_configuration_reports_its_reason():
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
 
 
-def test_exception_in_a_transition_leaves_the_node_unconfigured(monkeypatch):
+BUILDERS = "diffdrive_mpc.mpc.ros.node."
+PARTS = ("references", "speed_limit", "follow_path", "bond", "rivals", "recording")
+STEPS = {name: (BUILDERS + name, 0) for name in ("load_trajectory", "check_speeds", "Controller", "Frames", "listen")}
+STEPS |= {name: (BUILDERS + name, 0) for name in ("Inbox", "Publishers", "SideProcess", "NodeTools")}
+STEPS |= {f"subscription {count}": (BUILDERS + "subscribe_bounded", count) for count in (0, 1)}
+STEPS |= {f"guard condition {count}": (f"{BUILDERS}TrackingNode.create_guard_condition", count) for count in (0, 1)}
+STEPS |= {"timer": (f"{BUILDERS}TrackingNode.create_timer", 0)}
+
+
+def entities(node):
+    kinds = (node.publishers, node.subscriptions, node.services, node.timers, node.guards, node._managed_entities)
+    return [len(list(kind)) for kind in kinds]
+
+
+def fail_at(monkeypatch, target, count, error):
+    """Raise `error` at call number `count` of a step of the configuration."""
+    owner, _, name = target.rpartition(".")
+    owner = pkgutil.resolve_name(owner.replace("node.TrackingNode", "node:TrackingNode"))
+    step, calls = getattr(owner, name), itertools.count()
+
+    def run(*arguments, **options):
+        if next(calls) == count:
+            raise error
+        return step(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, run)
+
+
+def check_failed_configuration(s, monkeypatch, capfd, *step):
+    before = entities(s.node)
+    with monkeypatch.context() as patch:
+        fail_at(patch, *step)
+        capfd.readouterr()
+        s.node.trigger_configure()
+        lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 1 and "no memory" in lines[0]
+    assert "no memory" in s.node.failure
+    assert (s.state, s.node.label) == ((State.PRIMARY_STATE_UNCONFIGURED, "unconfigured"), "unconfigured")
+    assert entities(s.node) == before, step
+
+
+@pytest.mark.parametrize("error", [ValueError("no memory"), RuntimeError("no memory")], ids=type)
+def test_failed_step_of_the_configuration_leaves_the_node_unconfigured(error, monkeypatch, capfd):
+    monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.listen", lambda node, frames: [])
+    with stack(autostart=False, use_tf=True) as s:
+        for target, count in STEPS.values():
+            check_failed_configuration(s, monkeypatch, capfd, target, count, error)
+        for name in PARTS:
+            target = f"{type(s.node.parts[name]).__module__}:{type(s.node.parts[name]).__name__}.configure"
+            check_failed_configuration(s, monkeypatch, capfd, target, 0, error)
+        assert s.change(Transition.TRANSITION_CONFIGURE)
+        assert s.change(Transition.TRANSITION_ACTIVATE)
+
+
+def test_configuration_that_fails_at_activation_is_built_anew_at_the_next(monkeypatch):
     with stack(autostart=False) as s:
-        monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.Controller", lambda _: 1 / 0)
-        assert not s.change(Transition.TRANSITION_CONFIGURE)
-        assert s.node.failure == "ZeroDivisionError: division by zero"
-        assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
+        assert s.change(Transition.TRANSITION_CONFIGURE)
+        s.node.set_parameters([Parameter("odom_timeout", value=0.3)])
+        with monkeypatch.context() as patch:
+            fail_at(patch, BUILDERS + "Publishers", 0, ValueError("no memory"))
+            assert not s.change(Transition.TRANSITION_ACTIVATE)
+        assert s.change(Transition.TRANSITION_ACTIVATE)
+        assert s.node._settings.odom_timeout == 0.3 and s.base.run(3).shape == (3, 2)
 
 
 def test_start_pause_and_reset_services_change_the_state():

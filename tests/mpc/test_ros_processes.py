@@ -13,7 +13,7 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
-from ros_parts import DT, PATIENCE, FakeBase, in_name_space, stack
+from ros_parts import CONFIG, DT, PATIENCE, FakeBase, in_name_space, stack
 
 from commands import invoke
 from diffdrive_mpc import load_trajectory
@@ -25,13 +25,11 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 
 @pytest.fixture
-def driving():
-    """A base, and the process that drives it in simulated time."""
-    process = subprocess.Popen(
-        [COMMAND, "node", "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "start_at_robot:=false"],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+def driving(request):
+    """A base, and the process that drives it in simulated time; the parameter is the node's `shutdown_time`."""
+    words = ["-p", "use_sim_time:=true", "-p", "start_at_robot:=false"]
+    words += ["-p", f"shutdown_time:={getattr(request, 'param', 1.0)}"]
+    process = subprocess.Popen([COMMAND, "node", "--drive", "--ros-args", *words], stderr=subprocess.PIPE, text=True)
     base = FakeBase(lambda: time.sleep(0.001))
     try:
         base.until(lambda: moving(base, process), "the first command that moves the robot")
@@ -51,16 +49,48 @@ def moving(base, process):
     return base.commands and any(base.commands[-1])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_node_sends_zero_last(driving, number):
-    base, process = driving
+def end_with(base, process, *numbers, ticks=True):
+    """Send signals and wait for the end of the process, its clock running or not; return its commands since (n, 2)."""
+    count = len(base.commands)
     assert any(base.commands[-1])
-    process.send_signal(number)
+    process.send_signal(numbers[0])
+    for number in numbers[1:]:
+        time.sleep(0.3)
+        process.send_signal(number)
+    while ticks and process.poll() is None:
+        heard = len(base.commands)
+        base.advance_clock()
+        base.until(lambda: len(base.commands) > heard or process.poll() is not None, "a command or the end")  # noqa: B023
+        base.plant.advance(base.commands[-1])
     base.until(lambda: process.poll() is not None, "the end of the process")
     for _ in range(20):
         base.spin()
     assert base.commands[-1] == (0.0, 0.0)
     assert process.returncode == 0
+    return np.array(base.commands[count - 1 :])
+
+
+@pytest.mark.parametrize("driving", [20.0], indirect=True)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_node_brakes_by_its_ramp_and_sends_zero_last(driving, number):
+    commands = end_with(*driving, number)
+    braking = np.array([CONFIG.limits.v_braking, CONFIG.limits.omega_braking]) * DT
+    assert (np.abs(np.diff(commands, axis=0)) <= braking * 1.001).all()
+    assert (np.diff(np.abs(commands[:, 0])) <= 1e-9).all()
+
+
+@pytest.mark.parametrize("driving", [0.5], indirect=True)
+def test_braking_ends_after_shutdown_time_where_the_clock_stands(driving):
+    start = time.monotonic()
+    assert len(end_with(*driving, signal.SIGTERM, ticks=False)) == 2
+    assert time.monotonic() - start > 0.5
+
+
+@pytest.mark.parametrize(
+    ("driving", "numbers"), [(1000.0, [signal.SIGINT, signal.SIGTERM]), (0.0, [signal.SIGINT])], indirect=["driving"]
+)
+def test_second_signal_or_no_shutdown_time_sends_zero_at_once(driving, numbers):
+    assert len(end_with(*driving, *numbers, ticks=False)) == 2
 
 
 def test_killed_node_sends_no_command(driving):
@@ -77,6 +107,7 @@ def test_killed_node_sends_no_command(driving):
         (["--trajectory", "circel", "--autostart"], "unknown trajectory 'circel'"),
         (["--set", "weights.acros=1"], "did you mean 'weights.across'?"),
         (["--trajectry", "s"], "unknown argument '--trajectry'"),
+        (["--ros-args", "-p", "follow_client_timeout:=1.0"], "set follow_blind_distance [m] instead"),
     ],
 )
 def test_failed_start_is_reported_in_one_line(words, line):

@@ -100,6 +100,9 @@ def test_second_publisher_on_an_input_stops_the_robot_until_it_leaves():
         forger.destroy_publisher(odometry)
         s.base.until(lambda: not s.loop.objection, "the end of it")
         forger.destroy_node()
+        # It stood for longer than failure.resume_within.
+        assert not s.base.run(20).any()
+        assert s.trigger("resume").success
         assert s.base.run(40)[-1, 0] > 0.1
 
 

@@ -70,7 +70,8 @@ def test_robot_brakes_without_good_odometry_and_then_resumes(tamper, reason):
         braking = s.base.run(2)
         assert s.loop.last.mode == Mode.BRAKING
         assert reason in s.loop.last.message
-        stopped = s.base.run(BRAKING)
+        # Less than failure.resume_within altogether.
+        stopped = s.base.run(ticks(0.6))
         assert not stopped[-1].any()
         assert s.loop.last.mode == Mode.STOPPED
         s.base.tamper = lambda odometry: odometry

@@ -135,7 +135,13 @@ class OracleController:
         self.plan_age = 0
         self.carried, self.passing = 0.0, np.zeros(2)
         self.result: OracleStep | None = None
-        self.has_driven = self.latched = self.finished = False
+        self.has_driven = self.latched = self.finished = self.in_outage = False
+        self.time = self.sound = 0.0
+        self.cause = ""
+
+    def resume(self) -> None:
+        """Drive on after a failure that left the robot waiting."""
+        self.latched, self.sound, self.cause = False, self.time, ""
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
@@ -158,11 +164,15 @@ class OracleController:
             self._configure(self.pending)
             self.pending = None
         notes: list[str] = []
+        self.gap = 0.0 if self.clock.last is None else t - self.clock.last
         kind, fault = self.clock.judge(t)
         notes += [fault] if fault else []
         if kind is TickKind.REPEATED and self.result is not None:
             notes += self.estimator.update(t, measurement)
             return replace(self.result, message="; ".join(notes))
+        self.in_outage = False
+        if kind in (TickKind.NEW, TickKind.PAUSED):
+            self.time = t
         if kind is TickKind.NEW:
             outcome = self._tick(t, measurement, notes, hold)
             self.estimator.commands.append(outcome.command)
@@ -170,6 +180,8 @@ class OracleController:
             outcome = self._lost_time(kind, notes)
             # No interval of the model begins here: the command in force since the last tick has changed.
             self.estimator.commands.correct_last(outcome.command)
+        if not self.in_outage:
+            self.sound = self.time
         self.last = outcome.command
         self.has_driven |= outcome.mode is Mode.TRACKING
         plan = outcome.plan
@@ -190,7 +202,8 @@ class OracleController:
 
     def _lost_time(self, kind: TickKind, notes: list[str]) -> Outcome:
         """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
-        outcome = self._brake(notes)
+        gap, most = self.gap, self.config.failure.resume_within
+        outcome = self._brake(notes, waits=(kind is TickKind.PAUSED and gap > most) or gap < -most)
         if kind is TickKind.PAUSED:
             self.estimator.forget()
             self.estimator.commands.clear()
@@ -205,26 +218,32 @@ class OracleController:
         rate = estimator.rate
         notes += rate.words()
         if hold is not None:
-            return self._brake(notes, hold.reason, failure=hold.failure)
+            failing = hold.failure or hold.waits
+            return self._brake(notes, hold.reason, failure=failing, outage=hold.failure, waits=hold.waits)
         if not estimator.ready:
             notes += rate.missing()
-            return self._brake(notes, "no pose has arrived yet")
-        if estimator.moved and not self._restart():
-            return self._brake(notes, "poses agree that the robot is somewhere else")
+            return self._brake(notes, "no pose has arrived yet", outage=True)
+        if estimator.moved:
+            before, elsewhere = estimator.estimate.pose, "poses agree that the robot is somewhere else"
+            if not self._restart():
+                return self._brake(notes, elsewhere)
+            jump = np.hypot(*(estimator.estimate.pose - before)[:2])
+            if self.has_driven and not jump <= failure.max_position_error:
+                return self._brake(notes, elsewhere, waits=True)
         estimate = estimator.estimate
         if not np.isfinite(estimate.pose).all():
             estimator.forget()
             return self._brake(notes, "the estimate is not finite; it starts anew")
         if estimate.pose_age > failure.max_pose_age + rate.usual_age:
             notes += rate.missing()
-            return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
+            return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s", outage=True)
         if rate.rare:
             return self._brake(notes)
         if not self.fence.holds(estimator, self.last):
             size = f"{self.config.fence.length:g} by {self.config.fence.width:g} m"
             return self._brake(notes, f"its way to rest leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
-            return self._brake(notes, "stopped after a failure; call start or reset to drive on")
+            return self._brake(notes)
         self._carry(estimate.slip)
         followed = self.plan is not None and self.plan_age == 0 and self._is_astray()
         self.reach.look(
@@ -235,7 +254,8 @@ class OracleController:
         target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.speed)
         if isinstance(target, TooFar):
             limit = failure.max_position_error
-            return self._brake(notes, f"{target.distance:.2f} m from the reference; the limit is {limit} m")
+            words = f"{target.distance:.2f} m from the reference; the limit is {limit} m"
+            return self._brake(notes, words, outage=True)
         notes += [target.message] if target.message else []
         return self._track(estimate, target, notes)
 
@@ -333,11 +353,20 @@ class OracleController:
         poses = self.problem.poses(tick, twists, ahead)[:, :, 0]
         return Plan(commands, poses, tick.aim), answer.status
 
-    def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> Outcome:
+    def _brake(
+        self, notes: list[str], *reasons: str, failure: bool = True, outage: bool = False, waits: bool = False
+    ) -> Outcome:
         notes += reasons
         self.plan = self.guess = None
-        # Waiting for the first pose is no failure to be latched.
-        self.latched |= failure and self.has_driven and not self.config.failure.resume
+        self.in_outage = outage and not waits
+        lasting = self.in_outage and self.time - self.sound > self.config.failure.resume_within
+        # Before the first drive and after the end there is nothing to resume.
+        if self.has_driven and not self.finished:
+            self.latched |= waits or lasting or (failure and not self.config.failure.resume)
+        if self.latched:
+            cause = f" ({self.cause})" if self.cause else ""
+            self.cause = self.cause or "; ".join(notes)
+            notes.append(f"stopped after a failure{cause}; call start or resume to drive on")
         command = self._ramp()
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 

@@ -19,7 +19,7 @@ class OracleJudge:
         self.rules, self.began, self.now = rules, now, now
         self.path = None
         self.sent, self.commands, self.odometry, self.gyros, self.poses = [], [], [], [], []
-        self.word = None
+        self.word, self.rest_since = None, None
         self.broken, self.stopped, self.bounds = {}, None, {}
         self.events, self.placed, self.free_at = [], (-1, None), now
         self.returning, self.away_at, self.away_for, self.path_at = False, 0.0, 0.0, now
@@ -61,6 +61,7 @@ class OracleJudge:
         if self.word is not None and drives and not self.word[1]:
             self.returning, self.away_at = True, now
         if self.word is None or self.word[1] != drives:
+            self.rest_since = None if drives else now if self.word is not None else self.rest_since
             self.word = (now, drives)
 
     def gyro(self, now, stamp, rate):
@@ -81,6 +82,7 @@ class OracleJudge:
             self.free_at = now
         self._answer()
         self._gyro_against_wheels()
+        self._rest()
 
     def _answer(self):
         """Between the largest commands on their way, and what is left of larger ones."""
@@ -102,6 +104,20 @@ class OracleJudge:
             low = least if least < low else low + share * (least - low)
             self.bounds[name] = (at, high, low)
             self.judge(name, not low - margin <= found <= high + margin, r.lasting)
+
+    def _rest(self):
+        """Sum up the motion of the wheels since the robot has rolled out."""
+        r, response = self.rules.commands, self.rules.answer
+        crept = np.zeros(2)
+        if self.rest_since is not None:
+            moved = [t for t, twist in self.sent if self.moves(twist)]
+            moved_at = min(moved[-1] if moved else -np.inf, self.rest_since + r.stop_within)
+            rest_at = moved_at + response.dead_time + 3 * max(response.lag_v, response.lag_omega)
+            for before, row in zip(self.odometry, self.odometry[1:], strict=False):
+                if row[7] > max(rest_at, self.rest_since):
+                    crept += min(row[0] - before[0], 1.0) * np.array(row[1:3])
+        self.judge("creeps", abs(crept[0]) > r.rest_distance)
+        self.judge("turns_at_rest", abs(crept[1]) > r.rest_turn)
 
     def _gyro_against_wheels(self):
         r = self.rules.agreement

@@ -54,8 +54,19 @@ class Robot:
         return np.array(sent)
 
 
+REST = (0.0, 0.0)
+
+
 def stand(robot):
-    robot.drive(1.0, (0.0, 0.0))
+    robot.drive(1.0, REST)
+
+
+def finish(robot):
+    """Let the controller drive, stop and report it."""
+    robot.judge.says(robot.now, drives=True)
+    robot.judge.reference(robot.now, [[robot.now, *robot.state], [robot.now + 20.0, *robot.state]])
+    robot.judge.says(robot.now, drives=False)
+    stand(robot)
 
 
 @pytest.fixture
@@ -145,6 +156,9 @@ def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
         ("yaw_slew", lambda r: r.drive(0.1, (0.4, 1.5))),
         ("yaw_rate", lambda r: r.drive(0.1, (0.4, 2.1))),
         ("not_to_move", lambda r: (r.judge.says(r.now, drives=False), r.drive(2.0))),
+        ("creeps", lambda r: (finish(r), setattr(r, "deaf", True), r.twist.__setitem__(0, 0.029), r.drive(2.0, REST))),
+        ("creeps", lambda r: (finish(r), r.drive(2.2, (-0.029, 0.0)))),
+        ("turns_at_rest", lambda r: (finish(r), r.drive(4.0, (0.0, 0.07)))),
         ("strays", lambda r: (stand(r), r.judge.reference(r.now, r.points[:41]), r.drive(8.0, (0.04, 0.0)))),
         ("strays", lambda r: (r.judge.says(r.now, drives=True), r.drive(7.5, (0.34, 0.0)))),
         ("off_path", lambda r: (r.judge.says(r.now, drives=True), stand(r), r.drive(1.5, (0.0, 0.0)))),
@@ -165,6 +179,38 @@ def test_each_rule_stops_the_robot(robot, rule, harm):
     harm(robot)
     assert robot.judge.verdict.rule == rule
     assert "\n" not in robot.judge.verdict.words and len(robot.judge.verdict.words) > 10
+
+
+@pytest.mark.parametrize("has_driven", [True, False])
+def test_robot_is_pushed_before_but_not_after_a_drive(has_driven):
+    """A reset lets it be pushed by so much again."""
+    robot = Robot(Judge(RULES, START))
+    robot.judge.says(robot.now, drives=has_driven)
+    robot.drive(1.0, REST)
+    robot.judge.says(robot.now, drives=False)
+    robot.deaf, robot.twist = True, np.array([0.1, 0.0])
+    robot.drive(0.45, REST)
+    assert not robot.judge.verdict
+    robot.drive(0.2, REST)
+    assert robot.judge.verdict.rule == ("creeps" if has_driven else "")
+    robot.twist[0] = 0.0
+    stand(robot)
+    assert not robot.judge.reset(robot.now)
+    stand(robot)
+    assert not robot.judge.verdict
+
+
+def test_rolling_out_and_a_jump_of_the_pose_are_no_motion_at_rest(robot):
+    """The controller says that it stands while the robot still drives at full speed."""
+    robot.drive(2.0)
+    robot.judge.says(robot.now, drives=True)
+    robot.judge.says(robot.now, drives=False)
+    rolled = robot.state[0]
+    robot.drive(2.0, REST)
+    assert robot.state[0] - rolled > 0.03
+    robot.state[1] += 0.1
+    robot.drive(5.0, REST)
+    assert not robot.judge.verdict
 
 
 def test_a_robot_that_is_held_up_may_be_late(robot):
@@ -311,9 +357,12 @@ def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(away, rule):
 
 
 def random_drive(seed):
-    """A drive with something wrong, as calls: name, arguments. It begins soundly; from seed 18 on it also stands."""
+    """Yield the calls of a drive with something wrong: name, arguments. It begins soundly.
+
+    From seed 18 on it also stands, and from seed 26 on it creeps meanwhile.
+    """
     draw = np.random.default_rng(seed)
-    kind, stands = seed % 12, 1.0 if seed >= 18 else 0.0
+    kind, stands = seed % 12, 4.0 if seed >= 26 else 1.0 if seed >= 18 else 0.0
     now, state, twist, command = START, np.zeros(3), np.zeros(2), np.zeros(2)
     curve = draw.uniform(-0.5, 0.5)
     times = np.arange(0.0, 6.01, 0.1)
@@ -331,6 +380,8 @@ def random_drive(seed):
             yield "reference", (now, np.column_stack([late + times, x, y, heading]).tolist()), {}
         wrong = t > begins
         wanted = np.array([speed, curve]) * (t < 6.0 + stands and drives)
+        if seed >= 26 and not drives:
+            wanted = np.array([0.028, 0.0] if seed % 2 else [0.0, 0.075])
         if wrong:
             wanted = {
                 0: wanted * [1, -1],
@@ -360,7 +411,7 @@ def random_drive(seed):
         now += DT
 
 
-@pytest.mark.parametrize("seed", [*range(20), 24, 25])
+@pytest.mark.parametrize("seed", [*range(20), *range(24, 28)])
 def test_the_oracle_agrees(seed):
     """At every call: whether it stopped the robot, when, and why."""
     rules = RULES if seed < 12 or seed >= 18 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0)

@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from ros_parts import DT, START, FakeBase
+from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -167,6 +169,27 @@ def test_somebody_else_on_its_topic_stops_the_robot(scene):
         scene.step(SPEED)
     assert "somebody else commands the base" in scene.said
     scene.base.node.destroy_publisher(other)
+
+
+@pytest.mark.parametrize("topic", ["odom", "imu", "cmd_vel_unchecked"])
+def test_two_robots_of_one_name_on_an_input_stop_the_robot(scene, topic):
+    """A second publisher that is silent does not."""
+    kind, qos = {"odom": (Odometry, qos_profile_sensor_data), "imu": (Imu, qos_profile_sensor_data)}.get(
+        topic, (TwistStamped, QoSProfile(depth=1))
+    )
+    twin = scene.base.node.create_publisher(kind, topic, qos)
+    scene.base.until(lambda: twin.get_subscription_count() == 1, "the monitor's subscription")
+    scene.drive(0.5)
+    assert scene.said == "PASSING"
+    for _ in range(4):
+        message = kind()
+        message.header.stamp = time_message(scene.base.now)
+        if kind is TwistStamped:
+            message.twist.linear.x = SPEED
+        twin.publish(message)
+        scene.step(SPEED)
+    assert f"shares an input (two publishers on /{topic})" in scene.until_stopped(v=SPEED)
+    scene.base.node.destroy_publisher(twin)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])

@@ -57,7 +57,7 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.parametrize("part", ["judge.py", "rules.py", "ros/node.py"])
+@pytest.mark.parametrize("part", ["judge.py", "rules.py", "senders.py", "ros/node.py"])
 def test_modules_import_nothing_of_the_controller(part):
     modules = {module for module, _ in imported(PACKAGE / part) if module.startswith("diffdrive_mpc.")}
     assert {module.split(".")[1] for module in modules} <= {"models"}

@@ -1,7 +1,7 @@
 """Check the commands of a live node against the promises of docs/safety.md; needs no ROS.
 
 Each command is a tick. Between ticks it changes by at most slew, or braking, times the sample time. It may become
-zero at once if the node reports STOPPED, FAULT or IDLE, or by request (deactivation, a signal).
+zero at once if the node reports STOPPED, FAULT or IDLE, or by request (deactivation; a signal, after its ramp).
 """
 
 from __future__ import annotations

@@ -157,7 +157,7 @@ class Attacker:
     def recover(self) -> None:
         """End all attacks, restore parameters and activate the node."""
         self.base.changes.clear()
-        self.base.blocked = self.base.clock_stands = False
+        self.base.blocked = self.base.silent = self.base.clock_stands = False
         self.spin(0.1)
         steps = {
             State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE,
@@ -265,7 +265,7 @@ ACTIONS: dict[str, Callable[[Attacker, Random], object]] = {
     "reference": _reference,
     "parameters": _parameters,
     "move": _move,
-    "service": lambda attacker, random: attacker.trigger(random.choice(("start", "start", "pause", "reset"))),
+    "service": lambda attacker, random: attacker.trigger(random.choice(("start", "start", "pause", "resume", "reset"))),
     "hold": lambda attacker, random: attacker.call(SetBool, "hold", data=random.random() < 0.5),
     # Shutdown (5, 6, 7) is final.
     "transition": lambda attacker, random: attacker.transition(random.choice((1, 2, 3, 4, 3, 4, 0, 8, 10, 62, 255))),
@@ -309,6 +309,24 @@ def _named_fault(attacker: Attacker, random: Random, actions: list[str]) -> None
     deadline = (start if change else time.monotonic()) + within + SLACK
     attacker.spin(deadline + 1.0 - time.monotonic())
     attacker.account.zero.append((deadline, time.monotonic() - 0.05, actions[-1]))
+
+
+def _outage(attacker: Attacker, random: Random, actions: list[str]) -> None:
+    """Stop the messages of the base, and let it return elsewhere; after a long outage nothing moves before a start."""
+    lasting = random.random() < 0.7
+    actions.append("long outage" if lasting else "short outage")
+    attacker.spin(random.uniform(0.0, 1.0))
+    attacker.base.silent = True
+    attacker.spin(random.uniform(2.0, 5.0) if lasting else random.uniform(0.1, 0.5))
+    if lasting:
+        attacker.base.pose = [value + random.uniform(-5.0, 5.0) for value in attacker.base.pose]
+    attacker.base.silent = False
+    returned = time.monotonic()
+    if lasting:
+        attacker.spin(2.0)
+        attacker.account.zero.append((returned, time.monotonic() - 0.05, actions[-1]))
+    else:
+        attacker.wait(lambda: attacker.mode.startswith("TRACKING"), "tracking after a short outage", 5.0)
 
 
 def _terminate(attacker: Attacker, number: int) -> list[str]:
@@ -360,7 +378,7 @@ class Attack:
             if is_first:
                 attacker.recover()
                 attacker.drive()
-            (_storm if number % 2 else _named_fault)(attacker, random, actions)
+            (_named_fault, _storm, _outage)[number % 3](attacker, random, actions)
             attacker.recover()
             attacker.drive()
         except LostError as error:

@@ -41,6 +41,10 @@ class CommandRules(StrictModel):
     )
     standing_v: Positive = Field(description="a command or a motion up to this speed counts as standing [m/s]")
     standing_omega: Positive = Field(description="a command or a motion up to this yaw rate counts as standing [rad/s]")
+    rest_distance: Positive = Field(
+        0.05, description="largest distance that the wheels move after the controller says that it stands [m]"
+    )
+    rest_turn: Positive = Field(0.2, description="largest angle by which the wheels turn the robot meanwhile [rad]")
 
     @model_validator(mode="after")
     def _paces_in_order(self) -> Self:

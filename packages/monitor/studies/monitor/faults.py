@@ -231,6 +231,16 @@ class NeverStopsButSaysSo(NeverStops):
         return mode
 
 
+class CreepsAfterEnd(Fault):
+    """Sends 0.029 m/s after it has finished, which counts as standing."""
+
+    def active(self, t: float) -> bool:
+        return t >= self._end + 1.5
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [command._replace(v=0.029)]
+
+
 class StraightOn(Fault):
     """Ignores its path and drives straight on."""
 
@@ -499,6 +509,7 @@ FAULTS: dict[str, FaultBounds] = {
     "moves while paused": FaultBounds(MovesWhilePaused, 2.0),
     "never stops": FaultBounds(NeverStops, 4.0),
     "never stops, and says it has": FaultBounds(NeverStopsButSaysSo, 4.0),
+    "creeps after the end": FaultBounds(CreepsAfterEnd, 4.0),
     "spins": FaultBounds(Spins, 2.5),
     "races": FaultBounds(Races, 4.0),
     "limits creep": FaultBounds(LimitsCreep, 6.0),

@@ -15,6 +15,8 @@ enum { X, Y, THETA };
 #define TRACK_SPACING 0.015
 /* A step is never longer for a slew [s]. */
 #define LONGEST_STEP 1.0
+/* Lags after which a robot has rolled out [-]. */
+#define ROLL_OUT_LAGS 3.0
 /* Two poses of a reference are further apart in time [s]. */
 #define TINY 1e-9
 /* Rounding of a sum of samples [-]. */
@@ -84,6 +86,8 @@ static void go_on(ddmon_judge *j, double now)
     j->driven = 0.0;
     memset(j->unexplained, 0, sizeof j->unexplained);
     memset(j->broken, 0, sizeof j->broken);
+    memset(j->crept, 0, sizeof j->crept);
+    j->moved_at = now;
 }
 
 void ddmon_init(ddmon_judge *j, const ddmon_rules *rules, double now)
@@ -261,6 +265,20 @@ static void correct_place(ddmon_judge *j, double step)
     at_most(j, DDMON_POSE_TURNS, absolute(current[THETA]), rules->agreement_turn, rules->agreement_lasting);
 }
 
+/* Motion of the wheels while the controller says that it stands, once the robot has rolled out. Poses may jump and a gyro
+   drifts; wheels at rest do neither. */
+static void judge_rest(ddmon_judge *j, double step)
+{
+    const ddmon_rules *rules = j->rules;
+    double moved_at = smaller(j->moved_at, j->may_move_since + rules->commands_stop_within);
+    double lag = larger(rules->answer_lag_v, rules->answer_lag_omega);
+    int rolled_out = j->now - moved_at > rules->answer_dead_time + ROLL_OUT_LAGS * lag;
+    for (int i = 0; i < 2; i++)
+        j->crept[i] = j->rests && rolled_out ? j->crept[i] + step * j->wheels[i] : 0.0;
+    at_most(j, DDMON_CREEPS, absolute(j->crept[V]), rules->commands_rest_distance, 0.0);
+    at_most(j, DDMON_TURNS_AT_REST, absolute(j->crept[OMEGA]), rules->commands_rest_turn, 0.0);
+}
+
 void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double omega, double x, double y, double theta)
 {
     go_on(j, now);
@@ -281,6 +299,7 @@ void ddmon_odometry(ddmon_judge *j, double now, double stamp, double v, double o
     }
     judge_answer(j);
     compare_gyro(j, step);
+    judge_rest(j, step);
 }
 
 void ddmon_gyro(ddmon_judge *j, double now, double stamp, double omega)
@@ -315,6 +334,9 @@ void ddmon_says(ddmon_judge *j, double now, int drives)
     /* Where it stood its reference went on, until the controller sends it anew. */
     if (j->may_move == 0 && drives)
         let_return(j);
+    /* A robot that has not driven yet may be pushed to its place. */
+    if (drives || j->may_move == 1)
+        j->rests = !drives;
     j->may_move = drives;
 }
 
@@ -466,6 +488,8 @@ static void send(ddmon_judge *j, const double twist[2])
     }
     j->sent = 1;
     j->output_at = j->now;
+    if (moves(j->rules, twist))
+        j->moved_at = j->now;
 }
 
 static void judge_slew(ddmon_judge *j, const double twist[2], double step)
@@ -615,6 +639,7 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
     j->stamped = j->ways = j->commanded = j->sent = 0;
     j->slow_wheels = j->slow_gyro = 0.0;
     memset(j->unexplained, 0, sizeof j->unexplained);
+    memset(j->crept, 0, sizeof j->crept);
     j->driven = j->away_for = 0.0;
     let_return(j);
     j->pace = 0.5 * (j->rules->commands_slowest + j->rules->commands_quickest);
@@ -639,6 +664,8 @@ static const char *const WORDS[DDMON_RULES][2] = {
     [DDMON_COMMAND_AHEAD] = {"the stamp of a command is in the future", "s"},
     [DDMON_COMMAND_ORDER] = {"a command is older than the one before", "s"},
     [DDMON_NOT_TO_MOVE] = {"the controller says that it stands, and commands motion", "s"},
+    [DDMON_CREEPS] = {"the controller says that it stands, and the robot moves", "m"},
+    [DDMON_TURNS_AT_REST] = {"the controller says that it stands, and the robot turns", "rad"},
     [DDMON_NO_REFERENCE] = {"the robot is moved without a reference", ""},
     [DDMON_BAD_REFERENCE] = {"the reference jumps, is faster than commands may be, or is not finite", ""},
     [DDMON_STRAYS] = {"the robot is beside its path, late or early", "m"},
@@ -652,7 +679,7 @@ static const char *const WORDS[DDMON_RULES][2] = {
     [DDMON_GYRO_WHEELS] = {"gyro and wheels disagree", "rad"},
     [DDMON_ANSWER_V] = {"the robot does not drive as it is told", "m/s"},
     [DDMON_ANSWER_OMEGA] = {"the robot does not turn as it is told", "rad/s"},
-    [DDMON_OUTSIDE] = {"somebody else commands the base", ""},
+    [DDMON_OUTSIDE] = {"somebody else commands the base or shares an input", ""},
     [DDMON_CLOCK] = {"the clock went back", "s"},
     [DDMON_STILL_MOVED] = {"commands still move the robot", ""},
 };

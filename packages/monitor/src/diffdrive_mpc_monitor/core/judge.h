@@ -27,6 +27,8 @@ typedef struct {
     double commands_stop_within;     /* time for commands to become zero after the controller says that it stands [s] */
     double commands_standing_v;      /* a command or a motion up to this speed counts as standing [m/s] */
     double commands_standing_omega;  /* a command or a motion up to this yaw rate counts as standing [rad/s] */
+    double commands_rest_distance;   /* largest distance that the robot moves after the controller says that it stands [m] */
+    double commands_rest_turn;       /* largest angle by which it turns meanwhile [rad] */
     double path_distance;            /* largest distance from the stretch of path around the reference [m] */
     double path_lasting;             /* longest time for which the distance may be larger [s] */
     double path_far;                 /* largest distance of the place where the robot would stand if it braked now [m] */
@@ -78,6 +80,8 @@ enum {
     DDMON_COMMAND_AHEAD,
     DDMON_COMMAND_ORDER,
     DDMON_NOT_TO_MOVE,
+    DDMON_CREEPS,
+    DDMON_TURNS_AT_REST,
     DDMON_NO_REFERENCE,
     DDMON_BAD_REFERENCE,
     DDMON_STRAYS,
@@ -127,6 +131,9 @@ typedef struct {
     /* what the controller says of itself: 1 it drives, 0 it stands, -1 it has said nothing */
     int may_move;
     double may_move_since;
+    /* since it stands after a drive: motion of the wheels; and when the last command that moves the robot was passed on */
+    int rests;
+    double crept[2], moved_at;
     /* sensors: by wheels, gyro and poses */
     int has_odometry, has_pose, has_gyro;
     double odometry_stamp, wheels[2], gyro_stamp, gyro, pose_stamp, pose[3];

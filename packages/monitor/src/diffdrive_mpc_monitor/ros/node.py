@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
@@ -28,6 +29,7 @@ from std_srvs.srv import Trigger
 from diffdrive_mpc.models.checked_yaml import StrictModel, check
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.rules import load_rules
+from diffdrive_mpc_monitor.senders import Senders
 
 # ROS messages to plain numbers and back: the monitor's own, so that no mistake of the controller's is made twice.
 
@@ -80,7 +82,10 @@ class MonitorSettings(StrictModel, strict=True):
     odom_frame: str = Field("odom", min_length=1, description="frame_id that odometry must have [-]")
     map_frame: str = Field("map", min_length=1, description="frame_id that poses must have [-]")
     base_frame: str = Field("base_link", min_length=1, description="child_frame_id that odometry must have [-]")
-    exclusive: bool = Field(True, description="another publisher on `cmd_vel` stops the robot [-]")
+    exclusive: bool = Field(
+        True,
+        description="another publisher on `cmd_vel` stops the robot, and so do two that send on one input [-]",
+    )
 
 
 UNCHECKED, CHECKED = "cmd_vel_unchecked", "cmd_vel"
@@ -119,21 +124,22 @@ class MonitorNode(Node):
         self._settings = settings = self._read(defaults or MonitorSettings())
         self._rules = load_rules(settings.rules).with_sensors(pose=settings.use_pose_topic, gyro=settings.use_imu)
         self._judge = Judge(self._rules, self._now)
-        self._told = ""
+        self._told = self._rivals = ""
+        self._shared: set[str] = set()
         kind = TwistStamped if settings.stamped else Twist
         newest = QoSProfile(depth=1)
         self._checked = self.create_publisher(kind, CHECKED, newest)
         self._state = self.create_publisher(String, "~/state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Every command is judged, not the newest alone: one that is lost cannot be.
-        self.create_subscription(kind, UNCHECKED, self._take_command, QoSProfile(depth=50))
-        self.create_subscription(Odometry, "odom", self._take_odometry, qos_profile_sensor_data)
+        self._hear(kind, UNCHECKED, self._take_command, QoSProfile(depth=50))
+        self._hear(Odometry, "odom", self._take_odometry, qos_profile_sensor_data)
         self.create_subscription(Path, f"{settings.controller}/reference_path", self._take_reference, _LATCHED)
         self.create_subscription(String, f"{settings.controller}/mode", self._take_mode, _LATCHED)
         if settings.use_imu:
-            self.create_subscription(Imu, "imu", self._take_gyro, qos_profile_sensor_data)
+            self._hear(Imu, "imu", self._take_gyro, qos_profile_sensor_data)
         if settings.use_pose_topic:
-            self.create_subscription(PoseWithCovarianceStamped, "pose", self._take_pose, qos_profile_sensor_data)
+            self._hear(PoseWithCovarianceStamped, "pose", self._take_pose, qos_profile_sensor_data)
         self.create_service(Trigger, "~/reset", self._reset)
         in_sim_time = bool(self.get_parameter("use_sim_time").value)
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
@@ -146,6 +152,19 @@ class MonitorNode(Node):
             f"rules '{settings.rules}' ({self._rules.name}): {self.resolve_topic_name(UNCHECKED)} to "
             f"{self.resolve_topic_name(CHECKED)}"
         )
+
+    def _hear(self, kind: type[Any], topic: str, take: Callable[[Message], None], qos: QoSProfile) -> None:
+        """Subscribe to an input; two publishers that both send on it are a fault."""
+        senders, name = Senders(), self.resolve_topic_name(topic)
+
+        def hear(message: Message, info: dict[str, Any]) -> None:
+            is_shared = senders.take(info["publication_sequence_number"], time.monotonic())
+            if is_shared and name not in self._shared:
+                self._shared.add(name)
+                self._look_around()
+            take(message)
+
+        self.create_subscription(kind, topic, hear, qos)
 
     def stop(self) -> None:
         """Send zero as the last command, and wait until it has arrived, though not for long."""
@@ -213,9 +232,14 @@ class MonitorNode(Node):
         self._announce()
 
     def _look_around(self) -> None:
-        """Whether somebody else can command the base."""
-        others = self.count_publishers(self.resolve_topic_name(CHECKED)) - 1
-        self._judge.outside(self._now, wrong=self._settings.exclusive and others > 0)
+        """Whether somebody else can command the base, or an input has two publishers."""
+        # A publisher that was killed is in the graph for a while, and one that restarts is alone there later on.
+        self._shared = {name for name in self._shared if self.count_publishers(name) > 1}
+        checked = self.resolve_topic_name(CHECKED)
+        shared = sorted(self._shared) + [checked] * (self.count_publishers(checked) > 1)
+        if shared:
+            self._rivals = f"two publishers on {', '.join(shared)}"
+        self._judge.outside(self._now, wrong=self._settings.exclusive and bool(shared))
 
     def _reset(self, _: Message, response: Message) -> Message:
         """A person says that the robot may drive again."""
@@ -238,7 +262,8 @@ class MonitorNode(Node):
     @property
     def _words(self) -> str:
         verdict = self._judge.verdict
-        return f"{STOPPED}: {verdict.words}; call {self._name}/reset" if verdict else PASSING
+        rivals = f" ({self._rivals})" if verdict.rule == "outside" else ""
+        return f"{STOPPED}: {verdict.words}{rivals}; call {self._name}/reset" if verdict else PASSING
 
     def _announce(self) -> None:
         """Say what it does when that changes."""

@@ -1,0 +1,75 @@
+"""Streams of numbered messages: two drivers of a topic at once, or one driver that is started again and again."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+RESERVED = 7_000_000
+"""Start of the seeds that no threshold was chosen on."""
+BOUND = 0.3
+"""Time in which a second publisher is detected, unless its third message comes later [s]."""
+
+
+class Message(NamedTuple):
+    arrival: float
+    number: int | None
+    sent: int
+
+
+class Driver:
+    """A publisher of 10 to 200 Hz with its own clock, latency, losses and reordering."""
+
+    def __init__(self, draw, *, clock_offset=0.0):
+        self.draw, self.offset = draw, clock_offset
+        self.period = 1.0 / draw.choice([10.0, 20.0, 50.0, 100.0, 200.0, draw.uniform(10.0, 200.0)])
+        self.burst = int(draw.choice([1, 1, 1, 2, 5])) if self.period < 0.04 else 1
+        self.jitter = self.period * draw.choice([0.0, 0.05, 0.3])
+        self.loss = draw.choice([0.0, 0.0, 0.01, 0.1])
+        self.network = draw.choice([1e-4, 1e-4, 2e-3, 0.01])
+        self.overtaken = draw.choice([0.0, 0.0, 0.01, 0.05])
+
+    def messages(self, start, end, first=1):
+        """Return the messages between two times [s], numbered from `first`, in the order of arrival."""
+        draw, count = self.draw, int((end - start) / self.period)
+        sent = start + self.period * np.arange(0, count, self.burst)
+        sent = np.repeat(sent + draw.uniform(0.0, self.jitter, len(sent)), self.burst)[:count]
+        sent += 2e-4 * (np.arange(count) % self.burst)
+        arrivals = np.maximum.accumulate(sent + 1e-4 + draw.exponential(self.network, count)) + 1e-6 * np.arange(count)
+        order = np.argsort(np.arange(count) + 2.1 * (draw.random(count) < self.overtaken))
+        return [
+            Message(float(arrival), first + int(k), int(1e9 * (1e5 + sent[k] + self.offset)))
+            for arrival, k in zip(arrivals, order, strict=True)
+            if draw.random() >= self.loss
+        ]
+
+
+def without_numbers(messages, kind):
+    """Return the messages as a middleware without numbers delivers them."""
+    return [message._replace(number={"none": None, "zero": 0, "constant": 9}[kind]) for message in messages]
+
+
+def twins(seed):
+    """Return the messages of a driver and those of the second, which begins 2 to 4 s later."""
+    draw = np.random.default_rng(seed)
+    offset = 0.0 if draw.random() < 0.5 else draw.choice([-1.0, 1.0]) * 10.0 ** draw.uniform(-3.0, 3.0)
+    ours, theirs = Driver(draw), Driver(draw, clock_offset=offset)
+    start = 2.0 + draw.uniform(0.0, 2.0)
+    # Its numbers are the first ones, nearly those of the first driver, or any.
+    number = int(draw.choice([1, start / ours.period + draw.integers(-5, 6), draw.integers(1, 100_000)]))
+    return ours.messages(0.0, 8.0), theirs.messages(start, 8.0, max(1, number))
+
+
+def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
+    """Return the messages of a driver that is killed and started again `count` times; its stamps go on."""
+    draw = np.random.default_rng(seed)
+    messages, start = [], 0.0
+    driver = Driver(draw)
+    driver.overtaken *= not is_ordered
+    life = 10.0 ** draw.uniform(-0.5, 0.7)
+    for _ in range(count + 1):
+        end = start + max(min_life, life * draw.uniform(0.5, 1.5))
+        driver.loss = draw.choice([0.0, 0.01, 0.1])
+        # The reader misses what is sent before it is discovered.
+        messages += driver.messages(start, end, first=1 + int(draw.choice([0, 0, 5, 40])))
+        start = end + draw.uniform(0.1, 2.0)
+    return messages

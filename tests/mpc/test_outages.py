@@ -1,0 +1,244 @@
+"""The base is silent and comes back, perhaps elsewhere: after a long silence the robot waits for a person.
+
+The node's loop and inbox are driven without DDS in simulated time, so that long silences take little time.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+
+from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState, RefusedError
+from diffdrive_mpc.mpc.ros.conversions import pose_message, time_message
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.step_result import Mode
+
+CONFIG = load_config("ssm")
+DT = CONFIG.sample_time
+LONG = 100
+"""Outages of the acceptance."""
+
+
+class Rig:
+    """Loop, inbox and a base that can be switched off and carried away."""
+
+    def __init__(self, trajectory="circle", overrides=None, **settings):
+        self.tick_number, self.on, self.carried, self.delay = 0, True, np.zeros(3), 0.0
+        self.settings = NodeSettings(start_at_robot=False, use_imu=False, **settings)
+        self.controller = Controller(load_config("ssm", overrides or {}))
+        self.inbox = Inbox(self.settings, lambda: self.now, 0)
+        self.plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
+        self.plant.reset((0.0, 0.0, 0.0))
+        reference = load_trajectory(trajectory, self.controller.config)
+        self.loop = ControlLoop(self.controller, self.settings, self.inbox, reference, in_sim_time=True)
+        self.commands = []
+
+    @property
+    def now(self):
+        return round(1e9 * DT * self.tick_number)
+
+    def pose(self):
+        """Return the pose that the base reports: that of the plant, seen from where somebody put it."""
+        (x, y, turned), plant = self.carried, np.asarray(self.plant.true_pose)
+        c, s = math.cos(turned), math.sin(turned)
+        return np.array([x + c * plant[0] - s * plant[1], y + s * plant[0] + c * plant[1], plant[2] + turned])
+
+    def carry(self, away):
+        """Put the robot `away` (3,) from where it is [m, m, rad]."""
+        target, plant = self.pose() + away, np.asarray(self.plant.true_pose)
+        turned = target[2] - plant[2]
+        c, s = math.cos(turned), math.sin(turned)
+        shift = target[:2] - [c * plant[0] - s * plant[1], s * plant[0] + c * plant[1]]
+        self.carried = np.array([*shift, turned])
+
+    def tick(self):
+        """Run one tick: sensors, command, motion."""
+        self.tick_number += 1
+        measured = self.plant.measure()
+        message = Odometry(child_frame_id="base_link")
+        message.header.stamp = time_message(max(0, self.now - round(1e9 * self.delay)))
+        message.header.frame_id = "odom"
+        message.pose.pose = pose_message(self.pose())
+        message.twist.twist.linear.x, message.twist.twist.angular.z = map(float, measured.wheel_twist.value)
+        if self.on:
+            self.inbox.take_odometry(message)
+        if self.settings.poses_from == "topic":
+            pose = PoseWithCovarianceStamped()
+            pose.header.stamp, pose.header.frame_id = time_message(self.now), "map"
+            pose.pose.pose = message.pose.pose
+            self.inbox.take_pose(pose)
+        result = self.loop.tick()
+        # A base that is switched off rolls out.
+        self.plant.advance(result.command if self.on else (0.0, 0.0))
+        self.commands.append(result.command)
+        return result
+
+    def run(self, seconds):
+        """Run for `seconds` [s]; return the commands (n, 2)."""
+        return np.array([self.tick().command for _ in range(round(seconds / DT))])
+
+    def start_drive(self, seconds=2.0):
+        """Drive along the reference for `seconds` [s]."""
+        self.run(3 * DT)
+        self.loop.start()
+        return self.run(seconds)
+
+
+def drawn_place(random):
+    """Return a displacement (3,) from nothing to several metres, any heading."""
+    away, side = random.choice([0.0, 0.3, 1.0, 4.0]) * random.uniform(0.5, 1.5), random.uniform(-math.pi, math.pi)
+    return np.array([away * math.cos(side), away * math.sin(side), random.uniform(-math.pi, math.pi) * (away > 0)])
+
+
+def silent_base(seed, **settings):
+    """Switch the base off for 2 to 600 s and on elsewhere; return the rig, and the commands from then on."""
+    random = np.random.default_rng(seed)
+    rig = Rig(random.choice(["circle", "square", "s", "cane"]), **settings)
+    rig.start_drive(random.uniform(0.5, 4.0))
+    rig.on = False
+    outage = math.exp(random.uniform(math.log(2.0), math.log(600.0)))
+    rig.run(outage / 2)
+    rig.carry(drawn_place(random))
+    rig.run(outage / 2)
+    rig.on = True
+    return rig, rig.run(5.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("pose_source", ["odometry", "topic"])
+def test_robot_stands_after_a_long_silence_of_its_base_until_start(seed, pose_source):
+    rig, commands = silent_base(seed, pose_source=pose_source)
+    assert not commands.any()
+    assert rig.loop.last.mode == Mode.STOPPED
+    assert "stopped after a failure (odometry is " in rig.loop.last.message
+    assert rig.loop.last.message.endswith("; call start or resume to drive on")
+    rig.loop.start()
+    rig.run(1.0)
+    assert np.abs(rig.commands[-1]).max() > 0.05 or "m from the reference" in rig.loop.last.message
+
+
+@pytest.mark.long
+def test_no_metre_is_driven_after_any_of_many_silences():
+    for seed in range(LONG):
+        _, commands = silent_base(7000 + seed)
+        assert not commands.any(), seed
+
+
+@pytest.mark.parametrize("outage", np.linspace(0.1, 0.9, 9).round(1))
+def test_robot_continues_after_a_short_silence(outage):
+    rig = Rig()
+    rig.start_drive()
+    rig.on = False
+    rig.run(outage)
+    rig.on = True
+    assert rig.run(2.0)[-1, 0] > 0.2
+    assert rig.loop.last.mode == Mode.TRACKING
+    assert rig.loop.last.message in ("", "the reference is late and catches up")
+
+
+def test_old_stamps_count_as_silence():
+    rig = Rig()
+    rig.run(40.0)
+    rig.start_drive()
+    rig.delay = 30.0
+    rig.run(3.0)
+    rig.delay = 0.0
+    assert not rig.run(3.0).any()
+
+
+@pytest.mark.parametrize(("leap", "waits"), [(0.7, False), (1.5, True), (-1.5, True)])
+def test_leap_of_the_clock_counts_as_an_outage_of_that_length(leap, waits):
+    rig = Rig()
+    rig.start_drive()
+    rig.tick_number += round(leap / DT)
+    rig.run(1.0)
+    assert rig.controller.is_latched is waits
+    assert rig.commands[-1].any() is np.bool_(not waits)
+
+
+def test_silence_during_a_hold_counts():
+    rig = Rig()
+    rig.start_drive()
+    rig.loop.hold(on=True)
+    rig.run(1.0)
+    rig.on = False
+    rig.run(3.0)
+    rig.on = True
+    rig.run(0.5)
+    assert rig.loop.hold(on=False) == "let go; stands after a failure; call start or resume to drive"
+    assert not rig.run(2.0).any()
+
+
+def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
+    rig = Rig("s")
+    rig.start_drive(4.0)
+    reached = rig.loop.last.result.reference[0]
+    rig.on = False
+    rig.run(1.0)
+    # Back along the path by less than max_position_error: no progress, so it drives this stretch again.
+    rig.carry(np.array([-0.5, 0.0, 0.0]))
+    rig.run(20.0)
+    rig.on = True
+    assert not rig.run(1.0).any()
+    assert rig.loop.resume() == "drives on"
+    first = rig.tick().result
+    assert first.reference_delay > 20.0
+    rig.run(5.0)
+    assert rig.loop.last.mode == Mode.TRACKING
+    sample = rig.loop.reference.sample([rig.now * 1e-9 - rig.loop.begun.t0 - rig.loop.last.result.reference_delay])
+    assert np.hypot(*(rig.pose() - sample.pose[0])[:2]) < 0.05
+    assert np.hypot(*(sample.pose[0] - reached)[:2]) > 0.5
+
+
+def test_resume_far_from_where_the_reference_waits_stays_braked():
+    rig = Rig()
+    rig.start_drive(3.0)
+    rig.on = False
+    rig.run(2.0)
+    # To the other end of the circle: on the path, and still no progress.
+    x, y, theta = rig.pose()
+    opposite = np.array([-x, 2.0 - y, theta + math.pi])
+    rig.carry(opposite - rig.pose())
+    rig.run(5.0)
+    rig.on = True
+    rig.run(1.0)
+    rig.loop.resume()
+    assert not rig.run(3.0).any()
+    assert "m from the reference; the limit is 1.0 m" in rig.loop.last.message
+    rig.loop.start()
+    assert rig.loop.state is LoopState.IDLE
+
+
+def test_jump_beyond_the_position_error_waits_and_a_smaller_one_does_not():
+    for away, waits in ((0.6, False), (4.2, True)):
+        rig = Rig()
+        rig.start_drive(3.0)
+        rig.carry(np.array([0.0, away, 0.0]))
+        rig.run(8.0)
+        assert rig.controller.is_latched is waits
+        assert rig.commands[-1].any() is not np.bool_(waits)
+
+
+def test_resume_is_refused_where_nothing_waits_and_a_new_reference_where_something_does():
+    rig = Rig()
+    with pytest.raises(RefusedError, match="nothing waits for it"):
+        rig.loop.resume()
+    rig.start_drive()
+    with pytest.raises(RefusedError, match="nothing waits for it"):
+        rig.loop.resume()
+    rig.on = False
+    rig.run(3.0)
+    with pytest.raises(RefusedError, match="odometry is 3"):
+        rig.loop.resume()
+    rig.on = True
+    rig.run(1.0)
+    with pytest.raises(RefusedError, match="call start or resume before a new reference"):
+        rig.loop.offer(load_trajectory("square"))
+    assert not rig.run(1.0).any()
+    rig.loop.pause()
+    assert rig.loop.start() == "drives on"
+    assert rig.run(2.0)[-1, 0] > 0.2

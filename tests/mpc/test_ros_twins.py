@@ -1,0 +1,136 @@
+"""Two robots of one name over DDS, and drivers that are killed and started again."""
+
+import time
+
+import pytest
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from rclpy.context import Context
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import qos_profile_sensor_data
+from ros_parts import DT, stack
+from sensor_driver import KINDS, driver, message_of
+
+from diffdrive_mpc.mpc.ros.conversions import time_message
+
+INPUTS = list(KINDS)
+SHARED = "two publishers of /fake_base publish on /{}, and nobody knows whose message is true; stop all but one"
+
+
+class Twin:
+    """A publisher under the name of the base, on the base's own thread."""
+
+    def __init__(self, kind, topic, name="fake_base"):
+        self.context = Context()
+        rclpy.init(context=self.context, args=[])
+        self.node = rclpy.create_node(name, context=self.context)
+        self.publisher = self.node.create_publisher(kind, topic, qos_profile_sensor_data)
+
+    def close(self):
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.mark.parametrize("topic", INPUTS)
+def test_activation_with_two_drivers_of_one_name_is_refused(topic):
+    with (
+        stack(autostart=False, sim_time=False, pose_topic=True, discovery_wait=5.0) as s,
+        driver([topic]),
+        driver([topic]),
+    ):
+        s.node.trigger_configure()
+        s.base.until(lambda: s.node.count_publishers(topic) == 3, "both drivers")
+        assert s.node.trigger_activate() is not TransitionCallbackReturn.SUCCESS
+        assert SHARED.format(topic) in s.node.failure
+
+
+@pytest.mark.parametrize("topic", INPUTS)
+def test_node_brakes_for_the_third_message_of_a_twin(topic):
+    with stack(drive=True, pose_topic=True) as s:
+        before = s.base.run(40)
+        twin = Twin(KINDS[topic], topic)
+        s.base.until(lambda: twin.publisher.get_subscription_count() == 1, "the node's subscription")
+        # A publisher that sends nothing is no second voice.
+        s.base.run(20)
+        assert not s.loop.objection
+        for _ in range(3):
+            twin.publisher.publish(message_of(topic, time_message(s.base.now)))
+            s.base.run(1)
+        s.base.run(1)
+        assert s.loop.objection == SHARED.format(topic)
+        braking = s.base.run(60)
+        assert not braking[-1].any() and before[-1, 0] > 0.1
+        twin.close()
+        s.base.until(lambda: not s.loop.objection, "the end of it")
+        assert s.base.run(40)[-1, 0] > 0.1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
+@pytest.mark.parametrize("topic", INPUTS)
+def test_node_brakes_in_time_for_a_twin_of_any_rate(topic, rate, record_property):
+    """Within 0.3 s of its first message, or by its third, in real time; each driver is a process."""
+    with stack(autostart=False, pose_topic=True, sim_time=False) as s, driver(INPUTS):
+        s.node.trigger_configure()
+        s.node.trigger_activate()
+        watch = dict(zip(INPUTS, (s.node._inbox.odometry, s.node._inbox.imu, s.node._inbox.pose), strict=True))[topic]
+        take, arrivals, newest = watch.series.take, [], [0]
+
+        def spin_until(condition):
+            end = time.monotonic() + 60.0
+            while not condition():
+                assert time.monotonic() < end
+                s.executor.spin_once(timeout_sec=0.01)
+
+        def note(number, sent, arrival):
+            take(number, sent, arrival)
+            # The first driver has sent far more.
+            if number < newest[0]:
+                arrivals.append(arrival)
+            newest[0] = max(newest[0], number)
+
+        spin_until(lambda: watch.accepted > 500)
+        watch.series.take = note
+        with driver([topic], rate=rate):
+            spin_until(lambda: SHARED.format(topic) in s.loop.objection)
+        now = time.monotonic()
+        record_property("time", f"{now - arrivals[0]:.3f} s, {len(arrivals)} messages")
+        assert len(arrivals) <= 3 or now - max(arrivals[0] + 0.3, arrivals[2]) < 2.0 * DT
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(50, marks=pytest.mark.long)])
+def test_killed_and_restarted_driver_does_not_stop_the_robot(count):
+    """The robot drives by its wheels while the driver of its gyro is killed and started again."""
+    with stack(drive=True, sim_time=False, discovery_wait=5.0) as s:
+        s.base.gyro = False
+        endpoints = 0
+
+        def drive(seconds):
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                s.base.drive()
+                assert not s.loop.objection
+
+        for _ in range(count):
+            accepted = s.node._inbox.imu.accepted
+            with driver(["imu"]):
+                while s.node._inbox.imu.accepted < accepted + 20:
+                    drive(DT)
+                endpoints = max(endpoints, s.node.count_publishers("imu"))
+            drive(0.1)
+        # One of the base itself, and one or more that linger.
+        assert endpoints > 2
+        # A killed driver is no reason to refuse an activation either.
+        s.node.trigger_deactivate()
+        with driver(["imu"]):
+            s.base.until(lambda: s.node.count_publishers("imu") > 2, "the driver")
+            assert s.node.trigger_activate() is TransitionCallbackReturn.SUCCESS, s.node.failure
+
+
+def test_publisher_of_commands_under_the_name_of_the_node_is_reported():
+    with stack(drive=True, exclusive_cmd_vel=True) as s:
+        s.base.run(20)
+        twin = Twin(TwistStamped, "cmd_vel", "diffdrive_mpc")
+        s.base.until(lambda: s.loop.objection.startswith("/diffdrive_mpc publishes on /cmd_vel too"), "the objection")
+        assert not s.base.run(60)[-1].any()
+        twin.close()
