@@ -74,8 +74,8 @@ class Bag:
     def __exit__(self, *_: object) -> None:
         """Close nothing: no file is held open."""
 
-    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[int, bytes]]:
-        """Yield time of receipt [ns] and bytes of the messages of some topics, in the order of the files."""
+    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic, time of receipt [ns] and bytes of the messages of some topics, in the order of the files."""
         wanted = {(known.topic, known.msgtype) for known in connections}
         budget = Budget(self._path, sum(file.stat().st_size for file in self._files))
         for topic, kind, time, data in self._messages(wanted):
@@ -84,7 +84,7 @@ class Bag:
                 if self._packed == "message":
                     content = bytes(unpacked(self._path, content, "zstd"))
                     budget.take(len(content))
-                yield time, content
+                yield topic, time, content
 
     def _messages(
         self, wanted: Collection[tuple[str, str]]

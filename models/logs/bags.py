@@ -16,10 +16,11 @@ from diffdrive_mpc.models.logs.bag_topics import (
     ODOMETRY,
     POSES,
     Decoders,
+    Request,
     TopicRows,
     motor_readers,
     opened,
-    read_topic,
+    read_topics,
     require_topics,
 )
 from diffdrive_mpc.models.logs.check_settings import check_settings
@@ -79,12 +80,11 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
                 requested[role], readers[role] = side, motor_readers(side)
         require_topics(reader, path, [(topic, readers[role]) for role, topic in requested.items()])
         findings: list[Finding] = []
-        rows = {
-            role: read_topic(
-                reader, path, topic, readers[role], topics.definitions, _stride(reader, path, topic, role, findings)
-            )
+        requests = {
+            role: Request(topic, readers[role], _stride(reader, path, topic, role, findings))
             for role, topic in requested.items()
         }
+        rows = read_topics(reader, path, requests, topics.definitions)
     times = _times(path, rows, topics, findings)
     origin = min(time.min() for time in times.values())
     signals = {

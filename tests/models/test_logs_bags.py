@@ -496,7 +496,7 @@ def test_a_compressed_bag_is_unpacked_within_bounds_and_read(tmp_path: Path) -> 
     (bag / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": said}), encoding="utf-8")
     (bag / "bag.mcap.zstd").write_bytes(zstandard.ZstdCompressor().compress(plain))
     with opened(bag) as reader:
-        assert [data for _, data in reader.messages(reader.connections)] == [b"\0" * 52]
+        assert [data for _, _, data in reader.messages(reader.connections)] == [b"\0" * 52]
     (bag / "bag.mcap.zstd").write_bytes(_zeros_in_zstd(400, _MAGIC + struct.pack("<BQ", 9, 400_000_000)))
     assert "unpacks to more than" in _refused(bag)
 
