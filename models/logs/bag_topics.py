@@ -205,16 +205,16 @@ def read_topics(
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
     deserialize = store.deserialize_ros1 if ros1 else store.deserialize_cdr
     names = {request.topic.topic for request in requests.values()}
-    there = {known.topic: known for known in reader.connections if known.topic in names}
-    for known in there.values():
+    connections = {known.topic: known for known in reader.connections if known.topic in names}
+    for known in connections.values():
         _register(path, store, known.msgtype, definitions)
-    columns = {role: _Columns(path, request, there[request.topic.topic]) for role, request in requests.items()}
+    columns = {role: _Columns(path, request, connections[request.topic.topic]) for role, request in requests.items()}
     by_topic = {name: [part for part in columns.values() if part.connection.topic == name] for name in names}
-    for name, received, data in reader.messages(there.values()):
+    for name, received, data in reader.messages(connections.values()):
         message = None
         for part in by_topic[name]:
             if part.is_due():
-                message = message or deserialize(data, there[name].msgtype)
+                message = message or deserialize(data, connections[name].msgtype)
                 part.take(received, message)
     return {role: part.rows() for role, part in columns.items()}
 

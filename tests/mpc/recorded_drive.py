@@ -91,5 +91,6 @@ def _body_twist(message: Any) -> Reading:
 def missed_samples(bag: Path, sample_time: float) -> int:
     """Return the number of periods between commands that are longer than one and a half sample times."""
     with opened(bag) as reader:
-        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
+        requests = {"commands": Request(Topic(topic="/cmd_vel"), COMMANDS)}
+        (commands,) = read_topics(reader, bag, requests).values()
     return int(np.count_nonzero(1e-9 * np.diff(command_times(commands)) > _MISSED * sample_time))
