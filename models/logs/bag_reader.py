@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.logs.bag_bounds import Budget, Inflated, unpacked
-from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapMessage, McapMetadata, mcap_content
+from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapChannel, McapMessage, mcap_content
 from diffdrive_mpc.models.logs.ros1_file import ros1_messages
 from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
 
@@ -96,13 +96,10 @@ class Bag:
                 yield from sqlite_messages(file, wanted, zstd=zstd)
             elif head.startswith(MCAP_MAGIC):
                 for content in mcap_content(file, zstd=zstd):
-                    if isinstance(content, McapMetadata):
-                        continue
-                    message = content if isinstance(content, McapMessage) else None
-                    channel = content.channel if isinstance(content, McapMessage) else content
-                    if channel.encoding == "cdr":
-                        time, data = (None, b"") if message is None else (message.log_time, message.data)
-                        yield channel.topic, channel.kind, time, data
+                    if isinstance(content, McapMessage) and content.channel.encoding == "cdr":
+                        yield content.channel.topic, content.channel.kind, content.log_time, content.data
+                    elif isinstance(content, McapChannel) and content.encoding == "cdr":
+                        yield content.topic, content.kind, None, b""
             elif head.startswith(_ROS1) and not zstd:
                 yield from ros1_messages(file)
             else:
@@ -142,12 +139,12 @@ class Bag:
 
 def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
     """Return the stated number of messages by topic."""
-    counts = {}
-    for entry in topics if isinstance(topics, list) else ():
-        topic = entry.get("topic_metadata") if isinstance(entry, Mapping) else None
-        if isinstance(topic, Mapping) and isinstance(entry.get("message_count"), int):
-            counts[str(topic.get("name"))] = int(entry["message_count"])
-    return counts
+    entries = [entry for entry in topics if isinstance(entry, Mapping)] if isinstance(topics, list) else []
+    return {
+        str(entry["topic_metadata"].get("name")): entry["message_count"]
+        for entry in entries
+        if isinstance(entry.get("topic_metadata"), Mapping) and isinstance(entry.get("message_count"), int)
+    }
 
 
 def is_ros1(path: Path) -> bool:

@@ -21,7 +21,6 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x02, 0x03,
 _KINDS = (_SCHEMA, _CHANNEL, _MESSAGE, _METADATA)
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-_BLOCK = MEGABYTE
 _LONGEST_NAME = 10_000
 
 
@@ -120,7 +119,9 @@ def _records(path: Path, zstd: bool) -> Iterator[tuple[int, memoryview]]:
             if kind == 0:
                 raise ValueError("zeros stand in place of a record")
             if kind not in (*_KINDS, _CHUNK):
-                _skip(stream, length)
+                # A compressed stream cannot be sought in.
+                while length > 0:
+                    length -= len(_exactly(stream, min(length, MEGABYTE)))
                 continue
             if length > MOST_UNPACKED + MEGABYTE:
                 raise ConfigError(
@@ -139,12 +140,6 @@ def _exactly(stream: IO[bytes] | Inflated, count: int) -> bytes:
     if len(data) < count:
         raise ValueError("it ends before its data do")
     return data
-
-
-def _skip(stream: IO[bytes] | Inflated, count: int) -> None:
-    """Read on, as what is compressed cannot be sought in."""
-    while count > 0:
-        count -= len(_exactly(stream, min(count, _BLOCK)))
 
 
 def _chunk(path: Path, record: memoryview, budget: Budget) -> memoryview:

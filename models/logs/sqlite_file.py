@@ -22,20 +22,12 @@ from diffdrive_mpc.models.input_file import MEGABYTE, open_input
 from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, Budget, Inflated
 
 SQLITE_MAGIC = b"SQLite format 3\0"
-_SAFE = (
-    "PRAGMA trusted_schema = OFF",
-    "PRAGMA temp_store = MEMORY",
-    "PRAGMA mmap_size = 0",
-    "PRAGMA cell_size_check = ON",
-)
+_SAFE = "PRAGMA trusted_schema = OFF; PRAGMA temp_store = MEMORY; PRAGMA mmap_size = 0; PRAGMA cell_size_check = ON"
 _LIMITS = {
     sqlite3.SQLITE_LIMIT_LENGTH: MOST_UNPACKED,
     sqlite3.SQLITE_LIMIT_SQL_LENGTH: MEGABYTE,
     sqlite3.SQLITE_LIMIT_COLUMN: 100,
     sqlite3.SQLITE_LIMIT_EXPR_DEPTH: 50,
-    sqlite3.SQLITE_LIMIT_ATTACHED: 0,
-    sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH: 1,
-    sqlite3.SQLITE_LIMIT_WORKER_THREADS: 0,
 }
 _TABLES = ("messages", "topics")
 _PLAIN = re.compile(r"CREATE (TABLE|INDEX|UNIQUE INDEX|TRIGGER) ", re.IGNORECASE)
@@ -120,8 +112,7 @@ def _opened(path: Path, zstd: bool) -> Iterator[tuple[sqlite3.Connection, int]]:
                     )
                 base.deserialize(content)
                 del content
-            for pragma in _SAFE:
-                base.execute(pragma)
+            base.executescript(_SAFE)
             yield base, size
         finally:
             base.close()

@@ -100,8 +100,8 @@ def test_only_files_on_a_disk_are_read(kind, tmp_path):
 def test_a_large_file_is_refused(tmp_path):
     path = tmp_path / "large.yaml"
     with path.open("wb") as file:
-        file.truncate(6_000_000)
-    with pytest.raises(ConfigError, match="larger than 5 MB"):
+        file.truncate(11_000_000)
+    with pytest.raises(ConfigError, match="larger than 10 MB"):
         read_yaml(path)
 
 
