@@ -24,22 +24,23 @@ def test_three_hundred_hostile_files_are_read_or_refused_within_bounds():
     assert any(outcome.interrupted is not None for outcome in outcomes)
 
 
-SOUND = Reading("read", 1.0, 1.0, 100.0, 0.0)
+SOUND = Reading("read", 1.0, 1.0, 0.0, 100.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("read", "interrupted", "words"),
     [
         (SOUND, None, ""),
-        (SOUND, Reading("interrupted", 1.0, 1.0, 100.0, 0.0, 0.5), ""),
+        (SOUND, Reading("interrupted", 1.0, 1.0, 0.0, 100.0, 0.0, 0.5), ""),
         (SOUND._replace(end="refused: a\x1b[2J"), None, "cannot be shown"),
         (SOUND._replace(end="hangs"), None, "hangs"),
         (SOUND._replace(end="TypeError: x"), None, "TypeError"),
         (SOUND._replace(seconds=6.0), None, "processor time"),
         (SOUND._replace(wall=16.0), None, "wall time"),
+        (SOUND._replace(wall=26.0, waited=20.0), None, ""),
         (SOUND._replace(memory=1100.0), None, "memory"),
         (SOUND._replace(temporary=70.0), None, "temporary space"),
-        (SOUND, Reading("interrupted", 4.0, 4.0, 100.0, 0.0, 3.0), "from Ctrl-C"),
+        (SOUND, Reading("interrupted", 4.0, 4.0, 0.0, 100.0, 0.0, 3.0), "from Ctrl-C"),
     ],
 )
 def test_broken_bound_is_a_fault(read, interrupted, words):
