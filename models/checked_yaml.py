@@ -10,6 +10,7 @@ from typing import Any, NoReturn, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import SchemaError
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.file_limits import file_limits
@@ -210,6 +211,10 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
         )
     try:
         return schema.model_validate(data)
+    except SchemaError as error:
+        if "KeyboardInterrupt" in str(error):  # pydantic replaces it where Ctrl-C comes while it builds the schema
+            raise KeyboardInterrupt from error
+        raise
     except ValidationError as error:
         # A sentence takes a search for the key that was meant; nobody reads a thousand of them.
         details = error.errors()

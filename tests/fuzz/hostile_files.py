@@ -103,7 +103,10 @@ class Outcome:
             "s of wall time": (self.read.wall - self.read.waited, LOAD * SECONDS),
             "MB of memory": (self.read.memory, MEMORY),
             "MB of temporary space": (self.read.temporary, TEMPORARY),
-            "s from Ctrl-C to its end": (self.interrupted.since if self.interrupted else 0.0, INTERRUPTED),
+            "s from Ctrl-C to its end, without waiting for a core": (
+                self.interrupted.since if self.interrupted else 0.0,
+                INTERRUPTED,
+            ),
         }
         return faults + [f"{value:.1f} {name}" for name, (value, most) in bounds.items() if value > most]
 
@@ -148,7 +151,7 @@ def _in_child(read: Callable[[Path], object], path: Path, folder: Path, interrup
         if now - waited > _HANGS:
             os.kill(child, signal.SIGKILL)
         elif now > interrupt and not sent:
-            sent = now
+            sent = now - waited
             os.kill(child, signal.SIGINT)
         temporary = max(temporary, _space(child, scratch))
         with suppress(OSError):  # from Linux only
@@ -159,7 +162,9 @@ def _in_child(read: Callable[[Path], object], path: Path, folder: Path, interrup
     end = report.read_text(encoding="utf-8", errors="replace") if report.exists() else ""
     if os.WIFSIGNALED(status):
         end = "hangs" if wall - waited > _HANGS else f"killed by signal {os.WTERMSIG(status)}"
-    return Reading(end, usage.ru_utime + usage.ru_stime, wall, waited, usage.ru_maxrss / 1e3, temporary, wall - sent)
+    return Reading(
+        end, usage.ru_utime + usage.ru_stime, wall, waited, usage.ru_maxrss / 1e3, temporary, wall - waited - sent
+    )
 
 
 def _inside(read: Callable[[Path], object], path: Path, scratch: Path, report: Path) -> NoReturn:
