@@ -10,6 +10,7 @@ from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -36,6 +37,15 @@ def robot_defaults(config: ControllerConfig) -> list[str]:
         if name not in groups[group].model_fields_set:
             defaults.append(f"{key} {getattr(groups[group], name):g} {unit}")
     return defaults
+
+
+def check_term_files(config: ControllerConfig) -> list[str]:
+    """List the Python files of terms, each once; raises ConfigError where one is missing. None of them is run."""
+    files = list(dict.fromkeys(term.file for term in config.terms))
+    for file in files:
+        if not is_file(file):
+            raise ConfigError(f"{file}: no such Python file; a term names it, seen from the configuration's folder")
+    return files
 
 
 def print_schema(part: str | None = None) -> None:

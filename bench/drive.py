@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from diffdrive_mpc.models.errors import ArgumentError, wrong_type
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
+from diffdrive_mpc.models.table import escaped
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
@@ -77,7 +78,7 @@ def simulate(
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
     if config and (message := starts_beyond_slew(reference, config.limits, config.sample_time)):
-        warnings.warn(message, stacklevel=2)
+        warnings.warn(escaped(message), stacklevel=2)
     # The arguments are what they should be: checked above.
     return loop.simulate(
         controller,

@@ -12,7 +12,14 @@ from typing import Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
 from diffdrive_mpc.models.input_file import MEGABYTE, is_read, read_input
-from diffdrive_mpc.models.whole_file import check_not_read, lock_folder, new_folder, reason, scratch_folder
+from diffdrive_mpc.models.whole_file import (
+    check_not_read,
+    lock_folder,
+    named_errors,
+    new_folder,
+    reason,
+    scratch_folder,
+)
 
 # Which command wrote what into a folder of results, and who is writing there now.
 
@@ -21,7 +28,7 @@ REPORT = "report.html"
 """Name of the page in a folder of results."""
 CONTENTS = ".contents.json"
 """In the folder; hidden, as nobody needs to read it."""
-_LARGEST = 50 * MEGABYTE
+_LARGEST = 16 * MEGABYTE
 
 
 Entries = dict[str, dict[str, Any]]
@@ -142,6 +149,7 @@ def staged(
             _check_kind(place, Path(name), target, folder=name in folders)
         _check_owners(place, target, files, owner)
         results, old = scratch / "new", scratch / "old"
+        stack.enter_context(named_errors(f"--out {target}", scratch))
         results.mkdir()
         yield results
         if owner and shared:

@@ -10,6 +10,7 @@ from typing import Any, NoReturn, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import SchemaError
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.file_limits import file_limits
@@ -64,16 +65,16 @@ _UniqueKeyLoader.add_implicit_resolver(
 )
 
 
-def parse_yaml(text: str, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN401 - the schema gives it a type
+def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
     """The values in `text`; nothing in it is executed.
 
     Raises
     ------
     yaml.YAMLError
-        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `most_values`, refers to itself, or
+        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `MOST_VALUES`, refers to itself, or
         a value does not fit its tag.
     """
-    _check_bounds(text, most_values)
+    _check_bounds(text)
     try:
         return yaml.load(text, Loader=_UniqueKeyLoader)
     except _UNFIT as error:  # such as the date 2020-13-40, or `!!bool z`
@@ -81,7 +82,9 @@ def parse_yaml(text: str, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN40
 
 
 def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks its type
-    """The values in `text`; raises ValueError where it is no JSON, or so deep that Python cannot read it."""
+    """The values in `text`; raises ValueError where it is no JSON, too large, or so deep that Python cannot read it."""
+    if len(text) > (most := file_limits().json_bytes):
+        raise ValueError(f"{len(text):,} bytes of JSON, at most {most:,} are read")
     try:
         return json.loads(text)
     except RecursionError as error:
@@ -101,7 +104,7 @@ class _Part:
         self.depth = max(self.depth, depth + 1)
 
 
-def _check_bounds(text: str, most_values: int) -> None:
+def _check_bounds(text: str) -> None:
     """Go through the events of the parser, which builds nothing and does not recurse."""
     whole = _Part(None)
     open_parts, known = [whole], dict[str, _Part]()
@@ -122,8 +125,8 @@ def _check_bounds(text: str, most_values: int) -> None:
             open_parts[-1].take(1, 0)
         if len(open_parts) - 1 + open_parts[-1].depth - 1 > DEEPEST:
             raise _refused(f"more than {DEEPEST} levels of lists and groups", event)
-        if open_parts[-1].values > most_values:
-            raise _refused(f"more than {most_values:,} values", event)
+        if open_parts[-1].values > MOST_VALUES:
+            raise _refused(f"more than {MOST_VALUES:,} values", event)
 
 
 def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
@@ -133,6 +136,7 @@ def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
 
 _SHOWN = 100
 """Characters of a wrong value or of a key that a message repeats."""
+_MOST_BITS = 1024
 _MOST_MISTAKES = 10
 """Mistakes that a message lists."""
 
@@ -150,8 +154,8 @@ class StrictModel(BaseModel):
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-def read_yaml(path: str | Path, most_values: int = MOST_VALUES) -> Any:  # noqa: ANN401 - the schema gives it a type
-    """Parse a YAML file of at most `most_values` keys and values without executing anything in it.
+def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a type
+    """Parse a YAML file of at most `MOST_VALUES` keys and values without executing anything in it.
 
     Raises
     ------
@@ -165,7 +169,7 @@ def read_yaml(path: str | Path, most_values: int = MOST_VALUES) -> Any:  # noqa:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     try:
-        return parse_yaml(text, most_values)
+        return parse_yaml(text)
     except yaml.MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{path}{line}: {error.problem or 'not valid YAML'}") from error
@@ -207,18 +211,25 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
         )
     try:
         return schema.model_validate(data)
+    except SchemaError as error:
+        if "KeyboardInterrupt" in str(error):  # pydantic replaces it where Ctrl-C comes while it builds the schema
+            raise KeyboardInterrupt from error
+        raise
     except ValidationError as error:
-        raise ConfigError(mistakes(where, [_sentence(schema, detail, shown) for detail in error.errors()])) from error
+        # A sentence takes a search for the key that was meant; nobody reads a thousand of them.
+        details = error.errors()
+        sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MOST_MISTAKES]]
+        raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error
 
 
-def mistakes(where: str, sentences: Sequence[str]) -> str:
-    """One line that says all mistakes of what `where` names, numbered where there are several."""
+def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:
+    """One line that says all mistakes of what `where` names, numbered where there are several, and `more` of them."""
     different = list(dict.fromkeys(sentences))
-    if len(different) == 1:
+    if len(different) + more == 1:
         return f"{where}: {different[0]}"
     listed = [f"({number}) {sentence}" for number, sentence in enumerate(different[:_MOST_MISTAKES], start=1)]
-    more = len(different) - len(listed)
-    return f"{where}: {len(different)} mistakes: {'; '.join(listed)}{f' (and {more} more)' if more else ''}"
+    more += len(different) - len(listed)
+    return f"{where}: {len(listed) + more} mistakes: {'; '.join(listed)}{f' (and {more} more)' if more else ''}"
 
 
 def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) -> str:  # noqa: ANN401 - pydantic's
@@ -233,5 +244,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     message = plain_line(str(error["msg"]).removeprefix("Value error, "))
     stated_value = error.get("input")
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
+    if isinstance(stated_value, int) and stated_value.bit_length() > _MOST_BITS:
+        plain = False  # Python prints no integer of thousands of digits
     value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""
     return f"{place}: {message}{value}" if place else message

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from diffdrive_mpc.models.table import escaped
+
 
 @dataclass(frozen=True)
 class DoubtRelevance:
@@ -136,7 +138,7 @@ class Doubt:
 
     def __str__(self) -> str:
         """One line, verdict included."""
-        return f"{self.words} ({self.verdict})"
+        return escaped(f"{self.words} ({self.verdict})")
 
 
 def lines(doubts: Iterable[Doubt]) -> tuple[str, ...]:

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from diffdrive_mpc.models.table import escaped
+
 _LONGEST_VALUE = 40
 """Characters of a value that a message repeats."""
+_LONGEST = 4000
+"""Characters of a message."""
+
+
+def _shown(message: str) -> str:
+    text = escaped(message[:_LONGEST])
+    return text if len(text) <= _LONGEST and len(message) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 class DiffdriveMpcError(Exception):
@@ -13,7 +22,12 @@ class DiffdriveMpcError(Exception):
 
     Most of its kinds are a ValueError or a RuntimeError too. An argument that no caller of a correct program gives (the
     wrong shape of an array) raises a plain ValueError, which is none of them.
+
+    Names in a message may come from a file of anybody: characters that steer a terminal stand as escapes.
     """
+
+    def __init__(self, *parts: object) -> None:
+        super().__init__(*(_shown(part) if isinstance(part, str) else part for part in parts))
 
 
 class MissingPackageError(DiffdriveMpcError, ImportError):
@@ -22,6 +36,9 @@ class MissingPackageError(DiffdriveMpcError, ImportError):
 
 class FormerNameWarning(UserWarning):
     """A file states something under a name that it had in an earlier version; it is read all the same."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(_shown(message))
 
 
 class ArgumentError(DiffdriveMpcError, TypeError):

@@ -16,7 +16,6 @@ class FileLimits:
     yaml_bytes: int
     yaml_depth: int
     yaml_values: int
-    model_values: int
     states: int
     window: int
     units: int
@@ -24,9 +23,17 @@ class FileLimits:
     multiplications: int
     weights_spare: int
     bag_chunk: int
-    bag_open: int
+    bag_database: int
+    bag_files: int
+    bag_topics: int
     bag_ratio: int
     bag_always: int
+    sqlite_steps: int
+    drive_ticks: int
+    drive_ticks_always: int
+    json_bytes: int
+    run_bytes: int
+    csv_words: int
 
 
 @cache

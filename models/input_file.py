@@ -99,7 +99,8 @@ def read_input(path: Path, most: int) -> bytes:
         As for `open_input`, or if the file is larger.
     """
     with open_input(path) as file:
-        content = file.read(most + 1)
+        # No more memory than the file has, which a file of a system may not say: then there is less to read.
+        content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most / MEGABYTE:g} MB, the most that is read")
     return content

@@ -8,7 +8,6 @@ from pathlib import Path
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.function_structure import FunctionStructure, function_structures
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -51,7 +50,7 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
             "a system of python-control becomes a model with VelocityModel.from_control(system, dead_time=(0.0, 0.0))",
         )
     path = model_path(name)
-    data = read_yaml(path, file_limits().model_values)
+    data = read_yaml(path)
     try:
         function = _function(data)
         return build_model(_checked(path, data)) if function is None else function.load(path, data)
@@ -87,7 +86,7 @@ def load_linear_model(name: str | Path) -> VelocityModel:
 def load_base_effects(name: str | Path) -> BaseEffects:
     """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
     path = model_path(name)
-    data = read_yaml(path, file_limits().model_values)
+    data = read_yaml(path)
     return BaseEffects() if _function(data) else _checked(path, data).base_effects
 
 
@@ -109,7 +108,7 @@ def model_path(name: str | Path) -> Path:
 
 def read_model_file(path: str | Path) -> ModelFile:
     """Read and check the parameter file of a linear model without building the model."""
-    return _checked(path, read_yaml(path, file_limits().model_values))
+    return _checked(path, read_yaml(path))
 
 
 def _function(data: object) -> FunctionStructure | None:

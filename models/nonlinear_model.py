@@ -82,7 +82,7 @@ class NonlinearModel:
     def __repr__(self) -> str:
         """Kind, name, order and sample time in one line."""
         return (
-            f"{type(self).__name__} '{self.name}' (a function; order {self.order}, {self.memory} past commands, "
+            f"{type(self).__name__} {self.name!r} (a function; order {self.order}, {self.memory} past commands, "
             f"samples of {self.dt:g} s)"
         )
 

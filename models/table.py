@@ -70,7 +70,7 @@ class TextTable:
         """Title, headings, rows and note."""
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
         lines = ["  ".join(self._aligned(cells, widths)).rstrip() for cells in (self.columns, *self.rows)]
-        return "\n".join(line for line in (self.title, *lines, self.note) if line)
+        return plain_text("\n".join(line for line in (self.title, *lines, self.note) if line))
 
     def markdown(self) -> str:
         """The table as a Markdown section."""
@@ -111,11 +111,18 @@ def plain_line(text: str, longest: int = LONGEST) -> str:
     return line if len(line) <= longest and len(cut) == len(text) else f"{line[: longest - 3]}..."
 
 
-def plain_text(text: str) -> str:
-    r"""`text` with its lines and tabs; other characters that cannot be printed stand as escapes such as ``\x1b``."""
+def escaped(text: str, allowed: str = "") -> str:
+    r"""Return `text` with escapes such as ``\x1b`` for characters that cannot be printed and are not in `allowed`."""
     if text.isprintable():
         return text
-    return "".join(one if one.isprintable() or one in "\n\t" or category(one) == "Zs" else _escape(one) for one in text)
+    return "".join(
+        one if one.isprintable() or one in allowed or category(one) == "Zs" else _escape(one) for one in text
+    )
+
+
+def plain_text(text: str) -> str:
+    r"""`text` with its lines and tabs; other characters that cannot be printed stand as escapes such as ``\x1b``."""
+    return escaped(text, "\n\t")
 
 
 def _escape(character: str) -> str:

@@ -124,7 +124,7 @@ class VelocityModel:
                 CHANNELS, np.diag(self.dc_gain), self.lag, self.dead_time, strict=True
             )
         ]
-        return f"VelocityModel '{self.name}' ({self.structure}, order {self.order}; {'; '.join(channels)})"
+        return f"VelocityModel {self.name!r} ({self.structure}, order {self.order}; {'; '.join(channels)})"
 
     @property
     def order(self) -> int:

@@ -95,12 +95,24 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
             draft = stack.enter_context(scratch_folder(target.parent)) / target.name
         except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
             raise ConfigError(f"{path}: cannot be written to ({reason(error)})") from error
-        yield draft
-        if not rewrites:
-            check_not_read(target, path)
-        if target.exists():
-            shutil.copymode(target, draft)
-        draft.replace(target)
+        with named_errors(path, draft.parent):
+            yield draft
+            if not rewrites:
+                check_not_read(target, path)
+            if target.exists():
+                shutil.copymode(target, draft)
+            draft.replace(target)
+
+
+@contextmanager
+def named_errors(path: str | Path, scratch: Path | None = None) -> Iterator[None]:
+    """Let OSErrors of writing name `path` where they name no file, as for a full disk, or one in `scratch`."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or (scratch and Path(str(error.filename)).is_relative_to(scratch)):
+            error.filename, error.filename2 = str(path), None
+        raise
 
 
 @contextmanager

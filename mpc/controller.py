@@ -174,9 +174,9 @@ class Controller:
     def __repr__(self) -> str:
         """What it predicts with and what it tracks, in one line."""
         config, model, reference = self._config, self.model, self._reference
-        tracked = "nothing yet" if reference is None else f"'{reference.name}'"
+        tracked = "nothing yet" if reference is None else repr(reference.name)
         return (
-            f"Controller with model '{model.name}', {config.horizon} steps of {config.sample_time:g} s ahead, tracking "
+            f"Controller with model {model.name!r}, {config.horizon} steps of {config.sample_time:g} s ahead, tracking "
             f"{tracked}"
         )
 

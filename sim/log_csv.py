@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
@@ -65,16 +68,22 @@ def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, list[str]], 
     """
     findings: list[str] = []
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header, *rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
-    if rows and len(rows[-1]) < len(header):
+        text = read_input(path, file_limits().run_bytes).decode("utf-8-sig")
+        reader = csv.reader(io.StringIO(text, newline=""))
+        header, rows, cut = next(reader, []), list[list[str]](), False
+        for row in reader:
+            if rows and len(rows[-1]) != len(header):
+                break
+            rows.append(row)
+        else:  # only the last row may be cut off
+            cut = bool(rows) and len(rows[-1]) < len(header)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
+    if rows and len(rows[-1]) != len(header) and not cut:
+        raise ConfigError(f"{path}, line {len(rows) + 1}: {len(rows[-1])} cells, the header names {len(header)}")
+    if cut:
         rows.pop()
         findings.append(f"{path.name}: the last line is cut off; it is left out")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise ConfigError(f"{path}, line {number}: {len(row)} cells, the header names {len(header)}")
     if not rows:
         raise ConfigError(f"{path}: the log holds no row; record for longer")
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))

@@ -268,7 +268,7 @@ class Run(ReadOnlyArrays):
 
     def __repr__(self) -> str:
         """What it is, in one line."""
-        return f"Run along '{self.reference.name}': {len(self.time)} ticks of {self.sample_time:g} s" + (
+        return f"Run along {self.reference.name!r}: {len(self.time)} ticks of {self.sample_time:g} s" + (
             f", ended: {self.ended}" if self.ended else ""
         )
 

@@ -48,12 +48,13 @@ def show(
 
 @config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")
 def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configuration file.")]) -> None:
-    """Check a configuration file, and that a controller can be built from it."""
-    from diffdrive_mpc.app.config_report import robot_defaults  # noqa: PLC0415 - --help does without it
+    """Check a configuration file, and that a controller can be built from it; the Python of terms is not run."""
+    from diffdrive_mpc.app.config_report import check_term_files, robot_defaults  # noqa: PLC0415 - --help needs none
     from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
 
     config = load_config(file)
-    Controller(config)
+    not_run = check_term_files(config)
+    Controller(config.model_copy(update={"terms": []}))
     echo(
         f"{file}: valid, horizon {config.horizon} steps of {config.sample_time:g} s "
         f"({config.horizon * config.sample_time:.2f} s)"
@@ -61,6 +62,8 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configurat
     unset = robot_defaults(config)
     if unset:
         echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
+    if not_run:
+        echo(f"note: not run here: {', '.join(not_run)}; a controller runs this Python, so read it before you use it")
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config schema weights")

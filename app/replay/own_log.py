@@ -99,9 +99,9 @@ def _read_mcap(path: Path, configs: LoggedConfigs) -> Recording:
 def _record_lines(path: Path) -> tuple[list[str], list[str]]:
     """Return the lines of the topics ~/tick and ~/drive; empty in a log of `simulate`."""
     lines: dict[str, list[str]] = {TICK: [], DRIVE: []}
-    for kind, channel, message in messages(path):
+    for channel, _, data in messages(path):
         if channel.topic in lines:
-            lines[channel.topic].append(str(decoded(kind, message.data).data))
+            lines[channel.topic].append(str(decoded(channel.kind, bytes(data)).data))
     return lines[TICK], lines[DRIVE]
 
 

@@ -81,7 +81,7 @@ class Identification:
 
     def __repr__(self) -> str:
         """A word: the arrays behind it fill pages."""
-        return f"<Identification '{self.report.name}'>"
+        return f"<Identification {self.report.name!r}>"
 
     def __str__(self) -> str:
         """The report, in short."""

@@ -10,24 +10,16 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.bag_bounds import check_messages, within_bounds
+from diffdrive_mpc.models.logs.bag_reader import Bag, Connection, is_ros1
 from diffdrive_mpc.models.logs.mapping import MotorTopic, Topic
 from diffdrive_mpc.models.logs.record import BoolArray
-
-if TYPE_CHECKING:
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-
-    from diffdrive_mpc.models.logs.drive_log.writer import DriveBag
-
-    Reader: TypeAlias = Reader1 | Reader2 | DriveBag
 
 Reading = tuple[float, ...]
 
@@ -131,7 +123,7 @@ class TopicRows:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Reader]:
+def opened(path: Path) -> Iterator[Bag]:
     """Open a rosbag2, its folder or one .mcap or .db3 file, or a .bag of ROS 1.
 
     Raises
@@ -139,40 +131,20 @@ def opened(path: Path) -> Iterator[Reader]:
     ConfigError
         If it cannot be read, here or while the context reads on.
     """
-    # Only those who read bags need the library.
-    from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
-    from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
-
-    from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log  # noqa: PLC0415
-    from diffdrive_mpc.models.logs.drive_log.writer import DriveBag  # noqa: PLC0415
-
     try:
-        with within_bounds(path) as there:
-            # The library takes no file in which a channel holds something else than ROS messages.
-            make = Reader1 if of_ros1(there) else DriveBag if is_drive_log(there) else Reader2
-            with make(there) as reader:
-                if isinstance(reader, Reader2):
-                    check_messages(path, reader)
-                yield reader
+        with Bag(path) as reader:
+            yield reader
     except ConfigError:
         raise
     except Exception as error:  # a damaged file fails in as many ways as there are bytes
         reason = " ".join(str(error).split()) or type(error).__name__
-        kind, rescue = ("ROS 1", "rosbag reindex") if of_ros1(path) else ("ROS 2", "ros2 bag reindex")
+        kind, rescue = ("ROS 1", "rosbag reindex") if is_ros1(path) else ("ROS 2", "ros2 bag reindex")
         raise ConfigError(
             f"{path}: cannot be read as a {kind} bag ({reason}); is it complete? `{rescue}` may save it"
         ) from error
 
 
-def of_ros1(path: Path) -> bool:
-    """Whether the path is that of a bag of ROS 1: one file that says so in its first bytes, or by its ending."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(7) == b"#ROSBAG" or path.suffix == ".bag"
-
-
-def require_topics(reader: Reader, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
+def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
     """Raise ConfigError with all topics that the bag lacks, or that are of a type without a decoder."""
     sentences, missing = [], []
     for topic, decoders in wanted:
@@ -192,53 +164,91 @@ def require_topics(reader: Reader, path: Path, wanted: Iterable[tuple[Topic, Dec
         raise ConfigError(mistakes(str(path), sentences))
 
 
-def read_topic(
-    reader: Reader,
-    path: Path,
-    topic: Topic,
-    decoders: Decoders,
-    definitions: Mapping[str, str] = MappingProxyType({}),
-    stride: int = 1,
-) -> TopicRows:
-    """Read one in `stride` messages of one topic, one after another; of a message no more is kept than its numbers.
+class Request(NamedTuple):
+    """Topic to read, the decoders of its message types, and one in how many messages is read."""
+
+    topic: Topic
+    decoders: Decoders
+    stride: int = 1
+
+
+def read_topics(
+    reader: Bag, path: Path, requests: Mapping[str, Request], definitions: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, TopicRows]:
+    """Read the requested topics in one pass over the bag; of a message no more is kept than its numbers.
 
     Message types are the library's own and those of `definitions`, files that the user names, by type; never the
     definitions inside the bag, from which it would generate code.
 
+    Parameters
+    ----------
+    reader
+        The bag.
+    path
+        Its path, for messages.
+    requests
+        By the names under which the rows are returned.
+    definitions
+        Files of message definitions by type.
+
     Raises
     ------
     ConfigError
-        If the bag has no such topic, the topic has another type, or it holds no message.
+        If the bag has no such topic, a topic has another type, or it holds no message.
     ValueError
         If messages have been lost.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
-    name = topic.topic
-    connections: list[Any] = [connection for connection in reader.connections if connection.topic == name]
-    require_topics(reader, path, [(topic, decoders)])
-    kind = connections[0].msgtype
-    decode = decoders[kind] if topic.fields is None else _reader_of(path, topic)
-    ros1 = of_ros1(path)
+    require_topics(reader, path, [(request.topic, request.decoders) for request in requests.values()])
+    ros1 = is_ros1(path)
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-    _register(path, store, kind, definitions)
-    # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
-    times, values = array("q"), array("d")
-    messages = 0
-    for _, timestamp, data in reader.messages(connections=connections):
-        messages += 1
-        if (messages - 1) % stride:
-            continue
-        message = (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, kind)
-        times.extend((timestamp, stamp(message)))
-        values.extend(decode(message))
-    promised = sum(connection.msgcount for connection in connections)
-    if messages < promised:  # the library skips what it cannot make out in a damaged file
-        raise ValueError(f"topic '{name}' holds {messages} of {promised} messages")
-    if not messages:
-        raise ConfigError(f"{path}: topic '{name}' holds no message")
-    received, stamped = (np.array(times[first::2]) for first in (0, 1))
-    return TopicRows(name, received, stamped, np.array(values).reshape(len(received), -1), stride, kind)
+    deserialize = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    names = {request.topic.topic for request in requests.values()}
+    connections = {known.topic: known for known in reader.connections if known.topic in names}
+    for known in connections.values():
+        _register(path, store, known.msgtype, definitions)
+    columns = {role: _Columns(path, request, connections[request.topic.topic]) for role, request in requests.items()}
+    by_topic = {name: [part for part in columns.values() if part.connection.topic == name] for name in names}
+    for name, received, data in reader.messages(connections.values()):
+        message = None
+        for part in by_topic[name]:
+            if part.is_due():
+                message = message or deserialize(data, connections[name].msgtype)
+                part.take(received, message)
+    return {role: part.rows() for role, part in columns.items()}
+
+
+class _Columns:
+    """Numbers of the messages of one request so far."""
+
+    def __init__(self, path: Path, request: Request, connection: Connection) -> None:
+        self.connection = connection
+        self._path, self._stride, self._messages = path, request.stride, 0
+        topic = request.topic
+        self._decode = request.decoders[connection.msgtype] if topic.fields is None else _reader_of(path, topic)
+        # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
+        self._times, self._values = array("q"), array("d")
+
+    def is_due(self) -> bool:
+        """Count a message; return True if it is one of those to take."""
+        self._messages += 1
+        return (self._messages - 1) % self._stride == 0
+
+    def take(self, received: int, message: Any) -> None:  # noqa: ANN401
+        self._times.extend((received, stamp(message)))
+        self._values.extend(self._decode(message))
+
+    def rows(self) -> TopicRows:
+        name, kind, promised = self.connection
+        if self._messages < promised:
+            raise ValueError(f"topic '{name}' holds {self._messages} of {promised} messages")
+        if not self._messages:
+            raise ConfigError(f"{self._path}: topic '{name}' holds no message")
+        received, stamped = (np.array(self._times[first::2]) for first in (0, 1))
+        order = np.argsort(received, kind="stable")
+        values = np.array(self._values).reshape(len(received), -1)
+        return TopicRows(name, received[order], stamped[order], values[order], self._stride, kind)
 
 
 def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.bag_reader import Bag
 from diffdrive_mpc.models.logs.bag_topics import (
     BATTERIES,
     COMMANDS,
@@ -16,10 +16,11 @@ from diffdrive_mpc.models.logs.bag_topics import (
     ODOMETRY,
     POSES,
     Decoders,
+    Request,
     TopicRows,
     motor_readers,
     opened,
-    read_topic,
+    read_topics,
     require_topics,
 )
 from diffdrive_mpc.models.logs.check_settings import check_settings
@@ -30,9 +31,6 @@ from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MappedWheels,
 from diffdrive_mpc.models.logs.record import Finding, ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
-
-if TYPE_CHECKING:
-    from diffdrive_mpc.models.logs.bag_topics import Reader
 
 _WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3, "battery": 2}
 _DECODERS: dict[str, Decoders] = {
@@ -82,12 +80,11 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
                 requested[role], readers[role] = side, motor_readers(side)
         require_topics(reader, path, [(topic, readers[role]) for role, topic in requested.items()])
         findings: list[Finding] = []
-        rows = {
-            role: read_topic(
-                reader, path, topic, readers[role], topics.definitions, _stride(reader, path, topic, role, findings)
-            )
+        requests = {
+            role: Request(topic, readers[role], _stride(reader, path, topic, role, findings))
             for role, topic in requested.items()
         }
+        rows = read_topics(reader, path, requests, topics.definitions)
     times = _times(path, rows, topics, findings)
     origin = min(time.min() for time in times.values())
     signals = {
@@ -155,7 +152,7 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
     return power_signals
 
 
-def _stride(reader: Reader, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
+def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
     """One in how many messages of a sensor is needed; of commands every one is."""
     count = sum(connection.msgcount for connection in reader.connections if connection.topic == topic.topic)
     if role == "command" or count < 2:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.csv_layout import open_csv, read_layout, rest_of_line
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
@@ -338,5 +339,9 @@ def _number(text: str, cell: str, words: dict[str, float]) -> float:
     try:
         return float(text or "nan")
     except ValueError:
+        if len(words) >= file_limits().csv_words and cell not in words:
+            raise ConfigError(
+                f"a cell holds '{plain_line(cell, _SHOWN)}', after {len(words):,} other words; name columns of numbers"
+            ) from None
         # Doubles near the largest are far apart: each word is a power of two further down.
         return words.setdefault(cell, _WORDS * (1 + len(words) / 1e6))

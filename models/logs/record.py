@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import VERDICTS, DoubtRelevance
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.table import escaped
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.diagnosis.streams import Streams
@@ -223,7 +224,7 @@ class Finding:
     def __str__(self) -> str:
         """One line."""
         remedy = f"; in the mapping: {', '.join(map(str, self.changes))}" if self.changes else ""
-        return f"{self.place}: {self.words}{remedy}"
+        return escaped(f"{self.place}: {self.words}{remedy}")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, parse_yaml, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
@@ -61,7 +60,7 @@ def load_config(
             "a model goes beside it: Controller('ssm', model=model)",
         )
     path = config_path(source)
-    data = read_yaml(path, file_limits().model_values)
+    data = read_yaml(path)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
     where = path.stem if path.stem == str(source) else str(path)
@@ -93,7 +92,7 @@ def config_path(name: str | Path) -> Path:
 def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:
     """Keys and values of the `text` of a configuration that stands in a `log`; raises ConfigError if it has none."""
     try:
-        values = parse_yaml(text, file_limits().model_values)
+        values = parse_yaml(text)
     except yaml.YAMLError as error:
         raise ConfigError(f"{log}: configuration: not valid YAML ({' '.join(str(error).split())})") from error
     if not isinstance(values, Mapping):

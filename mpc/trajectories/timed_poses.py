@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from io import TextIOWrapper
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import checked_number, described, wrong_type
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.csv_layout import rest_of_line
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -87,8 +88,8 @@ def _read(path: Path) -> FloatArray:
     settings = load_settings()
     most = settings.max_pieces // settings.least_pieces_per_row
     try:
-        with TextIOWrapper(open_input(path), encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
+        with open_input(path) as file:
+            reader = csv.reader(_lines(path, file))
             header = [cell.strip() for cell in next(reader, [])]
             missing = [name for name in _COLUMNS if name not in header]
             if missing:
@@ -117,6 +118,14 @@ def _read(path: Path) -> FloatArray:
             "sort the rows and drop double ones"
         )
     return rows
+
+
+def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
+    """Yield lines without their ends; a line that does not end is refused before it is read whole."""
+    coding = "utf-8-sig"
+    while line := rest_of_line(path, file):
+        yield from line.decode(coding).removesuffix("\n").removesuffix("\r").split("\r")
+        coding = "utf-8"
 
 
 def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> list[float]:

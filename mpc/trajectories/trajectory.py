@@ -112,7 +112,7 @@ class Trajectory(ABC):
     def __repr__(self) -> str:
         """Name, duration and length in one line."""
         length = float(self.sample([self.duration]).arc_length[0])
-        return f"Trajectory '{self.name}': {self.duration:.4g} s, {length:.4g} m"
+        return f"Trajectory {self.name!r}: {self.duration:.4g} s, {length:.4g} m"
 
     @abstractmethod
     def sample(self, times: ArrayLike) -> ReferenceSample:

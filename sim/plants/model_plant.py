@@ -68,7 +68,7 @@ class ModelPlant:
 
     def __repr__(self) -> str:
         """What it is, in one line."""
-        return f"ModelPlant of '{self._name}', samples of {self.sample_time:g} s"
+        return f"ModelPlant of {self._name!r}, samples of {self.sample_time:g} s"
 
     @property
     def sample_time(self) -> float:

@@ -89,7 +89,16 @@ def test_log_may_name_files_of_a_trusted_folder(run, stranger, tmp_path):
 @pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])
 def test_term_that_exits_is_refused_with_one_line(error, stranger):
     (stranger / "term.py").write_text(f"raise {error}\n")
-    code, printed, _ = call("config", "check", stranger / "config.yaml")
+    code, printed, _ = call("simulate", "--config", stranger / "config.yaml", "--plant", "model:ssm")
     assert code == 2 and f"{stranger}/term.py: running it ends with" in printed, printed
     with pytest.raises(ConfigError, match="running it ends with"):
         Controller(load_config(stranger / "config.yaml"))
+
+
+def test_config_check_names_the_python_of_terms_and_does_not_run_it(stranger):
+    code, output, _ = call("config", "check", stranger / "config.yaml")
+    assert (code, (stranger / "marker").exists()) == (0, False)
+    assert f"not run here: {stranger / 'term.py'}" in output
+    (stranger / "term.py").unlink()
+    code, output, _ = call("config", "check", stranger / "config.yaml")
+    assert code == 2 and "no such Python file" in output

@@ -6,15 +6,18 @@ import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic_core import SchemaError
 
 from diffdrive_mpc import load_model, load_trajectory
-from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, parse_yaml, read_yaml
 from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
+from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
@@ -100,8 +103,8 @@ def test_only_files_on_a_disk_are_read(kind, tmp_path):
 def test_a_large_file_is_refused(tmp_path):
     path = tmp_path / "large.yaml"
     with path.open("wb") as file:
-        file.truncate(60_000_000)
-    with pytest.raises(ConfigError, match="larger than 50 MB"):
+        file.truncate(11_000_000)
+    with pytest.raises(ConfigError, match="larger than 10 MB"):
         read_yaml(path)
 
 
@@ -169,3 +172,10 @@ def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeyp
     assert named_file("floor", shipped, "mud") == Path("mud")
     with pytest.raises(ConfigError, match=r"unknown floor 'notes': give one of dry, wet or the path of a floor file$"):
         named_file("floor", shipped, "notes", ("dry", "wet"))
+
+
+def test_ctrl_c_while_pydantic_builds_a_schema_stays_ctrl_c(monkeypatch):
+    for words, raised in (('Field "sign":\n  KeyboardInterrupt: ', KeyboardInterrupt), ("no such type", SchemaError)):
+        monkeypatch.setattr(LogMapping, "model_validate", Mock(side_effect=SchemaError(words)))
+        with pytest.raises(raised):
+            check(LogMapping, {}, "x.yaml")

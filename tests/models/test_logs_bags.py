@@ -8,7 +8,7 @@ import sqlite3
 import struct
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import lz4.frame
@@ -22,7 +22,8 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.logs import read_log, sqlite_file
 from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, unpacked
 from diffdrive_mpc.models.logs.bag_topics import opened
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
@@ -329,20 +330,21 @@ def _mcap(path: Path, body: bytes) -> Path:
 
 def _indexed(path: Path, chunks: list[bytes], mentioned: int = 1) -> Path:
     """A file whose index names each chunk so often."""
-    body, index = _MAGIC + _record(1, _text("ros2") + _text("test")), b""
+    body, index = _MAGIC + _record(1, _text("ros2") + _text("test")) + _SCHEMA + _CHANNEL, b""
     for chunk in chunks:
         size = struct.unpack("<Q", chunk[25:33])[0]
         offsets = struct.pack("<I", 10) + struct.pack("<HQ", 1, len(body) + len(chunk))
         place = struct.pack("<QQQQ", 0, 10, len(body), len(chunk))
         index += _record(8, place + offsets + struct.pack("<Q", 31) + _text("zstd") + struct.pack("<QQ", 0, size))
         body += chunk
+    body += _record(15, bytes(4))
     path.write_bytes(body + _SCHEMA + _CHANNEL + index * mentioned + _footer(len(body)))
     return path
 
 
-def _zeros_in_zstd(megabytes: int) -> bytes:
+def _zeros_in_zstd(megabytes: int, head: bytes = b"") -> bytes:
     packer = zstandard.ZstdCompressor().compressobj()
-    return b"".join([*(packer.compress(_BLOCK) for _ in range(megabytes)), packer.flush()])
+    return b"".join([packer.compress(head), *(packer.compress(_BLOCK) for _ in range(megabytes)), packer.flush()])
 
 
 def _zeros_in_lz4(megabytes: int) -> bytes:
@@ -385,18 +387,18 @@ def test_many_chunks_are_counted_together(tmp_path: Path) -> None:
 
 
 def test_chunks_of_one_time_are_not_held_together(tmp_path: Path) -> None:
-    """The library would hold all of them at once; here they are made of noise, so that each is worth its size."""
+    """They are made of noise, so that each is worth its size."""
     whole = _message(os.urandom(700_000) + bytes(40_000_000))
     packed = zstandard.ZstdCompressor().compress(whole)
     path = _indexed(tmp_path / "overlap.mcap", [_chunk(packed, "zstd", len(whole))] * 4)
-    assert "same time" in _refused(path)
+    assert "neither /odom nor /imu" in _refused(path)
 
 
-def test_an_index_that_names_a_chunk_again_and_again_is_refused(tmp_path: Path) -> None:
-    """Else it would be read as often."""
+def test_an_index_that_names_a_chunk_again_and_again_repeats_nothing(tmp_path: Path) -> None:
     whole = _message(b"")
     chunk = _chunk(zstandard.ZstdCompressor().compress(whole), "zstd", len(whole))
-    assert "index" in _refused(_indexed(tmp_path / "again.mcap", [chunk], mentioned=3))
+    with opened(_indexed(tmp_path / "again.mcap", [chunk], mentioned=3)) as reader:
+        assert reader.connections == [("/cmd_vel", "geometry_msgs/msg/Twist", 1)]
 
 
 @pytest.mark.parametrize("length", [3_000_000_000, 2**60])
@@ -464,7 +466,7 @@ def _data_base(path: Path, change: str) -> Path:
         (
             "DROP TABLE messages; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
             "data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (1, 10)",
-            "not that of a bag",
+            "not the tables of a bag",
         ),
     ],
 )
@@ -494,6 +496,59 @@ def test_a_compressed_bag_is_unpacked_within_bounds_and_read(tmp_path: Path) -> 
     (bag / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": said}), encoding="utf-8")
     (bag / "bag.mcap.zstd").write_bytes(zstandard.ZstdCompressor().compress(plain))
     with opened(bag) as reader:
-        assert [bytes(data) for _, _, data in reader.messages(reader.connections)] == [b"\0" * 52]
-    (bag / "bag.mcap.zstd").write_bytes(_zeros_in_zstd(400))
+        assert [data for _, _, data in reader.messages(reader.connections)] == [b"\0" * 52]
+    (bag / "bag.mcap.zstd").write_bytes(_zeros_in_zstd(400, _MAGIC + struct.pack("<BQ", 9, 400_000_000)))
     assert "unpacks to more than" in _refused(bag)
+
+
+@pytest.mark.parametrize("count", [2, 10_000])
+def test_file_that_is_named_again_is_refused_at_once(tmp_path: Path, count: int) -> None:
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
+    metadata = bag / "metadata.yaml"
+    stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+    stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3"] * count
+    metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"'bag.db3' {count:,} times; name each file once"):
+        read_log(bag)
+    (bag / "linked.db3").symlink_to("bag.db3")
+    stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3", "linked.db3"]
+    metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
+    with pytest.raises(ConfigError, match="under several names"):
+        read_log(bag)
+
+
+_ENDLESS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c)"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        f"DROP TABLE messages; CREATE VIEW messages AS {_ENDLESS} SELECT k AS id, 1 AS topic_id FROM c;",
+        f"DROP TABLE topics; CREATE VIEW topics AS {_ENDLESS} SELECT k AS id, '/t' AS name FROM c;",
+        "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, data);",
+        # A chain of views takes SQLite for ever to prepare, even if nobody reads one.
+        "CREATE VIEW v0 AS SELECT * FROM messages;"
+        + "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" for i in range(1, 60)),
+    ],
+)
+def test_views_and_virtual_tables_of_a_data_base_are_refused(tmp_path: Path, change: str) -> None:
+    assert "not the tables of a bag" in _refused(_data_base(tmp_path / "bag.db3", change))
+
+
+def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No exception passes through SQLite: one that Ctrl-C raises in the progress handler must not get lost."""
+
+    def interrupted(_: object) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sqlite_file._Watch, "look", interrupted)
+    monkeypatch.setattr(sqlite_file, "_STEPS", 1)
+    with pytest.raises(KeyboardInterrupt):
+        read_log(_data_base(tmp_path / "bag.db3", ""))
+
+
+def test_statement_of_too_many_steps_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sqlite_file, "_STEPS", 1)
+    limits = replace(file_limits(), sqlite_steps=3)
+    monkeypatch.setattr(sqlite_file, "file_limits", lambda: limits)
+    assert "too long" in _refused(_data_base(tmp_path / "bag.db3", ""))

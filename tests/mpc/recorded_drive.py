@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, POSES, Reading, TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, POSES, Reading, Request, TopicRows, opened, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
@@ -35,11 +35,13 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     Raises ConfigError if the bag cannot be read.
     """
     with opened(bag) as reader:
-        poses = read_topic(reader, bag, Topic(topic="/ground_truth/pose"), POSES)
-        twists = read_topic(
-            reader, bag, Topic(topic="/ground_truth/twist"), {"geometry_msgs/msg/TwistStamped": _body_twist}
-        )
-        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
+        twist = {"geometry_msgs/msg/TwistStamped": _body_twist}
+        requests = {
+            "poses": Request(Topic(topic="/ground_truth/pose"), POSES),
+            "twists": Request(Topic(topic="/ground_truth/twist"), twist),
+            "commands": Request(Topic(topic="/cmd_vel"), COMMANDS),
+        }
+        poses, twists, commands = read_topics(reader, bag, requests).values()
     moving = np.flatnonzero(commands.value.any(axis=1))
     assert moving.size, f"{bag}: every command is zero"
     start = int(command_times(commands)[moving[0]])
@@ -89,5 +91,6 @@ def _body_twist(message: Any) -> Reading:
 def missed_samples(bag: Path, sample_time: float) -> int:
     """Return the number of periods between commands that are longer than one and a half sample times."""
     with opened(bag) as reader:
-        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
+        requests = {"commands": Request(Topic(topic="/cmd_vel"), COMMANDS)}
+        (commands,) = read_topics(reader, bag, requests).values()
     return int(np.count_nonzero(1e-9 * np.diff(command_times(commands)) > _MISSED * sample_time))

@@ -33,7 +33,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.stated_robot import MakersRobot
-from diffdrive_mpc.models.table import TextTable, plain_line
+from diffdrive_mpc.models.table import TextTable, plain_line, plain_text
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
@@ -62,13 +62,13 @@ class IdentificationReport:
 
     def __repr__(self) -> str:
         """A word: the arrays behind it fill pages."""
-        return f"<IdentificationReport '{self.name}'>"
+        return f"<IdentificationReport {self.name!r}>"
 
     def __str__(self) -> str:
         """Scores, pose errors, parameters and warnings."""
         tables = [*self.scores, *self._parameter_tables]
         warnings = "\n".join(f"warning: {warning}" for warning in self.warnings)
-        return "\n\n".join([self.name, *map(str, tables), *([warnings] if warnings else [])])
+        return plain_text("\n\n".join([self.name, *map(str, tables), *([warnings] if warnings else [])]))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:

@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-import os
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from io import BytesIO
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
-from diffdrive_mpc.models.input_file import open_input
+from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import FloatArray, Measurement
-from diffdrive_mpc.models.logs.bag_bounds import Budget, WithinFile, plain_chunk
 from diffdrive_mpc.models.logs.csv_log import log_of_table
 from diffdrive_mpc.models.logs.csv_table import CsvTable
 from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
 from diffdrive_mpc.models.logs.drive_log import topics as topic
 from diffdrive_mpc.models.logs.drive_log.tick import TickRow, measurement_of, tick_schema
 from diffdrive_mpc.models.logs.mapping import FOUR_WHEELS, Columns, load_mapping
+from diffdrive_mpc.models.logs.mcap_file import McapChannel, McapContent, McapMessage, McapMetadata, mcap_content
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.logs.sampling import RawLog
+from diffdrive_mpc.models.table import plain_line
 
-if TYPE_CHECKING:
-    from mcap.records import Channel, McapRecord, Message, Metadata
+_LARGEST = 2**63
+_LEAST_TICK = 20
+"""Bytes of a packed tick."""
 
 
 @dataclass(frozen=True)
@@ -84,20 +86,17 @@ class _Found:
     rows: list[tuple[int, TickRow]] = field(default_factory=list)
     plans: dict[int, FloatArray] = field(default_factory=dict)
     cut: bool = False
+    most: int = 0
 
 
 def is_drive_log(path: Path) -> bool:
     """Whether the path is that of an MCAP file that holds a drive."""
     if path.suffix != ".mcap" or not path.is_file():
         return False
-    from mcap.records import Channel  # noqa: PLC0415 - only who reads such files needs it
-
     try:
-        return any(isinstance(record, Channel) and record.topic == topic.STATE for record in _first(path))
-    except OSError:
-        return False  # the reader of bags says what is wrong with it
-    except _broken():
-        return False
+        return any(isinstance(content, McapChannel) and content.topic == topic.STATE for content in mcap_content(path))
+    except (OSError, ValueError):
+        return False  # the reader of bags names what is wrong with it
 
 
 def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
@@ -117,11 +116,13 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     """
     path, content = Path(path), _Found()
     try:
-        for record in _records(path):
-            _take(record, content, plans=plans)
+        always = file_limits().drive_ticks_always
+        content.most = min(file_limits().drive_ticks, always + path.stat().st_size // _LEAST_TICK)
+        for record in mcap_content(path):
+            _take(path, record, content, plans=plans)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except _broken() as error:
+    except (ValueError, LookupError, struct.error) as error:  # the last two of damaged messages
         content.cut = True
         if not content.rows:
             raise ConfigError(f"{path}: is no MCAP file of a drive ({_words(error)})") from error
@@ -132,86 +133,43 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     return DriveLog(path, content.metadata, rows, kept, content.cut)
 
 
-def messages(path: Path) -> Iterator[tuple[str, Channel, Message]]:
-    """Every message with the name of its type and its channel, in the order of the file, as far as it goes."""
+def messages(path: Path) -> Iterator[McapMessage]:
+    """Every message in the order of the file, as far as it goes."""
     try:
-        yield from (record for record in _records(path) if isinstance(record, tuple))
-    except _broken():
+        yield from (content for content in mcap_content(path) if isinstance(content, McapMessage))
+    except ValueError:
         return
 
 
-def _take(record: Metadata | tuple[str, Channel, Message], content: _Found, *, plans: bool) -> None:
-    if not isinstance(record, tuple):
-        content.metadata[record.name] = dict(record.metadata)
-        return
-    _, channel, message = record
-    if channel.topic == topic.STATE:
-        row = parse_json(message.data)
-        if not isinstance(row, dict):
-            raise ValueError(f"a tick is {type(row).__name__}, not keys and values")
-        content.rows.append((message.log_time, row))
-    elif plans and channel.topic == topic.PLAN:
-        path = ros.decoded(topic.KINDS[topic.PLAN], message.data)
-        content.plans[message.log_time] = np.array([ros.planar(place.pose) for place in path.poses])
+def _check_row(row: object) -> None:
+    """Raise ValueError if a tick is none, or a cell is of another type than its column."""
+    if not isinstance(row, dict):
+        raise ValueError(f"a tick is {type(row).__name__}, not keys and values")
+    for name, cell in row.items():
+        kind = _cell_types().get(name)
+        if kind and (not isinstance(cell, kind) or (isinstance(cell, int) and abs(cell) > _LARGEST)):
+            raise ValueError(f"a tick's '{plain_line(name, 40)}' is {type(cell).__name__}, or too large")
 
 
-def _records(path: Path) -> Iterator[Metadata | tuple[str, Channel, Message]]:
-    """Metadata, and messages as `messages` has them; raises where the file ends before its end."""
-    from mcap.records import Channel, Message, Metadata, Schema  # noqa: PLC0415 - only who reads such files needs it
-
-    kinds: dict[int, str] = {}
-    channels: dict[int, Channel] = {}
-    for record in _first(path):
-        if isinstance(record, Schema):
-            kinds[record.id] = record.name
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            channel = channels[record.channel_id]
-            yield kinds.get(channel.schema_id, ""), channel, record
-        elif isinstance(record, Metadata):
-            yield record
+@cache
+def _cell_types() -> Mapping[str, tuple[type, ...]]:
+    types = {"number": (int, float), "string": (str,)}
+    columns = tick_schema()["properties"].items()
+    return {name: types[entry["type"]] for name, entry in columns if entry["type"] in types}
 
 
-def _first(path: Path) -> Iterator[McapRecord]:
-    """The records of the data section, from the first on, with one chunk unpacked at a time."""
-    from mcap.records import Chunk, DataEnd  # noqa: PLC0415
-    from mcap.stream_reader import StreamReader  # noqa: PLC0415
-
-    with open_input(path) as file:
-        budget = Budget(path, os.fstat(file.fileno()).st_size)
-        stream: Any = WithinFile(file)
-        for record in StreamReader(stream, emit_chunks=True).records:
-            if isinstance(record, DataEnd):
-                return
-            if isinstance(record, Chunk):
-                yield from _inside(plain_chunk(path, record, budget).data)
-            else:
-                yield record
-
-
-def _inside(chunk: bytes) -> Iterator[McapRecord]:
-    """The records of a chunk, one after another."""
-    from mcap.records import Chunk  # noqa: PLC0415
-    from mcap.stream_reader import StreamReader  # noqa: PLC0415
-
-    stream = BytesIO(chunk)
-    records = StreamReader(stream, skip_magic=True, emit_chunks=True).records
-    while stream.tell() < len(chunk):
-        record = next(records)
-        if not isinstance(record, Chunk):  # none has another in it
-            yield record
-
-
-def _broken() -> tuple[type[Exception], ...]:
-    """What reading raises where bytes are missing or are not what they should be."""
-    import struct  # noqa: PLC0415
-    import zlib  # noqa: PLC0415
-
-    from mcap.exceptions import McapError  # noqa: PLC0415
-    from zstandard import ZstdError  # noqa: PLC0415
-
-    return (McapError, ZstdError, zlib.error, struct.error, EOFError, ValueError, KeyError, IndexError, OverflowError)
+def _take(path: Path, record: McapContent, content: _Found, *, plans: bool) -> None:
+    if isinstance(record, McapMetadata):
+        content.metadata[record.name] = record.values
+    elif isinstance(record, McapMessage) and record.channel.topic == topic.STATE:
+        row = parse_json(bytes(record.data))
+        _check_row(row)
+        if len(content.rows) == content.most:
+            raise ConfigError(f"{path}: more than {content.most:,} ticks; cut it (`mcap filter`)")
+        content.rows.append((record.log_time, row))
+    elif isinstance(record, McapMessage) and plans and record.channel.topic == topic.PLAN:
+        drawn = ros.decoded(topic.KINDS[topic.PLAN], bytes(record.data))
+        content.plans[record.log_time] = np.array([ros.planar(place.pose) for place in drawn.poses])
 
 
 def _words(error: Exception) -> str:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
 import pytest
 
 from crashes import KILLED, REFUSED, crash
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_extras.campaign import engine
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import Row
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, Store
-from diffdrive_mpc_extras.campaign.run import read_table, run_campaign
+from diffdrive_mpc_extras.campaign.run import needs_arrow, read_table, run_campaign
 
 FILE = 'description: of a test\nruns: 3\nfactors:\n  plant: "model:sm"\n  trajectory: circle\n  config.weights.across: '
 MOMENTS = [*Random(5).sample(range(1, 40), 13), 500]
@@ -92,3 +96,66 @@ def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path
     check_whole(out)
     assert not list(out.rglob(".unfinished*"))
     assert [carried_out(file, out) for file in files] == expected
+
+
+def forge(path: Path, change: Callable[[dict[str, object]], None]) -> None:
+    record = json.loads(path.read_text(encoding="utf-8"))
+    change(record["row"])
+    path.write_text(json.dumps(record), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("column", "change"),
+    [
+        ("square", lambda row: row.update(square=-1.0)),
+        ("square", lambda row: row.update(square=math.nan)),
+        ("completed", lambda row: row.update(completed=False)),
+        ("lateral", lambda row: row.update(lateral=0.0)),
+        ("square", lambda row: row.pop("square")),
+    ],
+)
+def test_forged_figure_is_refused_by_file_run_and_column(
+    files: tuple[Path, Path], tmp_path: Path, column: str, change: Callable[[dict[str, object]], None]
+) -> None:
+    out = tmp_path / "out"
+    expected = carried_out(files[0], out)
+    path = sorted(out.glob("runs/*/*.json"))[1]
+    forge(path, change)
+    with pytest.raises(ConfigError) as error:
+        carried_out(files[0], out)
+    assert all(words in str(error.value) for words in (str(path), path.stem[:12], f"'{column}'"))
+    path.unlink()
+    assert carried_out(files[0], out) == expected
+
+
+def test_row_of_another_run_is_refused(files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    carried_out(files[0], out)
+    first, second, _ = sorted(out.glob("runs/*/*.json"))
+    second.write_bytes(first.read_bytes())
+    with pytest.raises(ConfigError, match=second.stem[:12]):
+        carried_out(files[0], out)
+
+
+def test_full_disk_is_said_with_the_name_of_the_file(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Writing fails after opening; what `os.open` refuses names its file by itself."""
+    out = tmp_path / "out"
+
+    def full(*_: object, **__: object) -> None:
+        with Path("/dev/full").open("w") as file:
+            file.write("x")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        with pytest.raises(OSError, match=r"No space left on device.*runs/.*\.json"):
+            carried_out(files[0], out)
+    carried_out(files[0], out)
+    (out / "results.parquet").unlink()
+    _, parquet = needs_arrow()
+    monkeypatch.setattr(parquet, "write_table", full)
+    with pytest.raises(OSError, match=r"No space left on device.*results\.parquet"):
+        carried_out(files[0], out)
+    assert not (out / "results.parquet").exists()
+    assert not list(out.rglob(".unfinished*"))

@@ -23,7 +23,7 @@ from two_processes import own_domain, running
 
 import diffdrive_mpc_monitor
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, Request, opened, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings, planar, seconds
@@ -208,8 +208,9 @@ def test_base_stops_the_robot_if_the_monitor_is_killed(tmp_path, monkeypatch):
             assert controller.popen.poll() is None and base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
     with opened(bag) as reader:
-        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
-        truth = read_topic(reader, bag, Topic(topic="/ground_truth/twist"), COMMANDS)
+        topics = ("/cmd_vel", "/ground_truth/twist")
+        requests = {name: Request(Topic(topic=name), COMMANDS) for name in topics}
+        commands, truth = read_topics(reader, bag, requests).values()
     since = 1e-9 * (truth.stamped - commands.received[-1])
     assert commands.value[-1, 0] > 0.2
     assert 0.5 < since[-1] < 1.5

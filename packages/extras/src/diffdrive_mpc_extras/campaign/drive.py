@@ -24,6 +24,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
+from diffdrive_mpc.models.whole_file import named_errors
 from diffdrive_mpc.mpc.config.config_file import config_path
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
@@ -184,5 +185,6 @@ def _changed(data: Mapping[str, Any], values: Overrides) -> dict[str, Any]:
 
 
 def _written(data: Mapping[str, Any], path: Path) -> str:
-    path.write_text(yaml.safe_dump(dict(data)), encoding="utf-8")
+    with named_errors(path):
+        path.write_text(yaml.safe_dump(dict(data)), encoding="utf-8")
     return str(path)

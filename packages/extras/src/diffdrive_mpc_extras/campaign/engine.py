@@ -6,6 +6,7 @@ costs nothing.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import shutil
@@ -29,7 +30,8 @@ from diffdrive_mpc.bench.runner import (
     run_tasks,
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
-from diffdrive_mpc.models.input_file import MEGABYTE
+from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.whole_file import reason, whole_file
 from diffdrive_mpc_extras.campaign.definition import LIBRARIES, Definition, identify, key_of
 from diffdrive_mpc_extras.campaign.drive import Row, built, drive
@@ -136,23 +138,42 @@ class Store:
 
     def save(self, key: str, identity: dict[str, object], row: Row) -> None:
         """Keep the row of the run with `key`, and beside it all that the key is the hash of."""
-        record = {"key": key, **identity, "row": row}
-        with whole_file(self._path(key)) as draft:
+        record = {"key": key, **identity, "row": row, "sums": _sums(key, row)}
+        with whole_file(self._path(key), rewrites=True) as draft:
             draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     def load(self, key: str) -> Row | None:
-        """The row of a run; None where there is none, or a file that holds none (cut off by a disk that was full)."""
+        """The row of a run; None where there is none, or a file that holds none (cut off by a disk that was full).
+
+        Raises ConfigError if a figure of the row is not the one that was saved.
+        """
         path = self._path(key)
         try:
-            with path.open("rb") as file:
-                row: Any = parse_json(file.read(MEGABYTE))["row"]
-        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            record: Any = parse_json(read_input(path, MEGABYTE))
+            row, sums = record["row"], record["sums"]
+        except (OSError, ValueError, KeyError, TypeError):
             return None
-        whole = isinstance(row, dict) and row.keys() >= _ALWAYS
-        return row if whole and all(isinstance(value, _CELL) for value in row.values()) else None
+        if not (isinstance(row, dict) and isinstance(sums, dict) and row.keys() >= _ALWAYS):
+            return None
+        if not all(isinstance(value, _CELL) for value in row.values()):
+            return None
+        now = _sums(key, row)
+        changed = sorted(name for name in {*now, *sums} if now.get(name) != sums.get(name))
+        if changed:
+            raise ConfigError(
+                f"{path}: run {key[:12]}, column '{changed[0]}': not what was saved (found "
+                f"{plain_line(repr(row.get(changed[0])), 40)}); remove the file, and the run is driven again"
+            )
+        return row
 
     def _path(self, key: str) -> Path:
         return self._folder / key[:2] / f"{key}.json"
+
+
+def _sums(key: str, row: Row) -> dict[str, str]:
+    """Return a checksum for each figure, over key, column and value: it finds a file that was edited or exchanged."""
+    cells = {name: json.dumps([key, name, value]).encode() for name, value in row.items()}
+    return {name: hashlib.sha256(cell).hexdigest()[:16] for name, cell in cells.items()}
 
 
 # Drive runs in processes of this machine.
@@ -257,7 +278,8 @@ def drive_all(
     text
         What the bar says.
 
-    Raises ConfigError where the store cannot be written to or a run cannot be built, before anything is driven;
+    Raises ConfigError where the store cannot be written to, a stored row was changed, or a run cannot be built, before
+    anything is driven;
     StudyFailedError where runs could not be driven.
     """
     tasks = list({task.key: task for task in map(CampaignTask.of, definitions)}.values())

@@ -1,0 +1,160 @@
+"""Topics and messages of a bag of ROS 2 or ROS 1, read from its files in order."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple, Self
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.file_limits import file_limits
+from diffdrive_mpc.models.input_file import open_input
+from diffdrive_mpc.models.logs.bag_bounds import Budget, Inflated, unpacked
+from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapChannel, McapMessage, mcap_content
+from diffdrive_mpc.models.logs.ros1_file import ros1_messages
+from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
+
+_METADATA = "metadata.yaml"
+_ROS1 = b"#ROSBAG"
+
+
+class Connection(NamedTuple):
+    """A topic, with the type and number of its messages."""
+
+    topic: str
+    msgtype: str
+    msgcount: int
+
+
+class Bag:
+    """A bag: its folder, or one .mcap, .db3 or .bag file.
+
+    Parameters
+    ----------
+    path
+        The bag.
+
+    Attributes
+    ----------
+    connections
+        Its topics; the number of messages is that of metadata.yaml where it is larger.
+    duration
+        From the first message to the last [ns].
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        On entering, if a file holds more than is read, or is named twice.
+    OSError, ValueError
+        On entering or reading, if a file is damaged or missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._files, self._packed = path, [path], ""
+        self.connections: list[Connection] = []
+        self.duration = 0
+
+    def __enter__(self) -> Self:
+        """Count the messages of each topic."""
+        promised = self._read_metadata() if self._path.is_dir() else {}
+        counts: Counter[tuple[str, str]] = Counter()
+        first, last = None, 0
+        for topic, kind, time, _ in self._messages(()):
+            counts[topic, kind] += time is not None
+            if time is not None:
+                first, last = min(time, time if first is None else first), max(time, last)
+        self.connections = [
+            Connection(topic, kind, max(count, promised.get(topic, 0))) for (topic, kind), count in counts.items()
+        ]
+        self.duration = 0 if first is None else last - first
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close nothing: no file is held open."""
+
+    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic, time of receipt [ns] and bytes of the messages of some topics, in the order of the files."""
+        wanted = {(known.topic, known.msgtype) for known in connections}
+        budget = Budget(self._path, sum(file.stat().st_size for file in self._files))
+        for topic, kind, time, data in self._messages(wanted):
+            if time is not None and (topic, kind) in wanted:
+                content = bytes(data)
+                if self._packed == "message":
+                    content = bytes(unpacked(self._path, content, "zstd"))
+                    budget.take(len(content))
+                yield topic, time, content
+
+    def _messages(
+        self, wanted: Collection[tuple[str, str]]
+    ) -> Iterator[tuple[str, str, int | None, bytes | memoryview]]:
+        zstd = self._packed == "file"
+        for file in self._files:
+            head = _head(file, zstd)
+            if head.startswith(SQLITE_MAGIC):
+                yield from sqlite_messages(file, wanted, zstd=zstd)
+            elif head.startswith(MCAP_MAGIC):
+                for content in mcap_content(file, zstd=zstd):
+                    if isinstance(content, McapMessage) and content.channel.encoding == "cdr":
+                        yield content.channel.topic, content.channel.kind, content.log_time, content.data
+                    elif isinstance(content, McapChannel) and content.encoding == "cdr":
+                        yield content.topic, content.kind, None, b""
+            elif head.startswith(_ROS1) and not zstd:
+                yield from ros1_messages(file)
+            else:
+                raise ValueError(f"'{file.name}' does not begin as a bag" if head else f"'{file.name}' is empty")
+
+    def _read_metadata(self) -> dict[str, int]:
+        """Read which files the bag has, how they are compressed, and the number of messages by topic."""
+        path = self._path / _METADATA
+        if not os.path.lexists(path):
+            raise ConfigError(f"{self._path}: the folder has no {_METADATA}; give the bag, or one of its files")
+        try:
+            stated = read_yaml(path)
+        except ConfigError as error:
+            raise ConfigError(f"{self._path}: cannot be read as a ROS 2 bag ({error})") from error
+        bag = stated.get("rosbag2_bagfile_information") if isinstance(stated, Mapping) else None
+        named = bag.get("relative_file_paths") if isinstance(bag, Mapping) else None
+        if not isinstance(bag, Mapping) or not isinstance(named, list) or not named:
+            raise ValueError(f"{_METADATA} names no files under 'relative_file_paths'")
+        names = Counter(PurePath(str(name)).name for name in named)
+        name, count = names.most_common(1)[0]
+        if count > 1:
+            raise ConfigError(f"{path}: names the file '{name}' {count:,} times; name each file once")
+        if len(names) > file_limits().bag_files:
+            raise ConfigError(
+                f"{path}: names {len(names):,} files, at most {file_limits().bag_files:,} are read; merge them "
+                "(`ros2 bag convert`)"
+            )
+        self._files = [self._path / name for name in names]
+        places = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
+        if len(places) < len(names):
+            raise ConfigError(f"{path}: names one file under several names; name each file once")
+        self._packed = str(bag.get("compression_mode") or "").lower()
+        if self._packed in ("file", "message") and bag.get("compression_format") != "zstd":
+            raise ValueError(f"it is packed by '{bag.get('compression_format')}'; only zstd is read")
+        return _counts(bag.get("topics_with_message_count"))
+
+
+def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
+    """Return the stated number of messages by topic."""
+    entries = [entry for entry in topics if isinstance(entry, Mapping)] if isinstance(topics, list) else []
+    return {
+        str(entry["topic_metadata"].get("name")): entry["message_count"]
+        for entry in entries
+        if isinstance(entry.get("topic_metadata"), Mapping) and isinstance(entry.get("message_count"), int)
+    }
+
+
+def is_ros1(path: Path) -> bool:
+    """Return True for the path of a bag of ROS 1, known by the first bytes of the file or its ending."""
+    if not path.is_file():
+        return False
+    return path.suffix == ".bag" or _head(path, zstd=False).startswith(_ROS1)
+
+
+def _head(path: Path, zstd: bool) -> bytes:
+    with open_input(path) as file:
+        stream = Inflated(file, Budget(path, 0)) if zstd else file
+        return stream.read(len(SQLITE_MAGIC))

@@ -1,0 +1,277 @@
+# ruff: noqa: E501 - one line for each kind of attack
+"""Makers of hostile bags: data bases, MCAP files, bags of ROS 1, and folders of bags."""
+
+from __future__ import annotations
+
+import bz2
+import sqlite3
+import struct
+from collections.abc import Callable
+from functools import partial
+from itertools import accumulate
+from pathlib import Path
+from random import Random
+
+import lz4.frame
+import yaml
+import zstandard
+
+from fuzz.hostile_texts import Content, Maker, hole, no_file, odd_name, special, written
+
+# Data bases.
+
+_TOPIC_TABLE = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+_TOPICS = f"{_TOPIC_TABLE} INSERT INTO topics VALUES (1, '/cmd_vel', 'geometry_msgs/msg/Twist', 'cdr'), (2, '/odom', 'nav_msgs/msg/Odometry', 'cdr');"
+_MESSAGES = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);"
+_NUMBERS = "WITH RECURSIVE c(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM c"
+_ROWS = f"INSERT INTO messages {_NUMBERS} LIMIT 20000) SELECT k, 1 + k % 2, k, zeroblob(60) FROM c;"
+_BAG = f"{_TOPICS} {_MESSAGES} {_ROWS}"
+_FORGE = "PRAGMA writable_schema = ON; UPDATE sqlite_master SET "
+_SCHEMAS: dict[str, str] = {
+    "endless view": f"{_TOPICS} CREATE VIEW messages AS {_NUMBERS}) SELECT k AS id, 1 AS topic_id, k AS timestamp, x'00' AS data FROM c;",
+    "endless view of topics": f"{_MESSAGES} {_ROWS} CREATE VIEW topics AS {_NUMBERS}) SELECT k AS id, '/t' AS name, 't' AS type, 'cdr' AS serialization_format FROM c;",
+    "views of views": f"{_BAG} CREATE VIEW v0 AS SELECT * FROM messages;" + "".join(f"CREATE VIEW v{i} AS SELECT a.* FROM v{i - 1} a, v{i - 1} b;" for i in range(1, 60)),
+    "view named a table": f"{_TOPICS} CREATE VIEW messages AS {_NUMBERS}) SELECT k AS id FROM c; {_FORGE} type = 'table' WHERE name = 'messages';",
+    "table named a view": f"{_BAG} CREATE TABLE t(x); {_FORGE} sql = 'CREATE VIEW messages AS SELECT 1', rootpage = 0 WHERE name = 'messages';",
+    "virtual table": f"{_TOPICS} CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, data);",
+    "generated column": f"{_TOPICS} {_MESSAGES.replace('BLOB', 'BLOB AS (zeroblob(900000000))')} INSERT INTO messages(topic_id, timestamp) VALUES (1, 10);",
+    "without rowid": f"{_TOPICS} {_MESSAGES.replace(';', ' WITHOUT ROWID;')} {_ROWS}",
+    "many topics": f"{_TOPIC_TABLE} {_MESSAGES} {_ROWS} INSERT INTO topics {_NUMBERS} LIMIT 50000) SELECT k, '/t' || k, 'geometry_msgs/msg/Twist', 'cdr' FROM c;",
+    "long names": f"{_TOPIC_TABLE} {_MESSAGES} {_ROWS} INSERT INTO topics VALUES (1, CAST(zeroblob(30000000) AS TEXT), 't', 'cdr');",
+    "huge stamps": f"{_BAG} UPDATE messages SET timestamp = (id % 2) * 9223372036854775807 - 9000000000000000000;",
+    "zeroblob": f"{_TOPICS} {_MESSAGES} INSERT INTO messages {_NUMBERS} LIMIT 3) SELECT k, 1 + k % 2, k, zeroblob(70000000 * (k % 2)) FROM c;",
+    "tables": _BAG + "".join(f"CREATE TABLE t{i}(a, b, c);" for i in range(3_000)),
+}  # fmt: skip
+
+
+def _data_base(script: str, random: Random, folder: Path, page: int = 0) -> Path:
+    path = folder / "bag.db3"
+    base = sqlite3.connect(path)
+    base.executescript(
+        f"PRAGMA synchronous = OFF; PRAGMA page_size = {page or random.choice((512, 4096, 65536))}; {script}"
+    )
+    base.commit()
+    base.close()
+    return path
+
+
+def _file_beside(random: Random, folder: Path) -> Path:
+    """Put a journal or log of changes next to the file."""
+    path = _data_base(_BAG, random, folder)
+    beside = path.with_name(path.name + random.choice(("-wal", "-journal", "-shm")))
+    special(beside, random) if random.random() < 0.5 else beside.write_bytes(random.randbytes(5_000))
+    return path
+
+
+def _damaged_pages(random: Random, folder: Path) -> Path:
+    """Change bytes and whole pages."""
+    path = _data_base(f"{_BAG} CREATE INDEX timestamp_idx ON messages(timestamp);", random, folder)
+    content = bytearray(path.read_bytes())
+    size = int.from_bytes(content[16:18], "big") or 65536
+    for _ in range(random.choice((1, 10, 200))):
+        page, source = (random.randrange(len(content) // size) * size for _ in range(2))
+        if random.random() < 0.3 and page:
+            content[page : page + size] = content[source : source + size]
+        else:
+            offset = random.randrange(100, len(content) - 4)
+            content[offset : offset + 4] = random.choice(
+                (bytes(4), b"\xff" * 4, bytes((0, 0, 0, random.randrange(50))))
+            )
+    path.write_bytes(content)
+    return path
+
+
+def _page(kind: int, cells: list[bytes], right: int = 0) -> bytes:
+    """Return a page of 512 bytes of a b-tree."""
+    places = [512 - length for length in accumulate(len(cell) for cell in cells)]
+    head = struct.pack(">BHHHB", kind, 0, len(cells), places[-1], 0) + (struct.pack(">I", right) if kind == 5 else b"")
+    head += struct.pack(f">{len(cells)}H", *places)
+    return head.ljust(places[-1], b"\0") + b"".join(reversed(cells))
+
+
+def _looped_pages(random: Random, folder: Path) -> Path:
+    """Write a table whose pages name one page below them again and again: some kilobytes, and rows without end."""
+    path, table = _data_base(_TOPICS + _MESSAGES, random, folder, 512), random.choice(("messages", "topics"))
+    base = sqlite3.connect(path)
+    ((root,),) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchall()
+    base.close()
+    content, depth = path.read_bytes(), random.choice((1, 6, 15))
+    first = len(content) // 512 + 1
+    # Each cell of an inner page: number of the page below, and a key.
+    inner = [_page(5, [struct.pack(">IB", first + k, key) for key in range(1, 61)], first + k) for k in range(depth)]
+    # Header of five bytes; no number, one byte, one byte, no blob.
+    leaf = _page(13, [bytes((7, key)) + b"\x05\x00\x01\x01\x0c\x01\x05" for key in range(1, 21)])
+    whole = bytearray(content + b"".join(inner[1:]) + leaf)
+    whole[512 * (root - 1) : 512 * root] = inner[0]
+    whole[28:32] = struct.pack(">I", len(whole) // 512)
+    path.write_bytes(whole)
+    return path
+
+
+# MCAP files.
+
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+def _text(words: str | bytes) -> bytes:
+    data = words if isinstance(words, bytes) else words.encode("utf-8", "surrogatepass")
+    return struct.pack("<I", len(data)) + data
+
+
+def _record(kind: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", kind, len(content)) + content
+
+
+def _message(content: bytes = b"", time: int = 5, channel: int = 1) -> bytes:
+    return _record(5, struct.pack("<HIQQ", channel, 0, time, time) + content)
+
+
+def _topic(name: str, kind: str = "geometry_msgs/msg/Twist", number: int = 1, encoding: str = "cdr", data: bytes = b"") -> bytes:  # fmt: skip
+    schema = _record(3, struct.pack("<H", number) + _text(kind) + _text("ros2msg") + _text(data))
+    return schema + _record(4, struct.pack("<HH", number, number) + _text(name) + _text(encoding) + _text(data))
+
+
+def _chunk(packed: bytes, how: str, size: int) -> bytes:
+    return _record(6, struct.pack("<QQQI", 0, 10, size, 0) + _text(how) + struct.pack("<Q", len(packed)) + packed)
+
+
+def _zeros(megabytes: int, how: str, head: bytes = b"") -> bytes:
+    if how == "lz4":
+        return bytes(lz4.frame.compress(bytes(megabytes * 1_000_000)))
+    packer = zstandard.ZstdCompressor().compressobj()
+    return b"".join((packer.compress(head), *(packer.compress(bytes(10**6)) for _ in range(megabytes)), packer.flush()))
+
+
+def _bomb(random: Random) -> bytes:
+    how, megabytes = random.choice(("zstd", "lz4")), random.choice((60, 300))
+    size = random.choice((megabytes * 1_000_000, 100, 2**62))
+    return _chunk(_zeros(megabytes, how), how, size) * random.choice((1, 5))
+
+
+def _lying_length(random: Random) -> bytes:
+    kind, name = random.choice((3, 4, 5, 6, 9, 12)), random.choice((2**32 - 1, 10**6))
+    sound = _record(kind, struct.pack("<HI", 1, name) + bytes(10**6))
+    length = struct.pack("<BQ", kind, random.choice((2**32, 2**63 - 1, 2**64 - 1, 10**8)))
+    return random.choice((sound, length + sound[9:]))
+
+
+def _ticks(row: str, count: int, random: Random) -> bytes:
+    """Return ticks of a drive in chunks that pack well; `*` in `row` stands for a drawn value."""
+    drawn = random.choice(("9" * 5_000, "1e999", "9" * 400, '"x"', "null", "[1]", "[" * 2_000, "[" * 10**6))
+    data = row.replace("*", drawn).encode()
+    step = max(1, 10**7 // len(data))
+    chunks = [b"".join(_message(data, k) for k in range(n, min(n + step, count))) for n in range(0, count, step)]
+    packed = [_chunk(zstandard.compress(chunk), "zstd", len(chunk)) for chunk in chunks]
+    return _topic("/diffdrive_mpc/state", "diffdrive_mpc.State", encoding="json") + b"".join(packed)
+
+
+_BODIES: dict[str, Content] = {
+    "bomb": _bomb,
+    "lying length": _lying_length,
+    "chunk in a chunk": lambda random: _chunk(_chunk(_message(), "", len(_message())) * 100, "", 100 * len(_chunk(_message(), "", 0))),
+    "channels": lambda random: b"".join(_topic(f"/t{k}", number=k) for k in range(1, 65_536)),
+    "odd names": lambda random: _topic(odd_name(random), odd_name(random)) + _message(),
+    "unknown records": lambda random: _record(0x80, b"") * 500_000,
+    "metadata": lambda random: _record(12, _text("configuration") + _text(b"".join(_text(f"k{k}") + _text("v") for k in range(100_000)))),
+    "messages": lambda random: _topic("/cmd_vel") + _message() * 500_000,
+    "arrays": lambda random: _topic("/odom", "nav_msgs/msg/Odometry") + _topic("/cmd_vel", number=2) + _message(bytes(60), channel=2) + _message(bytes(12) + b"\xff" * 60),
+    "nested ticks": partial(_ticks, '{"a":*', 20),
+    "values of ticks": partial(_ticks, '{"t_s": *, "mode": "TRACKING"}', 100),
+    "empty ticks": partial(_ticks, "{}", 450_000),
+    "large tick": lambda random: _ticks('{"a":[' + "[]," * 12_000_000 + "[]]}", 1, random),
+    "keys of ticks": partial(_ticks, "{" + ",".join(f'"k{k}":1' for k in range(20_000)) + "}", 50),
+    "odd ticks": partial(_ticks, '{"mode": "\x7f\u202e\\u001b[2J", "t_s": 1, "message": "\\u001b[31m"}', 100),
+}  # fmt: skip
+
+
+def _mcap(make: Content, random: Random, folder: Path) -> Path:
+    end = _record(2, struct.pack("<QQI", random.choice((0, 8, 10**6)), 0, 0)) + _MAGIC
+    content = _MAGIC + _record(1, _text("ros2") + _text("x")) + make(random) + random.choice((end, end, b"", bytes(9)))
+    return written("bag.mcap", lambda _: content, random, folder)
+
+
+# Bags of ROS 1.
+
+
+def _ros1_record(data: bytes, **fields: bytes) -> bytes:
+    head = b"".join(_text(name.encode() + b"=" + value) for name, value in fields.items())
+    return _text(head) + _text(data)
+
+
+def _connection(topic: str = "/odom", kind: str = "nav_msgs/Odometry") -> bytes:
+    kind_of = _text(b"type=" + kind.encode("utf-8", "surrogatepass"))
+    return _ros1_record(kind_of, op=b"\x07", conn=bytes(4), topic=topic.encode("utf-8", "surrogatepass"))
+
+
+def _bz2_bomb(random: Random) -> bytes:
+    packed = bz2.compress(_connection() + _ros1_record(bytes(30_000_000), op=b"\x02", conn=bytes(4), time=bytes(8)))
+    size = struct.pack("<I", random.choice((30_000_200, 100, 2**32 - 1)))
+    return _ros1_record(packed, op=b"\x05", compression=b"bz2", size=size) * random.choice((1, 20))
+
+
+_ROS1: dict[str, Content] = {
+    "bomb": _bz2_bomb,
+    "odd names": lambda random: _connection(odd_name(random), odd_name(random)),
+    "damaged": lambda random: random.choice((bytes(800_000), b"\xff" * 100, _text(b"\xff" * 20) + b"\xff" * 4)),
+    "arrays": lambda random: _connection() + _ros1_record(b"\xff" * 80, op=b"\x02", conn=bytes(4), time=bytes(8)) * 50_000,
+}  # fmt: skip
+
+
+def _ros1(make: Content, random: Random) -> bytes:
+    return b"#ROSBAG V2.0\n" + _ros1_record(bytes(4027), op=b"\x03", index_pos=b"\xff" * 8) + bytes(make(random))
+
+
+# Folders of bags.
+
+_FOLDERS: dict[str, Callable[[Random], dict[str, object]]] = {
+    "names again": lambda random: {"relative_file_paths": random.choices(("bag.db3", "bag/bag.db3", "./bag.db3"), k=10_000)},
+    "links": lambda random: {"relative_file_paths": [f"{k}.db3" for k in range(random.choice((900, 10_000)))]},
+    "places": lambda random: {"relative_file_paths": random.choices(("../../../../etc/passwd", "/dev/zero", "\x00", "\x1b[2J.db3", "x" * 5_000), k=3)},
+    "no names": lambda random: {"relative_file_paths": random.choice((None, {}, "bag.db3", 5, [], [[]], [None], ["missing.db3"]))},
+    "many topics": lambda random: {"topics_with_message_count": [{"topic_metadata": {"name": f"/t{k}"}} for k in range(random.choice((2_000, 40_000)))]},
+    "counts": lambda random: {"topics_with_message_count": [{"topic_metadata": {"name": "/odom"}, "message_count": random.choice((10**30, -1, "x", 1e99))}]},
+    "special": lambda random: {},
+    "packed whole": lambda random: {"compression_mode": random.choice(("file", "FILE")), "compression_format": random.choice(("zstd", "zstd", "rar"))},
+    "packed messages": lambda random: {"compression_mode": "message", "compression_format": "zstd"},
+}  # fmt: skip
+
+
+def _folder(kind: str, random: Random, folder: Path) -> Path:
+    """Write a bag with a metadata.yaml; its file is a sound data base, a bomb, or no file."""
+    (bag := folder / "bag").mkdir()
+    path = _data_base(_BAG, random, bag)
+    information = {"relative_file_paths": ["bag.db3"], **_FOLDERS[kind](random)}
+    if kind == "links":
+        for k in range(900):
+            (bag / f"{k}.db3").symlink_to("bag.db3")
+    elif kind == "special":
+        path.unlink()
+        special(path, random)
+    elif kind == "packed whole":
+        head = random.choice((_MAGIC + struct.pack("<BQ", 9, 2**62), b"SQLite format 3\0", b""))
+        sound = zstandard.compress(path.read_bytes())
+        path.write_bytes(random.choice((_zeros(random.choice((15, 500)), "zstd", head), sound, sound[:5_000])))
+    elif kind == "packed messages":
+        with sqlite3.connect(path) as base:
+            base.execute("UPDATE messages SET data = ? WHERE id <= 10", (_zeros(random.choice((15, 500)), "zstd"),))
+        base.close()
+    stated = {"rosbag2_bagfile_information": information}
+    text = yaml.dump(stated, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper))
+    (bag / "metadata.yaml").write_text(text, encoding="utf-8")
+    return bag
+
+
+_BEGINNINGS = {"bag.db3": b"SQLite format 3\0", "bag.mcap": _MAGIC, "bag.bag": b"#ROSBAG V2.0\n"}
+_ODD_TOPICS = f"{_BAG} UPDATE topics SET name = '\x1b[2J' || char(8238), type = char(155) || '31m' || char(10);"
+BAGS: dict[str, Maker] = {
+    **{f"log: SQLite {name}": partial(_data_base, script) for name, script in _SCHEMAS.items()},
+    "log: SQLite odd topics": partial(_data_base, _ODD_TOPICS),
+    "log: SQLite file beside": _file_beside,
+    **{f"log: SQLite damaged pages {k}": _damaged_pages for k in range(5)},
+    **{f"log: SQLite looped pages {k}": _looped_pages for k in range(3)},
+    **{f"{door}: MCAP {name}": partial(_mcap, make) for name, make in _BODIES.items() for door in ("log", "replay")},
+    **{f"log: ROS 1 {name}": partial(written, "drive.bag", partial(_ros1, make)) for name, make in _ROS1.items()},
+    **{f"log: folder {name}": partial(_folder, name) for name in _FOLDERS},
+    **{f"log: no file {name}": partial(no_file, name) for name in _BEGINNINGS},
+    **{f"log: hole {name}": partial(hole, name, head) for name, head in _BEGINNINGS.items()},
+}

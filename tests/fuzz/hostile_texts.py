@@ -1,0 +1,218 @@
+"""Makers of hostile texts and tables: YAML, JSON, CSV and Parquet files, and paths that lead to no file."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import socket
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import yaml
+
+Maker = Callable[[Random, Path], Path]
+Content = Callable[[Random], Any]
+"""Text or bytes."""
+
+_MAPPING = "columns: {time: t, command: {v: v, omega: w}, encoders: {v: v2, omega: w2}}\n"
+_HEAD = "t,v,w,v2,w2\n"
+
+
+def odd_name(random: Random) -> str:
+    """Return a name with characters that steer a terminal."""
+    return "".join(random.sample("\x1b[2J\x07\r\n\x9b31m\u202e\u2028", 4)) + random.choice(("x", "v", "command"))
+
+
+def special(path: Path, random: Random) -> Path:
+    """Put something at the path that is no file on a disk, or leads nowhere."""
+    kind = random.choice(("pipe", "/dev/zero", "/dev/random", "/dev/tty", "folder", path.name, "nowhere", "socket", ""))
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(os.path.relpath(path))
+    elif kind:
+        path.symlink_to(kind)
+    return path
+
+
+def written(name: str, make: Content, random: Random, folder: Path, mapping: str = "") -> Path:
+    """Write content under a name, with a mapping next to it."""
+    content, path = make(random), folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
+    if mapping:
+        (folder / "mapping.yaml").write_text(mapping, encoding="utf-8")
+    return path
+
+
+def no_file(name: str, random: Random, folder: Path) -> Path:
+    """Put something else in the place of the file."""
+    return special(folder / name, random)
+
+
+def hole(name: str, head: bytes, random: Random, folder: Path) -> Path:
+    """Write a gigabyte that takes no room on the disk, behind the first bytes of a sound file."""
+    path = written(name, lambda _: head, random, folder)
+    os.truncate(path, 1_000_000_000)
+    return path
+
+
+def _digits(random: Random) -> str:
+    count = random.choice((5_000, 100_000, 4_000_000))
+    return "a: " + random.choice(("9" * count, "0x" + "f" * count, "1:" * count + "1", "." + "1" * count))
+
+
+def _aliases(random: Random) -> str:
+    fan = random.choice((2, 10, 100))
+    return "\n".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}' if i else '0'] * fan)}]" for i in range(40))
+
+
+def _merges(random: Random) -> str:
+    lines = [f"a{i}: &a{i}\n  <<: [{', '.join([f'*a{i - 1}'] * 10)}]\n  k{i}: 1" for i in range(1, 30)]
+    return "a0: &a0 {k: 1}\n" + "\n".join(lines)
+
+
+_YAML: dict[str, Content] = {
+    "nesting": lambda random: random.choice(("[", "{a: ", "- ", "? ")) * random.choice((70, 5_000, 1_000_000)),
+    "aliases": _aliases,
+    "merges": _merges,
+    "number": _digits,
+    "circle": lambda random: "a: &a [*a]",
+    "keys": lambda random: "".join(f"key{i}: {i}\n" for i in range(random.choice((90_000, 400_000)))),
+    "unknown keys": lambda random: f"weights: {{{', '.join(f'weight{i}: 1' for i in range(40_000))}}}",
+    "wrong values": lambda random: f"segments: [{'{v: a, omega: b},' * random.choice((100, 39_000))}]",
+    "values": lambda random: f"a: [{'1,' * 1_000_000}]",
+    "long text": lambda random: f"name: {'x' * random.choice((100_000, 9_000_000, 20_000_000))}",
+    "odd keys": lambda random: yaml.safe_dump({odd_name(random): 1, "name": odd_name(random)}, allow_unicode=True),
+    "tag": lambda random: random.choice(("!!python/object/apply:os.system [x]", "a: !!binary A" + "A" * 9_000_000)),
+}
+_JSON: dict[str, Content] = {
+    "nesting": lambda random: random.choice(("[", '{"a":')) * random.choice((1_000, 100_000, 5_000_000)),
+    "lists": lambda random: "[" + "[]," * random.choice((5_000_000, 10_000_000)) + "[]]",
+    "odd": lambda random: json.dumps({"format": odd_name(random), odd_name(random): 1}),
+}
+
+
+def _rows(count: int, row: Callable[[int], str]) -> str:
+    return _HEAD + "".join(f"{row(k)}\n" for k in range(count))
+
+
+def _steps(random: Random) -> str:
+    """Return rows whose times go to and fro, stand still, or leap."""
+    pace = random.choice((lambda k: k % 2, lambda k: -k, lambda k: 0, lambda k: k - 3 * (k % 2), lambda k: k * 10**12))
+    return _rows(120_000, lambda k: f"{pace(k)},{k % 7},1,{k % 5},2")
+
+
+_CSV: dict[str, Content] = {
+    "times": _steps,
+    "long line": lambda random: "a" * 30_000_000,
+    "columns": lambda random: ",".join(f"c{i}" for i in range(1_000_000)) + "\n",
+    "columns of a row": lambda random: _HEAD + "1," * random.choice((400_000, 5_000_000)),
+    "NUL": lambda random: _HEAD.encode() + bytes(20_000_000),
+    "words": lambda random: _rows(150_000, lambda k: f"t{k},a{k},b{k},c{k},d{k}"),
+    "quote": lambda random: _HEAD + '"' + "1,2\n" * 5_000_000,
+    "ends of lines": lambda random: _HEAD + random.choice("\r\n") * random.choice((5_000_000, 20_000_000)),
+    "odd": lambda random: f"{odd_name(random)},v,w\n1,{odd_name(random)!r},3\n3,\x1b[2J,3\n",
+    "numbers": lambda random: _rows(3_000, lambda k: random.choice(("nan", "1e308", "0x10", "9" * 400)) + ",1,2,3,4"),
+}
+_POSES: dict[str, Content] = {
+    "same times": lambda random: "t,x,y,theta\n" + "1,2,3,4\n" * 500_000,
+    "columns": lambda random: "t,x,y,theta" + ",c" * 2_000_000 + "\n",
+    "line": lambda random: "t,x,y,theta\n" + random.choice(("1", "\0", '"1,\n')) * 30_000_000,
+    "many": lambda random: "t,x,y,theta\n" + "".join(f"{k},0,0,0\n" for k in range(200_000)),
+}
+
+
+def _run_log(make: Content, random: Random, folder: Path) -> Path:
+    """Write a log with the columns of `simulate --log`."""
+    from fuzz.logs import base_files
+
+    head, row = (base_files() / "own.csv").read_bytes().splitlines(keepends=True)[:2]
+    path = written("log.csv", make, random, folder)
+    path.write_bytes(head + row * random.choice((0, 0, 1, 5_000)) + path.read_bytes().partition(b"\n")[2])
+    return path
+
+
+def _changed(door: str, random: Random) -> str:
+    """Change one value of a shipped file."""
+    from fuzz import mutation
+    from fuzz.yaml_files import seeds
+
+    tree: Any = yaml.safe_load(random.choice(list(seeds(door).values())))
+    holder, key = random.choice(list(mutation._places(tree)))
+    values: tuple[object, ...] = ([0.5] * 150_000, [[]] * 90_000, "x" * 1_000_000, 10**4000, 1e308, "/dev/zero")
+    holder[key] = random.choice((*values, [odd_name(random)] * 1_000, {f"k{i}": i for i in range(30_000)}))
+    return str(yaml.safe_dump(tree))
+
+
+_TABLES: dict[str, Callable[[Random], dict[str, object]]] = {
+    "bomb": lambda random: {"t": np.zeros(20_000_000), "v": np.zeros(20_000_000)},
+    "columns": lambda random: {f"c{k}": [1] for k in range(5_000)},
+    "words": lambda random: {"t": [f"t{k}" for k in range(500_000)]},
+    "odd": lambda random: {odd_name(random): [1.0], "v": ["\x1b[2J"]},
+    "damaged": lambda random: {"t": np.zeros(20_000)},
+    "false length": lambda random: {"t": np.zeros(20_000)},
+    "false directory": lambda random: {"t": np.zeros(60_000_000)},
+}
+
+
+def _parquet(kind: str, random: Random) -> bytes:
+    """Write a table; the directory of "false directory" states a small size for pages of half a gigabyte."""
+    import pyarrow
+    from pyarrow import parquet
+
+    columns = _TABLES[kind](random)
+    file, packing = io.BytesIO(), {"compression": "zstd", "use_dictionary": False, "write_statistics": False}
+    parquet.write_table(pyarrow.table(columns), file, data_page_size=2**30, row_group_size=10**8, **packing)
+    content = bytearray(file.getvalue())
+    if kind == "damaged":
+        for _ in range(random.choice((1, 5, 50))):
+            content[random.randrange(4, len(content) - 8)] = random.randrange(256)
+    elif kind == "false length":
+        content[-8:-4] = random.choice((0, 2**31, 2**32 - 1, len(content))).to_bytes(4, "little")
+    elif kind == "false directory":
+        size = parquet.ParquetFile(file).metadata.row_group(0).column(0).total_uncompressed_size
+        start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+        for number in (size, 60_000_000):
+            content[start:] = content[start:].replace(_varint(number), _varint(1_000, len(_varint(number))))
+    return bytes(content)
+
+
+def _varint(number: int, length: int = 0) -> bytes:
+    number, out = number << 1, bytearray()
+    while number > 0x7F or len(out) + 1 < length:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*out, number])
+
+
+_DOORS = ("controller", "model", "trajectory", "mapping", "stated-robot", "scenario", "experiment", "tune")
+_TIMES = "columns: {time: t, command: {v: t, omega: t}, encoders: {v: t, omega: t}}"
+TEXTS: dict[str, Maker] = {
+    **{
+        f"{_DOORS[(i + k) % len(_DOORS)]}: YAML {name}": partial(written, "file.yaml", make)
+        for i, (name, make) in enumerate(_YAML.items())
+        for k in (0, 3)
+    },
+    **{f"{door}: no file": partial(no_file, "file.yaml") for door in _DOORS},
+    **{f"{door}: one value": partial(written, "file.yaml", partial(_changed, door)) for door in _DOORS},
+    **{f"report: JSON {name}": partial(written, "contents/.contents.json", make) for name, make in _JSON.items()},
+    **{f"ticks: JSON {name}": partial(written, "line.json", make) for name, make in _JSON.items()},
+    **{f"log: CSV {name}": partial(written, "log.csv", make, mapping=_MAPPING) for name, make in _CSV.items()},
+    **{f"replay: CSV {name}": partial(_run_log, make) for name, make in _CSV.items()},
+    **{f"trajectory: CSV {name}": partial(written, "path.csv", make) for name, make in _POSES.items()},
+    **{
+        f"log: Parquet {kind}": partial(written, "a.parquet", partial(_parquet, kind), mapping=_TIMES)
+        for kind in _TABLES
+    },
+    **{f"{door}: CSV hole": partial(hole, "log.csv", _HEAD.encode()) for door in ("log", "replay")},
+    **{f"{door}: no file": partial(no_file, "log.csv") for door in ("log", "replay")},
+}
