@@ -3,8 +3,6 @@
 `python tests/code_lines.py` prints the table that tests/test_size_budget.py compares with tests/size_budget.yaml.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

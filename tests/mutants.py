@@ -5,8 +5,6 @@ negation or extremum differs. Each is made in a copy of the tree, and the tests 
 failed test, a crash and a time-out kill it. What compiles to the same code is drawn again.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os

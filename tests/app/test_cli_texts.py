@@ -1,7 +1,5 @@
 """The command line as a reader sees it: configurations and models, seeds, completion, and widths of tables."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`doctor` prints one line for each check, with a remedy where it fails, and fails only without a controller."""
 
-from __future__ import annotations
-
 import pytest
 
 from commands import invoke

@@ -1,7 +1,5 @@
 """`models fit` and `models calibrate`: checked before the long work, counted while it goes on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import yaml
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
@@ -34,8 +34,7 @@ def files(tmp_path, monkeypatch):
 
 
 def run(*words, code=0):
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == code, result.output
+    result = invoke(app, *words, code=code)
     return " ".join((result.stdout if code == 0 else result.stderr).split())
 
 
@@ -79,9 +78,7 @@ def identified(tmp_path_factory):
     log, mapping = write_csv(folder / "drive.csv", columns), write_mapping(folder / "map.yaml", OWN)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        result = CliRunner().invoke(app, ["identify", log.name, "--mapping", mapping.name, "--out", "my robot"])
-    assert result.exit_code == 0, result.output
-    return folder, result.stdout
+        return folder, invoke(app, "identify", log.name, "--mapping", mapping.name, "--out", "my robot").stdout
 
 
 def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):

@@ -1,7 +1,5 @@
 """`diffdrive-mpc tune`: its command, its search, and its comparison."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

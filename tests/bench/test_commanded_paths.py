@@ -1,7 +1,5 @@
 """Drives on the physics: lateral errors on paths of commands and at the limits, and the estimator's consistency."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The comparison: which cases it consists of, and what it shows beyond its tables of errors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

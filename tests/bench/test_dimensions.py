@@ -1,7 +1,5 @@
 """One table of dimensions, from which options, settings, cases and rows follow."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Reports as pages: the linked views in a real browser, what they hold of a run, and what they warn of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,14 +50,8 @@ def single(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    words = (
-        "--quick",
-        "--models",
-        "ssm,sm",
-        "--seeds",
-        "2",
-        *(word.replace("--trajectory", "--trajectories") for word in QUICK),
-    )
+    paths = [word.replace("--trajectory", "--trajectories") for word in QUICK]
+    words = ["--quick", "--models", "ssm,sm", "--seeds", "2", *paths]
     return called(tmp_path_factory.mktemp("compared"), "bench", *words)
 
 

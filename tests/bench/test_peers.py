@@ -1,7 +1,5 @@
 """The peers' laws against known answers, and what all peers share: estimate, prediction, limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """The files of a report: exact fields, no half-written results, nothing about the machine's paths."""
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing

@@ -1,7 +1,5 @@
 """The timing pass replays a run exactly, or says that it cannot; every outcome gets its own times."""
 
-from __future__ import annotations
-
 import gc
 import os
 import time

@@ -1,7 +1,5 @@
 """What a base makes of its commands: effects by themselves, and in its motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

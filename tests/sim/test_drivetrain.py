@@ -1,7 +1,5 @@
 """Link, firmware, speed observer, velocity loops and motors, each tested alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

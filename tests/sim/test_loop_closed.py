@@ -1,7 +1,5 @@
 """The closed loop: what happens at which time, and how a disturbed robot recovers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 

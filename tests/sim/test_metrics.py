@@ -1,7 +1,5 @@
 """Metrics against known answers, what they count, and where on its path a robot is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The physics plant against what mechanics says."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Plants and simulator parts that packages register."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

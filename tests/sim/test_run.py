@@ -1,7 +1,5 @@
 """A simulated run: what it keeps, and its energy."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import dataclass, fields

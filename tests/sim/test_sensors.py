@@ -1,7 +1,5 @@
 """Sensors: what they measure, and their faults."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

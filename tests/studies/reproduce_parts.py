@@ -1,7 +1,5 @@
 """Results of a reproduction that was never driven."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bound is one: it tracks its own model to nearly nothing, and nobody tracks better on the physics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The search that tunes the peers: it finds a known minimum, keeps to its budget and its ranges, and repeats itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

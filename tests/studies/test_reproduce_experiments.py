@@ -1,7 +1,5 @@
 """The experiments of `reproduce`: kinematics, drives, lines and what is taken from the papers."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The robustness study: conditions that can all be run, ratios and tables from made-up rows, and a small real study."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What ships found again: the firmware's calibration, and whether the identification finds known truths."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

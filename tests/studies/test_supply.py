@@ -1,7 +1,5 @@
 """What comes from elsewhere: pinned by its contents, and under which licence."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

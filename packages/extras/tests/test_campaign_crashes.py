@@ -1,7 +1,5 @@
 """A campaign that is killed or finds the disk full at any moment, two at once, and other factors in between."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Drive models against hand-written loops, an ODE solver, finite differences and known truths."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Power of the motors, its constants from a log, and energy before a drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

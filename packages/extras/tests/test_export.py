@@ -1,7 +1,5 @@
 """The exported controller: what is written, and that it commands as in Python."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

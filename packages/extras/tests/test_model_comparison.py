@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from base_effect_parts import record_of
-from identification_parts import noisy_drive, published_ssm, two_channels
-from typer.testing import CliRunner
+from identification_parts import data_of, noisy_drive, published_ssm, two_channels
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures import ssm
 from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 
@@ -18,10 +17,6 @@ from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, Mod
 def no_fifth_order(monkeypatch):
     """No model here has more than four states, and a fifth takes long: `identify --structure ssm` tries it."""
     monkeypatch.setattr(ssm, "LARGEST_ORDER", 4)
-
-
-def data_of(*records):
-    return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
 
 
 @pytest.mark.long
@@ -94,12 +89,9 @@ def test_what_cannot_be_compared_is_refused(arguments, said):
 
 def test_the_command_prints_table_and_recommendation(tmp_path, monkeypatch):
     monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
-    runner, log = CliRunner(), str(tmp_path / "drive.csv")
-    drive = ["simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log]
-    assert runner.invoke(app, drive).exit_code == 0
-    result = runner.invoke(app, ["models", "compare", log, "--kinds", "sm,ssm", "--parts", "2"])
-    assert result.exit_code == 0, result.output
-    assert "sm *" in result.output
-    assert "ssm is " in result.output
+    log = tmp_path / "drive.csv"
+    invoke(app, "simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log)
+    result = invoke(app, "models", "compare", log, "--kinds", "sm,ssm", "--parts", "2")
+    assert "sm *" in result.output and "ssm is " in result.output
     rows = [line.split(":")[0] for line in result.stderr.splitlines() if "found in" in line]
     assert rows == ["sm", "ssm"]

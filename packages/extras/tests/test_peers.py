@@ -1,7 +1,5 @@
 """Nav2's regulated pure pursuit against what its documents say: carrot, speeds, turns, goal; and in the loop."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sensors of battery and motors: what they read, what they leave alone, and what their log tells of the drive."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple

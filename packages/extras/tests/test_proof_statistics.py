@@ -1,7 +1,5 @@
 """Rates, tails and boundaries of a proof, held against what defines them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`diffdrive-mpc prove` and `repeat`, from the command line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -24,6 +24,7 @@ from diffdrive_mpc_extras.ros.surroundings_input import (
     read_costmap,
     read_obstacles,
 )
+from refusals import one_line_error
 
 SEEING = {"free_space.enabled": True}
 
@@ -133,17 +134,15 @@ POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
 @pytest.mark.parametrize("name", sorted(BAD_GRIDS.keys() - OF_THE_NODE))
 def test_a_bad_costmap_is_refused_in_one_line(name):
     spoil, words = BAD_GRIDS[name]
-    with pytest.raises((MessageError, SurroundingsError), match=words) as refused:
+    with one_line_error((MessageError, SurroundingsError), match=words):
         read_costmap(serialize_message(spoil(costmap(0))), FreeSpace())
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("name", sorted(BAD_CLOUDS.keys() - OF_THE_NODE))
 def test_bad_points_are_refused_in_one_line(name):
     spoil, words = BAD_CLOUDS[name]
-    with pytest.raises((MessageError, SurroundingsError), match=words) as refused:
+    with one_line_error((MessageError, SurroundingsError), match=words):
         read_obstacles(serialize_message(spoil(cloud(0, POINT))))
-    assert "\n" not in str(refused.value)
 
 
 def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the_robot(capfd):

@@ -1,7 +1,5 @@
 """`diffdrive-mpc prove --tolerance`: what its statistics promise, and paths timed by what it measures."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -72,18 +70,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("passport")
     plain = {"description": "drawn robots", "runs": 1, "factors": ROBOTS, "passport": PLAN}
     (folder / "mine.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
-    call(
-        "prove",
-        "ssm",
-        "--campaign",
-        folder / "mine.yaml",
-        "--tolerance",
-        "0.03,0.01",
-        "--out",
-        folder / "out",
-        "--jobs",
-        "1",
-    )
+    words = ["--campaign", folder / "mine.yaml", "--tolerance", "0.03,0.01", "--out", folder / "out", "--jobs", "1"]
+    call("prove", "ssm", *words)
     return folder / "out"
 
 

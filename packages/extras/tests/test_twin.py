@@ -1,16 +1,13 @@
 """The twin: its core, its fit, and a known robot found again."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
+from commands import call, refusal
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import laid_over
 from diffdrive_mpc.models.identification.effects.free_run import sensed
@@ -207,18 +204,10 @@ def test_parameters_are_inside_their_intervals(tmp_path):
     assert len(missed) <= 8, missed
 
 
-runner = CliRunner()
-
-
-def run(*words):
-    return runner.invoke(app, [str(word) for word in words])
-
-
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "drive.csv"
-    result = run("simulate", "--model", "sm", "--trajectory", "s", "--log", path)
-    assert result.exit_code == 0, result.stderr
+    call("simulate", "--model", "sm", "--trajectory", "s", "--log", path)
     return path
 
 
@@ -226,8 +215,7 @@ def log(tmp_path_factory):
 @pytest.mark.usefixtures("quick_search")
 def test_a_log_becomes_a_plant(log):
     out = log.parent / "twin"
-    result = run("twin", log, "--seconds", 5, "--jobs", 1, "--out", out)
-    assert result.exit_code == 0, result.stderr
+    call("twin", log, "--seconds", 5, "--jobs", 1, "--out", out)
     numbers = json.loads((out / "twin.json").read_text())
     twin, model = (numbers[name]["fit_percent"] for name in ("twin", "model"))
     # The log is of this physics: a velocity model cannot beat it by much, whatever the noise.
@@ -254,8 +242,5 @@ def test_a_log_becomes_a_plant(log):
     ],
 )
 def test_a_mistake_is_one_line(log, words, line):
-    result = run("twin", log, *words, "--out", log.parent / "none")
-    assert result.exit_code == 2
-    assert line in result.stderr
-    assert result.stderr.count("\n") == 1
+    assert line in refusal("twin", log, *words, "--out", log.parent / "none")
     assert not (log.parent / "none").exists()

@@ -1,7 +1,5 @@
 """A page in Firefox, by the protocol that both sides speak without a driver (WebDriver BiDi)."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

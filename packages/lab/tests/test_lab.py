@@ -1,7 +1,5 @@
 """The laboratory in a real browser: drives as those of Python, and every link, control and file."""
 
-from __future__ import annotations
-
 import fcntl
 import importlib.util
 import shlex
