@@ -184,7 +184,6 @@ def test_a_sound_run_is_not_warned_of(outcome: RunOutcome) -> None:
 
 def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> None:
     run, config = outcome.run, case_config(outcome.case)
-    assert config is not None
     count = len(run.time)
     modes = ("BRAKING",) * 4 + ("REUSED_PLAN",) * 2 + run.modes[6:]
     times = np.where(np.arange(count) == 7, 1.0, 1e-3)

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from bench_parts import Arc, DisplacedUnicycle
+from bench_parts import Arc, DisplacedUnicycle, check_return, check_square
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_parts import FeedForward
@@ -162,14 +162,7 @@ def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y:
 
 # What is tested is the law: the tuned gains of some peers without slip are too stiff for a start beside the path.
 MODERATE = {
-    "pursuit": {
-        "lead": 0.09,
-        "look_ahead_time": 0.3,
-        "min_look_ahead": 0.1,
-        "along": 3,
-        "turn": 3,
-        "least_radius": 0.3,
-    },
+    "pursuit": PURSUIT.model_dump() | {"look_ahead_time": 0.3, "least_radius": 0.3},
     "kanayama": {"lead": 0.09, "along": 4, "across": 25, "heading": 10, "turn": 2},
     "lqr": {"lead": 0.05, "along": 20, "across": 60, "heading": 5, "integral": 10, "omega": 0.1},
 }
@@ -177,16 +170,9 @@ MODERATE = {
 
 @pytest.mark.parametrize("name", LAWS)
 def test_it_comes_back_to_the_reference_from_beside_it(name: str) -> None:
-    plant = make_plant("model:sm", surface="ideal", sensors="perfect")
-    reference = Arc(duration=6.0)
-    plant.reset([0.0, 0.0, 0.0])
-    plant.reset = lambda pose: type(plant).reset(plant, [-0.05, 0.1, 0.1])
     moderate = MODERATE.get(name.partition("+")[0])
     gains = law_kind(name).gains(**moderate) if moderate else None
-    run = simulate(make_tracking_peer(name, gains) if gains else make_peer(name), plant, reference)
-    late = run.counted & (run.time > 4.5)
-    assert run.errors.position[0] > 0.1
-    assert run.errors.position[late].max() < 0.02
+    run = check_return(make_tracking_peer(name, gains) if gains else make_peer(name))
     robot = load_robot()
     assert (np.abs(run.command) <= [robot.limits.v, robot.limits.omega]).all()
     change = np.abs(np.diff(run.command, axis=0, prepend=np.zeros((1, 2)))) / run.sample_time
@@ -196,10 +182,7 @@ def test_it_comes_back_to_the_reference_from_beside_it(name: str) -> None:
 @pytest.mark.parametrize(("name", "trajectory"), [*product(LAWS, PATHS)])
 def test_every_peer_completes_the_shipped_paths(name: str, trajectory: str) -> None:
     """The turns on the spot of the square among them."""
-    run = simulate(make_peer(name), make_plant("model:sm", seed=0), load_trajectory(trajectory))
-    assert run.metrics.completed
-    assert run.errors.position[run.counted].max() < 0.05
-    assert set(run.modes[:-1]) <= {"TRACKING", "FINISHED"}
+    check_square(make_peer(name), trajectory)
 
 
 @pytest.mark.parametrize("name", ["pursuit", "kanayama", "lqr"])

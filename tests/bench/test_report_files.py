@@ -231,7 +231,6 @@ def test_runs_of_ours_that_did_not_complete_are_complained_about(results: Compar
     stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
     assert not stopped.metrics.completed
     complaint = incomplete(replace(results, main=rows_of(RunOutcome(ours.case, stopped), peer), horizon=DataFrame()))
-    assert complaint is not None
     assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
     assert incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
 
@@ -398,7 +397,6 @@ def test_workers_end_when_their_parent_is_killed() -> None:
         "    time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         workers = [int(number) for number in process.stdout.readline().split()]
         assert workers
         assert all(map(is_running, workers))

@@ -20,14 +20,9 @@ from diffdrive_mpc.models.structures.ssm import identify_ssm, identify_ssm_order
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
 SM_TRUTH = {
-    "v.gain": 0.95,
-    "v.natural_frequency": 10.0,
-    "v.damping": 1.3,
-    "v.dead_time": 0.053,
-    "omega.gain": 0.7,
-    "omega.natural_frequency": 7.0,
-    "omega.damping": 0.7,
-    "omega.dead_time": 0.031,
+    f"{channel}.{name}": value
+    for channel, values in (("v", (0.95, 10.0, 1.3, 0.053)), ("omega", (0.7, 7.0, 0.7, 0.031)))
+    for name, value in zip(("gain", "natural_frequency", "damping", "dead_time"), values, strict=True)
 }
 
 

@@ -99,7 +99,6 @@ def test_what_a_run_gives_is_what_simulate_gives() -> None:
     case = quick_case(sensors="default")
     row = drive(Definition(case))
     run, _ = drive_whole(Definition(case))
-    assert run is not None
     metrics = run.metrics
     assert (row["position_rmse_m"], row["steps"]) == (metrics.position_rmse_m, metrics.steps)
     assert row["ticks_tracking"] == run.modes.count("TRACKING")
@@ -176,7 +175,6 @@ def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) ->
                 plant.advance([2.0, 0.0])
                 speeds.append(plant.true_twist[0])
             yaw_rate = plant.measure().yaw_rate
-            assert yaw_rate is not None
             return float(yaw_rate.value), max(speeds)
 
     plain = reading_and_gain()
@@ -240,7 +238,6 @@ def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_pa
     late = int(0.5 / run.sample_time)
     watched.commands = [*[watched.commands[0]] * late, *watched.commands[:-late]]
     found = watched.unsafe(definition)
-    assert found is not None
     assert found.motion >= late - 2
 
 

@@ -53,7 +53,6 @@ def test_constants_and_curves_are_those_of_the_robot(told: Path) -> None:
 
 def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
     found = learn_log(log, None, "fsu_bot", "fsu_bot").slip
-    assert found is not None
     normalised = (found.coefficients - SLIPPERY.slip.rows) / found.deviations
     assert np.abs(normalised).max() < 5
     commands = np.array([[0.4, 0.3], [0.4, -0.3], [0.2, 0.2], [0.6, 0.1]])

@@ -5,6 +5,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from identification_parts import differences
 from log_parts import drive, write_csv, write_mapping
 from scipy.integrate import solve_ivp
 
@@ -72,20 +73,13 @@ def test_gradients_are_those_of_finite_differences(name):
     x, window = ca.SX.sym("x", model.order), ca.SX.sym("w", 2 * (model.memory + 1))
     stacked = ca.vertcat(x, window)
     jacobian = ca.Function("j", [x, window], [ca.jacobian(model.step(x, window), stacked)])
-    rng, small = np.random.default_rng(3), 1e-6
+    rng = np.random.default_rng(3)
     for _ in range(20):
         point = np.concatenate([0.3 * rng.standard_normal(model.order), 0.5 * rng.standard_normal(window.numel())])
-        columns = []
-        for k in range(len(point)):
-            ends = []
-            for sign in (1, -1):
-                moved = point.copy()
-                moved[k] += sign * small
-                ends.append(model.step(moved[: model.order], moved[model.order :]).full().ravel())
-            columns.append((ends[0] - ends[1]) / (2 * small))
+        found = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
         exact = jacobian(point[: model.order], point[model.order :]).full()
         assert np.isfinite(exact).all()
-        assert np.abs(exact - np.array(columns).T).max() < 1e-5 * max(1.0, np.abs(exact).max())
+        assert np.abs(exact - found).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
 def test_the_physical_model_solves_the_equations_of_both_wheels():
@@ -94,13 +88,8 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     c, d = file.chassis, file.wheel_drive
     forward = c.mass * c.wheel_radius**2 / 4
     turning = (c.yaw_inertia + c.mass * c.centre_ahead**2) * c.wheel_radius**2 / c.track**2
-    inertia = np.array(
-        [
-            [forward + turning + c.wheel_inertia, forward - turning],
-            [forward - turning, forward + turning + c.wheel_inertia],
-        ]
-    )
-
+    inertia = np.array([[forward + turning, forward - turning], [forward - turning, forward + turning]])
+    inertia += c.wheel_inertia * np.eye(2)
     dt, count = file.sample_time, 60
     switched = 20 * dt
 
@@ -114,18 +103,13 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
         v, omega = v * file.v.gain, omega * file.omega.gain
         wanted = np.array([v + omega * c.track / 2, v - omega * c.track / 2]) / c.wheel_radius
         error = wanted - speed
-        return np.concatenate(
-            [
-                np.linalg.solve(inertia, torque - d.friction * speed),
-                (d.proportional_gain * (error + integral / d.integral_time) - torque) / d.actuator_lag,
-                error,
-            ]
-        )
+        wished = d.proportional_gain * (error + integral / d.integral_time)
+        acceleration = np.linalg.solve(inertia, torque - d.friction * speed)
+        return np.concatenate([acceleration, (wished - torque) / d.actuator_lag, error])
 
     # Slopes so steep that a step is a step.
-    steep = file.model_copy(
-        update={k: getattr(file, k).model_copy(update={"quicker": 1e6, "slower": 1e6}) for k in ("v", "omega")}
-    )
+    steps = {"quicker": 1e6, "slower": 1e6}
+    steep = file.model_copy(update={k: getattr(file, k).model_copy(update=steps) for k in ("v", "omega")})
     dead = [file.v.dead_samples, file.omega.dead_samples]
     model = drive_model("p", "drive_physical", dt, dead, [1e-3, 1e-3], steep.coefficients())
     ours = model.simulate(np.array([command(k * dt + 1e-9) for k in range(count)]))
@@ -137,15 +121,8 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     for begin, end in pairwise(edges):
         middle = 0.5 * (begin + end)
         at = [k * dt for k in range(count) if begin - 1e-9 <= k * dt < end - 1e-9]
-        solved = solve_ivp(
-            lambda t, x, m=middle: rates(m, x, late),
-            (begin, end),
-            x,
-            t_eval=[*at, end],
-            method="Radau",
-            rtol=1e-9,
-            atol=1e-11,
-        )
+        options = {"t_eval": [*at, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
+        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (begin, end), x, **options)
         times += at
         speeds += list(solved.y[:2, : len(at)].T)
         x = solved.y[:, -1]
@@ -159,7 +136,6 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
 @pytest.mark.parametrize("name", DRIVES)
 def test_as_a_plant_it_is_sharp(name):
     model = load_model(name)
-    assert isinstance(model, DriveModel)
     plant = make_plant(f"model:{name}", surface="ideal", seed=1)
     x, past = np.zeros(model.order), np.zeros((model.memory, 2))
     for k in range(80):

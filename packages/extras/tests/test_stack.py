@@ -81,7 +81,6 @@ def drawn_log(
     reading = sides[::every] / radii + noise * settings.wheel_noise / radius * stream.normal(size=(count, 2))
     odometry = np.column_stack([0.5 * radius * reading.sum(axis=1), radius * np.diff(reading)[:, 0] / track])
     source = build.sensors.pose
-    assert source is not None
     poses = _poses(twist, every, source.latency) + noise * stream.normal(size=(count, 3)) * [
         source.position_sd,
         source.position_sd,

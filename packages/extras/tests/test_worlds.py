@@ -35,9 +35,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def plant_in(folder: Path, text: str) -> WorldPlant:
-    plant = make_plant(f"world:{written(folder, text)}", sensors="perfect")
-    assert isinstance(plant, WorldPlant)
-    return plant
+    return make_plant(f"world:{written(folder, text)}", sensors="perfect")
 
 
 def drive(plant: WorldPlant, command: tuple[float, float], ticks: int) -> FloatArray:
@@ -95,7 +93,6 @@ def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> 
     looks, poses = [], []
     for _ in range(2):
         plant = make_plant("world:crossing", seed=4)
-        assert isinstance(plant, WorldPlant)
         plant.reset((0, 0, 0))
         seen = []
         for _ in range(60):
@@ -140,9 +137,7 @@ def test_what_stands_behind_a_wall_is_not_seen(tmp_path: Path) -> None:
 def test_the_costmap_knows_what_rays_have_met_and_nothing_beyond(tmp_path: Path) -> None:
     walls = "walls: [{start: [1, -3], end: [1, 3], thickness: 0.1}]\n"
     text = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
-    seen = Eyes(load_world(written(tmp_path, text)), 0).look(0.0, [0, 0, 0])
-    assert seen is not None and seen.grid is not None
-    grid = seen.grid
+    grid = Eyes(load_world(written(tmp_path, text)), 0).look(0.0, [0, 0, 0]).grid
 
     def cell(x: float, y: float) -> int:
         return int(grid.cells[math.floor((y - grid.origin[1]) / 0.05), math.floor((x - grid.origin[0]) / 0.05)])
@@ -169,7 +164,6 @@ def test_the_velocity_of_a_person_is_found_and_the_noise_is_as_stated(tmp_path: 
     for seed in range(60):
         eyes = Eyes(world, seed)
         looks = [eyes.look(k / 10, [0, 0, 0]) for k in range(16)]
-        assert looks[0] is not None and looks[-1] is not None
         first, last = looks[0].discs[0], looks[-1].discs[0]
         errors.append([first.x - 2.0, first.y + 2.0, last.vx, last.vy - 1.0])
         assert first.vx == first.vy == 0.0  # one place is no velocity
@@ -187,7 +181,6 @@ def test_drawn_worlds_can_be_passed_and_are_the_same_each_time(through: bool) ->
         drawn_world.cache_clear()
         assert drawn_world(seed, through=through) == world
         densities.append(len(world.posts))
-        assert world.way is not None
         assert filled(world, of.disc_radius)
         way = np.array(world.way.waypoints)
         if through:
@@ -208,7 +201,6 @@ def filled(world: World, radius: float) -> bool:
     points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
     free = world.shapes(0.0).distance(points) > radius
     regions, _ = ndimage.label(free.reshape(len(y), len(x)))
-    assert world.way is not None
     start, goal = (
         regions[np.abs(y - place[1]).argmin(), np.abs(x - place[0]).argmin()]
         for place in ((0.0, 0.0), world.way.waypoints[-1])
