@@ -19,14 +19,7 @@ ROOMS = ("models", "mpc", "sim", "bench", "app", "src", "extras")
 """Folders of the root wheel; `extras` counts until its packages replace it."""
 PYTHON, C_LIKE = {".py"}, {".c", ".h", ".js", ".mjs", ".ts"}
 HIDDEN_FOLDERS = {".ci", ".devcontainer", ".github"}
-NO_CODE = {
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENDMARKER,
-}
+NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 # Literals come before comments, so that `//` in the text of a literal starts no comment.
 LITERAL_OR_COMMENT = re.compile(r"""("(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
 

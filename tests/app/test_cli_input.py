@@ -112,11 +112,7 @@ ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
 
 @pytest.mark.parametrize(
     ("package", "word", "remedy"),
-    [
-        ("mujoco", "simulate", r"[^\n]*--plant model:ssm"),
-        ("rclpy", "node", ROS),
-        ("rclpy", "sim-robot", ROS),
-    ],
+    [("mujoco", "simulate", r"[^\n]*--plant model:ssm"), ("rclpy", "node", ROS), ("rclpy", "sim-robot", ROS)],
 )
 def test_missing_package_is_one_line_with_the_remedy(package: str, word: str, remedy: str) -> None:
     done = run_command(word, without=package)

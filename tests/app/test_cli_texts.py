@@ -52,8 +52,7 @@ def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "seeds"),
-    [("3", (0, 1, 2)), ("7,", (7,)), ("3,4", (3, 4)), ("1000000000,", (1_000_000_000,))],
+    ("text", "seeds"), [("3", (0, 1, 2)), ("7,", (7,)), ("3,4", (3, 4)), ("1000000000,", (1_000_000_000,))]
 )
 def test_a_number_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
     assert parse_seeds(text) == seeds

@@ -111,10 +111,7 @@ def test_a_sweep_is_a_table_with_one_row_for_each_run():
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [
-        ({"horizn": 3}, "unknown key 'horizn'; did you mean 'horizon'"),
-        ({"seeds": 0}, "seeds = 0; give 1 to 10000"),
-    ],
+    [({"horizn": 3}, "unknown key 'horizn'; did you mean 'horizon'"), ({"seeds": 0}, "seeds = 0; give 1 to 10000")],
 )
 def test_a_sweep_that_cannot_run_is_refused_before_it_begins(values, message):
     with pytest.raises(ConfigError, match=message):

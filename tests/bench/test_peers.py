@@ -29,13 +29,7 @@ from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, P
 from diffdrive_mpc.bench.peers.kanayama import KanayamaGains, kanayama_twist
 from diffdrive_mpc.bench.peers.lqr import LqrLaw
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
-from diffdrive_mpc.bench.peers.tracking_peer import (
-    Delayed,
-    LawInput,
-    law_kind,
-    load_gains,
-    make_tracking_peer,
-)
+from diffdrive_mpc.bench.peers.tracking_peer import Delayed, LawInput, law_kind, load_gains, make_tracking_peer
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import simulate

@@ -23,13 +23,7 @@ from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
-from diffdrive_mpc.bench.comparison.tables import (
-    report_tables,
-    scenario_table,
-    solver_table,
-    summary_table,
-    time_table,
-)
+from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table, solver_table, summary_table, time_table
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.bench.run_row import RunOutcome

@@ -36,8 +36,7 @@ def test_a_transfer_function_answers_the_same_as_its_model(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "form"),
-    [("mbm", control.ss), ("sm", control.ss), ("ssm", control.ss), ("ssm", control.ss2tf)],
+    ("name", "form"), [("mbm", control.ss), ("sm", control.ss), ("ssm", control.ss), ("ssm", control.ss2tf)]
 )
 def test_a_discrete_system_is_inverted_exactly_with_its_delays(name, form):
     model = load_model(name)

@@ -89,10 +89,7 @@ def test_only_what_is_registered_is_known(log, tmp_path):
         identify(log, tmp_path / "map.yaml", "lags")
     content = {"name": "x", "structure": "lags", "provenance": {"origin": "identified", "source": "x"}}
     (tmp_path / "lags.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(
-        ConfigError,
-        match="structure: expected one of mbm, sm, ssm.*, found 'lags'",
-    ):
+    with pytest.raises(ConfigError, match="structure: expected one of mbm, sm, ssm.*, found 'lags'"):
         load_model(tmp_path / "lags.yaml")
 
 
@@ -118,12 +115,7 @@ def test_kinematic_is_sm_that_obeys_at_once():
 
 # Guffanti, Pavon, Sensors 2025, 25(18), 5821: numerators (s, 1) over the common denominator, as printed: without
 # minus signs, and with the two cross terms under each other's names.
-PRINTED = {
-    (0, 0): (7.428, 98.86),
-    (1, 1): (14.26, 105.9),
-    (0, 1): (0.1981, 0.01966),
-    (1, 0): (1.013, 0.9052),
-}
+PRINTED = {(0, 0): (7.428, 98.86), (1, 1): (14.26, 105.9), (0, 1): (0.1981, 0.01966), (1, 0): (1.013, 0.9052)}
 PRINTED_DENOMINATOR = (1.0, 20.69, 98.62)
 PRINTED_DIGITS = 4
 

@@ -274,11 +274,7 @@ def test_sag_lowers_the_stall_torque_in_proportion_and_load_lowers_the_voltage()
 def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
     lateral = {}
     endless = {"start": 0.2, "friction": SLIPPERY}
-    for name, plant in {
-        "patch": _plant(patches=[endless]),
-        "slippery": _plant(SLIPPERY),
-        "default": _plant(),
-    }.items():
+    for name, plant in {"patch": _plant(patches=[endless]), "slippery": _plant(SLIPPERY), "default": _plant()}.items():
         lateral[name] = drive_open_loop(plant, np.tile([0.5, 0.5], (250, 1))).true_twist[150:, 1].mean()
     assert lateral["patch"] == pytest.approx(lateral["slippery"], rel=0.02)
     assert lateral["patch"] < 2 * lateral["default"] < 0

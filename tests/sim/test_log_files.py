@@ -16,15 +16,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from diffdrive_mpc import (
-    ConfigError,
-    Controller,
-    Measurement,
-    Stamped,
-    load_config,
-    load_trajectory,
-    make_plant,
-)
+from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, load_config, load_trajectory, make_plant
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.drive_log.tick import tick_schema

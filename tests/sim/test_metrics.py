@@ -146,12 +146,7 @@ def test_the_band_counts_the_share_of_ticks_inside_it() -> None:
     assert metrics.lateral_mae_m == pytest.approx(0.025, abs=1e-9)
 
 
-@given(
-    x=st.floats(-5, 5),
-    y=st.floats(-5, 5),
-    theta=st.floats(-10, 10),
-    seed=st.integers(0, 100),
-)
+@given(x=st.floats(-5, 5), y=st.floats(-5, 5), theta=st.floats(-10, 10), seed=st.integers(0, 100))
 def test_moving_the_whole_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
     offset = 0.03 * np.random.default_rng(seed).standard_normal((len(COARSE), 3))
     moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))

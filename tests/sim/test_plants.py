@@ -14,12 +14,7 @@ from loop_parts import trace
 from diffdrive_mpc import ConfigError, integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.open_loop import (
-    OpenLoopDrive,
-    drive_open_loop,
-    load_command_parameters,
-    random_commands,
-)
+from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, load_command_parameters, random_commands
 from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from refusals import one_line_error

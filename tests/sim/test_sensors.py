@@ -124,11 +124,7 @@ def _file(folder: Path, period: str, latency: str) -> Path:
 
 @pytest.mark.parametrize(
     ("period", "latency", "key"),
-    [
-        ("1.0e-7", "0.02", "pose.period"),
-        ("0.1", "1.0e+9", "pose.latency"),
-        ("0.1", "-0.01", "pose.latency"),
-    ],
+    [("1.0e-7", "0.02", "pose.period"), ("0.1", "1.0e+9", "pose.latency"), ("0.1", "-0.01", "pose.latency")],
 )
 def test_a_pose_sensor_that_would_never_end_is_refused(period: str, latency: str, key: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"mine\.yaml: {key}: [^\n]*\(found [^\n]*\)$"):

@@ -18,11 +18,7 @@ from studies.reproduce.drive_models import (
     drive_model_findings,
     drive_model_tables,
 )
-from studies.reproduce.drives import (
-    RobotLogs,
-    dead_reckon,
-    trajectory_commands,
-)
+from studies.reproduce.drives import RobotLogs, dead_reckon, trajectory_commands
 from studies.reproduce.published import load_published, load_study
 from studies.reproduce.virtual_track import DrivenTrack, drive_tests, fit_line
 

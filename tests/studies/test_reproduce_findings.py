@@ -6,13 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from reproduce_parts import (
-    made_up,
-    mbm_sm,
-    report_of,
-    ssm,
-    write_made_up,
-)
+from reproduce_parts import made_up, mbm_sm, report_of, ssm, write_made_up
 
 from commands import invoke
 from diffdrive_mpc.bench.report_folder import CONTENTS

@@ -12,10 +12,7 @@ from diffdrive_mpc import load_config, load_model
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.interface import ReferenceSample
 from studies.speed.measure import closed_loop_cost
-from studies.speed.results import (
-    growth_exponent,
-    time_statistics,
-)
+from studies.speed.results import growth_exponent, time_statistics
 from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
 from studies.speed.study import SpeedStudy
 

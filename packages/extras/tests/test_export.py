@@ -334,11 +334,7 @@ def test_functions_of_the_user(tmp_path, precision, within):
 
 @pytest.mark.parametrize(
     ("model", "precision", "within"),
-    [
-        ("lstm", "double", DOUBLE),
-        ("lstm", "float", 2e-3),
-        ("p2_experimental", "double", DOUBLE),
-    ],
+    [("lstm", "double", DOUBLE), ("lstm", "float", 2e-3), ("p2_experimental", "double", DOUBLE)],
 )
 def test_networks_and_drives_come_along(tmp_path, model, precision, within):
     """A network's weights as tables; slope limits and, of the experimental drive, its threshold."""

@@ -32,11 +32,7 @@ def drive(speed=0.4, bend=0.0, change=0.0, seconds=10.0, name="path"):
 @pytest.mark.parametrize("population", POPULATIONS)
 @pytest.mark.parametrize(
     ("calm", "hard"),
-    [
-        ({"speed": 0.3}, {"speed": 0.9}),
-        ({"bend": 0.2}, {"bend": 1.5}),
-        ({"bend": 0.5}, {"bend": 0.5, "change": 1.5}),
-    ],
+    [({"speed": 0.3}, {"speed": 0.9}), ({"bend": 0.2}, {"bend": 1.5}), ({"bend": 0.5}, {"bend": 0.5, "change": 1.5})],
     ids=["speed", "curvature", "change of curvature"],
 )
 def test_the_tube_is_wider_where_the_path_is_harder(controller, population, calm, hard):

@@ -13,12 +13,7 @@ from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.campaign.rates import Rate, conformal_quantile
 from diffdrive_mpc_extras.proof.proof_file import DEFAULT as PROOF
-from diffdrive_mpc_extras.proof.proof_file import (
-    Boundary,
-    BoundarySearch,
-    find_boundaries,
-    load_proof,
-)
+from diffdrive_mpc_extras.proof.proof_file import Boundary, BoundarySearch, find_boundaries, load_proof
 from diffdrive_mpc_extras.proof.report import Outcomes, facts, is_unsafe, tables, worst
 
 PROBE = Definition(Case())

@@ -39,12 +39,7 @@ class DrawnLog:
 
 
 def drawn_log(
-    seed: int,
-    *,
-    noise: float = 1.0,
-    seconds: float | None = None,
-    limit: float | None = None,
-    pose: bool = True,
+    seed: int, *, noise: float = 1.0, seconds: float | None = None, limit: float | None = None, pose: bool = True
 ) -> DrawnLog:
     """Drive the robot of a seed.
 

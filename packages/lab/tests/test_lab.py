@@ -22,14 +22,7 @@ from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit
 from diffdrive_mpc_lab.build import experiments, page_text
-from diffdrive_mpc_lab.numbers import (
-    FLOOR,
-    configuration,
-    default_of,
-    lab_settings,
-    plant_functions,
-    values_of,
-)
+from diffdrive_mpc_lab.numbers import FLOOR, configuration, default_of, lab_settings, plant_functions, values_of
 
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
