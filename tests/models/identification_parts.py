@@ -1,7 +1,9 @@
 """Drives with a known truth, for the tests of the identification."""
 
 import numpy as np
+import pytest
 
+from diffdrive_mpc import Controller, load_config
 from diffdrive_mpc.models import VelocityModel, load_model
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.logs.record import Record
@@ -58,6 +60,17 @@ def differences(function, point, step=1e-6):
     moves = step * np.eye(len(point))
     ends = [(np.ravel(function(point + move)), np.ravel(function(point - move))) for move in moves]
     return np.column_stack([(high - low) / (2 * step) for high, low in ends])
+
+
+def check_written(found, folder, within):
+    """Check that an identification's files give its model and a controller that drives with it; return the model."""
+    found.write(folder)
+    model, config = load_model(folder / "model.yaml"), load_config(folder / "config.yaml")
+    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
+    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=within)
+    assert config.sample_time == model.dt
+    assert Controller(config).model.structure == model.structure == found.report.as_json()["model"]
+    return model
 
 
 def single(inputs, outputs):

@@ -90,10 +90,6 @@ def test_going_back_returns(pose, v, omega, dt):
     assert integrate_pose(integrate_pose(pose, v, omega, dt), v, omega, -dt) == pytest.approx(pose, abs=1e-12)
 
 
-def test_a_left_turn_goes_left():
-    assert integrate_pose([0, 0, 0], 1.0, np.pi / 2, 1.0) == pytest.approx([2 / np.pi, 2 / np.pi, np.pi / 2])
-
-
 @given(st.floats(-100, 100))
 def test_wrapped_angles_point_the_same_way(angle):
     wrapped = float(wrap_angle(angle))

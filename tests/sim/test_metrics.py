@@ -64,18 +64,14 @@ def test_heading_errors_are_wrapped_whatever_turn_the_angles_are_on() -> None:
     assert metrics.heading_max_rad == pytest.approx(0.1, abs=1e-12)
 
 
-def test_side_slip_shows_in_the_course_and_not_in_the_heading() -> None:
-    run = run_along(CIRCLE, CIRCLE.sample(TIMES).pose, [0.5, -0.05, 0.5], TIMES)
-    assert run.metrics.heading_rmse_rad == pytest.approx(0.0, abs=1e-12)
-    assert run.metrics.course_rmse_rad == pytest.approx(np.arctan2(0.05, 0.5), rel=1e-12)
-
-
-def test_holding_the_path_against_side_slip_shows_in_the_heading_and_not_in_the_course() -> None:
-    slip = 0.08
-    pose = CIRCLE.sample(TIMES).pose + np.array([0.0, 0.0, slip])
-    run = run_along(CIRCLE, pose, [0.5 * np.cos(slip), -0.5 * np.sin(slip), 0.5], TIMES)
-    assert run.metrics.heading_rmse_rad == pytest.approx(slip, rel=1e-12)
-    assert run.metrics.course_rmse_rad == pytest.approx(0.0, abs=1e-12)
+@pytest.mark.parametrize(
+    ("turned", "twist", "course"),
+    [(0.0, (0.5, -0.05), np.arctan2(0.05, 0.5)), (0.08, (0.5 * np.cos(0.08), -0.5 * np.sin(0.08)), 0.0)],
+)
+def test_side_slip_shows_in_the_course_or_in_the_heading_that_makes_up_for_it(turned, twist, course) -> None:
+    run = run_along(CIRCLE, CIRCLE.sample(TIMES).pose + [0.0, 0.0, turned], [*twist, 0.5], TIMES)
+    assert run.metrics.heading_rmse_rad == pytest.approx(turned, rel=1e-12, abs=1e-12)
+    assert run.metrics.course_rmse_rad == pytest.approx(course, rel=1e-12, abs=1e-12)
 
 
 def test_driving_backwards_as_the_reference_does_is_no_course_error() -> None:

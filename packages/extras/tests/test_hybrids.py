@@ -8,10 +8,10 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from identification_parts import data_of, differences
+from identification_parts import check_written, data_of, differences
 from log_parts import write_csv, write_mapping
 
-from diffdrive_mpc import ConfigError, Controller, MissingPackageError, ModelError, identify, load_config, load_model
+from diffdrive_mpc import ConfigError, MissingPackageError, ModelError, identify, load_model
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model, model_path, read_model_file
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc_extras.hybrids.hybrid_model import (
@@ -219,13 +219,7 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     assert "chosen on held-out blocks" in report.markdown()
     other = report.fitted.predictor.refitted(report.data.validation, "gyro")
     assert isinstance(other, HybridModel)
-    found.write(tmp_path / "mine")
-    model = load_model(tmp_path / "mine" / "model.yaml")
-    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
-    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=1e-5)
-    config = load_config(tmp_path / "mine" / "config.yaml")
-    assert config.sample_time == model.dt == 0.04
-    assert Controller(config).model.structure == "hybrid"
+    assert check_written(found, tmp_path / "mine", 1e-5).dt == 0.04
 
 
 def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
