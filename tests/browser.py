@@ -1,7 +1,5 @@
 """Reports in a real browser: python tests/browser.py REPORT.html PICTURE.png [WIDTH HEIGHT] takes a screenshot."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 `python tests/code_lines.py` prints the table that tests/test_size_budget.py compares with tests/size_budget.yaml.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re
@@ -21,14 +19,7 @@ ROOMS = ("models", "mpc", "sim", "bench", "app", "src", "extras")
 """Folders of the root wheel; `extras` counts until its packages replace it."""
 PYTHON, C_LIKE = {".py"}, {".c", ".h", ".js", ".mjs", ".ts"}
 HIDDEN_FOLDERS = {".ci", ".devcontainer", ".github"}
-NO_CODE = {
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENDMARKER,
-}
+NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 # Literals come before comments, so that `//` in the text of a literal starts no comment.
 LITERAL_OR_COMMENT = re.compile(r"""("(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
 

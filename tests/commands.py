@@ -23,3 +23,11 @@ def invoke(app: Typer, *words: object, code: int = 0) -> Result:
 def call(*words: object, code: int = 0) -> str:
     """What a command of the product prints, which ends with the exit code `code`."""
     return invoke(product, *words, code=code).output
+
+
+def refusal(*words: object, code: int = 2) -> str:
+    """Return the only line that a command of the product prints, an error."""
+    result = invoke(product, *words, code=code)
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ") and result.stdout == ""
+    return line

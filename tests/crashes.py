@@ -1,7 +1,5 @@
 """A process that is killed, or finds the disk full, at the n-th thing that it does to the files of a folder."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

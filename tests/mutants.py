@@ -5,8 +5,6 @@ negation or extremum differs. Each is made in a copy of the tree, and the tests 
 failed test, a crash and a time-out kill it. What compiles to the same code is drawn again.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os
@@ -59,7 +57,7 @@ _OPERATORS = "+ - += -= * / *= /= == != && || and or True False"
 _FUNCTIONS = "min max fmin fmax minimum maximum argmin argmax any all sin cos"
 _words = f"{_OPERATORS} {_FUNCTIONS}".split()
 SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
-    **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")},
+    **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")}
 }
 # What stands before the size of an array in its declaration: a larger one changes nothing, a smaller one is undefined.
 _ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")

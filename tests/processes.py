@@ -1,7 +1,5 @@
 """Other processes that tests start: Python with some code, the command line without a package, and which still run."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

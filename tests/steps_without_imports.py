@@ -7,6 +7,8 @@ configuration enables all run.
 """
 
 import json
+import os
+import subprocess
 import sys
 
 CASES = {
@@ -49,6 +51,17 @@ def drive(settings, started=lambda controller: None):
         messages.append(result.message)
         robot.advance(result.command)
     return {"imported": watch.wanted, "messages": messages}
+
+
+def check_steps(program, name):
+    """Run a program that prints what `drive` returns; check that its steps ran all branches and imported nothing."""
+    path = os.pathsep.join(filter(None, sys.path))
+    words, environment = [sys.executable, str(program), name], os.environ | {"PYTHONPATH": path}
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment)
+    steps = json.loads(done.stdout)
+    assert steps["imported"] == []
+    for part in ("rejoining", "no pose was accepted", "a test"):
+        assert any(part in message for message in steps["messages"])
 
 
 if __name__ == "__main__":

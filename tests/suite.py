@@ -25,22 +25,9 @@ os.environ.pop("COLUMNS", None)
 
 SYSTEM_PACKAGES = yaml.safe_load(Path(__file__).with_name("system_packages.yaml").read_text(encoding="utf-8"))
 """By need of a test marked `system`: programs and shared libraries, each with its Debian packages."""
-LONG_TESTS = {
-    "test_core_library.py",
-    "test_documents.py",
-    "test_export.py",
-    "test_hybrids.py",
-    "test_identify_command.py",
-    "test_identify_truth.py",
-    "test_model_comparison.py",
-    "test_monitor_with_node.py",
-    "test_network_identification.py",
-    "test_over_dds.py",
-    "test_real_time_iterations.py",
-    "test_replay.py",
-    "test_reproduce_experiments.py",
-    "test_tutorials.py",
-}
+LONG_TESTS = {"core_library", "documents", "export", "hybrids", "identify_command", "identify_truth"}
+LONG_TESTS |= {"model_comparison", "monitor_with_node", "networks", "over_dds", "real_time_iterations", "replay"}
+LONG_TESTS |= {"reproduce_experiments", "tutorials"}
 """Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
 LOGS = os.environ.get("DIFFDRIVE_MPC_DATA")
 LEFT_OUT = {
@@ -97,7 +84,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if "ros_types" in item.fixturenames:
             item.add_marker(pytest.mark.system("compiler"))
-    items.sort(key=lambda item: item.path.name not in LONG_TESTS)
+    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in LONG_TESTS)
 
 
 def pytest_runtest_setup(item):

@@ -1,4 +1,4 @@
-"""`import diffdrive_mpc`: what it gives, what it does not load, and that it stands beside files of any name."""
+"""`import diffdrive_mpc`: its names and errors, and that it works in a folder with files of any name."""
 
 import importlib
 import inspect
@@ -35,26 +35,7 @@ def test_every_error_of_the_project_has_the_common_base():
 
 @pytest.mark.parametrize("name", diffdrive_mpc.__all__)
 def test_every_public_name_is_there(name):
-    assert getattr(diffdrive_mpc, name).__name__ == name
-    assert name in dir(diffdrive_mpc)
-
-
-def python(folder, *arguments):
-    command = [sys.executable, *arguments]
-    result = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
-    assert result.returncode == 0, result.stderr
-    return result.stdout.strip()
-
-
-def test_the_import_loads_neither_the_simulation_nor_the_bench_nor_their_packages(tmp_path):
-    unwanted = ("diffdrive_mpc.sim", "diffdrive_mpc.bench", "mujoco", "matplotlib")
-    code = (
-        "import sys, diffdrive_mpc\n"
-        f"print([name for name in {unwanted} if name in sys.modules])\n"
-        "diffdrive_mpc.Controller, diffdrive_mpc.load_config, diffdrive_mpc.ConfigError\n"
-        f"print([name for name in {unwanted} if name in sys.modules])\n"
-    )
-    assert python(tmp_path, "-c", code).splitlines() == ["[]", "[]"]
+    assert getattr(diffdrive_mpc, name).__name__ == name and name in dir(diffdrive_mpc)
 
 
 SCRIPT = """
@@ -80,4 +61,5 @@ def test_a_script_runs_beside_files_that_are_called_as_the_rooms_are(tmp_path):
     for room in ("models", "mpc", "sim", "bench", "app"):
         (tmp_path / f"{room}.py").write_text("'of the user'\n")
     (tmp_path / "script.py").write_text(SCRIPT)
-    assert python(tmp_path, "script.py") == "TRACKING True"
+    done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.stdout == "TRACKING True\n", done.stderr

@@ -3,8 +3,6 @@
 `python tests/app/promise_kept.py husky --draws 300` prints it, and ends with 1 where fewer than 95 % keep it.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """The command line: bad input ends in one line and exit code 2; help is quick and has examples."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import signal
@@ -16,7 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from commands import invoke
+from commands import invoke, refusal
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import combinations
@@ -26,17 +24,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.reading import read_log
 from processes import run_command
 
-COMMANDS = [
-    ["simulate"],
-    ["bench"],
-    ["identify"],
-    ["config", "show"],
-    ["config", "check"],
-    ["config", "schema"],
-    ["models", "list"],
-    ["models", "show"],
-    ["models", "check"],
-]
+COMMANDS = ["", "simulate", "bench", "identify", "config show", "config check", "config schema"]
+COMMANDS += ["models list", "models show", "models check"]
 
 runner = CliRunner()
 
@@ -93,11 +82,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out"
     before = sorted(folder.rglob("*"))
-    result = invoke(app, *shlex.split(arguments.format(out=out, folder=folder)), code=2)
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1
-    assert message.format(folder=folder) in result.stderr
-    assert result.stdout == ""
+    assert message.format(folder=folder) in refusal(*shlex.split(arguments.format(out=out, folder=folder)))
     assert not out.exists()
     assert sorted(folder.rglob("*")) == before
 
@@ -111,10 +96,10 @@ def test_program_fault_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(result.exception, ZeroDivisionError)
 
 
-@pytest.mark.parametrize("command", [[], *COMMANDS], ids=" ".join)
-def test_every_command_has_help_with_an_example(command: list[str]) -> None:
-    result = invoke(app, *command, "--help")
-    assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    result = invoke(app, *command.split(), "--help")
+    assert f"Example: diffdrive-mpc {command}".rstrip() in " ".join(result.stdout.split())
 
 
 def test_version() -> None:
@@ -127,11 +112,7 @@ ROS = r"install diffdrive-mpc\[ros\], or source the setup file of ROS 2 Jazzy"
 
 @pytest.mark.parametrize(
     ("package", "word", "remedy"),
-    [
-        ("mujoco", "simulate", r"[^\n]*--plant model:ssm"),
-        ("rclpy", "node", ROS),
-        ("rclpy", "sim-robot", ROS),
-    ],
+    [("mujoco", "simulate", r"[^\n]*--plant model:ssm"), ("rclpy", "node", ROS), ("rclpy", "sim-robot", ROS)],
 )
 def test_missing_package_is_one_line_with_the_remedy(package: str, word: str, remedy: str) -> None:
     done = run_command(word, without=package)
@@ -187,8 +168,7 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
     result = invoke(app, "models", "show", "ssm", code=130)
-    assert result.stderr.strip() == "error: aborted"
-    assert result.stdout == ""
+    assert result.stderr.strip() == "error: aborted" and result.stdout == ""
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

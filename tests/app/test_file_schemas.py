@@ -1,7 +1,5 @@
 """JSON Schemas accept and refuse the same files as the readers, as far as a schema can."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable, Iterator

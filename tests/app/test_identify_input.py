@@ -5,13 +5,12 @@ import shlex
 import numpy as np
 import pytest
 from log_parts import MAPPING, drive, write_csv, write_mapping
-from typer.testing import CliRunner
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import study, trial_drives
 from diffdrive_mpc.bench.report_folder import CONTENTS
 
-runner = CliRunner()
 COLUMNS = drive(seconds=12.0)
 EVIL = "!!python/object/apply:os.system ['touch {folder}/executed']\n"
 
@@ -73,35 +72,29 @@ def folder(tmp_path_factory):
 def test_bad_input_is_one_line_and_exit_code_2(arguments, message, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))
-    result = runner.invoke(app, ["identify", "--out", str(tmp_path / "out"), *shlex.split(arguments)])
-    assert result.exit_code == 2, result.stdout
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1
-    assert message in result.stderr
+    line = invoke(app, "identify", "--out", tmp_path / "out", *shlex.split(arguments), code=2).stderr
+    assert line.startswith("error: ") and line.count("\n") == 1 and message in line
     assert not (tmp_path / "out").exists()
     assert sorted(folder.rglob("*")) == before  # nothing of a file was executed either
 
 
 @pytest.mark.parametrize("name", ["degrees", "reversed"])
 def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder, tmp_path):
-    words = ["identify", str(folder / f"{name}.csv"), "--out", str(tmp_path / "out"), "--mapping"]
-    result = runner.invoke(app, [*words, str(folder / "map.yaml")])
-    assert result.exit_code == 2
+    words = ["identify", folder / f"{name}.csv", "--out", tmp_path / "out", "--mapping"]
+    result = invoke(app, *words, folder / "map.yaml", code=2)
     assert result.stderr.startswith(f"error: {name}.csv: omega of the gyro") and result.stderr.count("\n") == 1
     assert f"--mapping {tmp_path / 'out' / 'fixed.yaml'}" in result.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["fixed.yaml"]
-    followed = runner.invoke(app, [*words, str(tmp_path / "out" / "fixed.yaml")])
-    assert followed.exit_code == 0, followed.stderr
+    invoke(app, *words, tmp_path / "out" / "fixed.yaml")
     assert (tmp_path / "out" / "fixed.yaml").exists(), "it is read, so it stays"
 
 
 def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(folder, tmp_path):
     log = write_csv(tmp_path / "rpm.csv", COLUMNS | {"v": 60 / (2 * np.pi) * COLUMNS["v"]})
-    words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
-    result = runner.invoke(app, words)
-    assert result.exit_code == 2 and "v of the encoders is 9.2" in result.stderr
+    words = ["identify", log, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
+    assert "v of the encoders is 9.2" in invoke(app, *words, code=2).stderr
     assert not (tmp_path / "o").exists()
-    assert runner.invoke(app, [*words, "--force"]).exit_code == 0
+    invoke(app, *words, "--force")
     assert (tmp_path / "o" / "config.yaml").exists()
     assert "May I drive? No: " in (tmp_path / "o" / "report.md").read_text()
 
@@ -110,20 +103,20 @@ def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
     """The log held out is of a robot that turns a quarter as far: no model of the first predicts it."""
     log = write_csv(tmp_path / "one.csv", COLUMNS)
     other = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
-    words = ["identify", str(log), "--validate", str(other), "--mapping", str(folder / "map.yaml")]
-    result = runner.invoke(app, [*words, "--out", str(tmp_path / "o")])
-    assert result.exit_code == 2 and "below 40 %" in result.stderr and "--force" in result.stderr
+    words = ["identify", log, "--validate", other, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
+    result = invoke(app, *words, code=2)
+    assert "below 40 %" in result.stderr and "--force" in result.stderr
     files = [CONTENTS, "report.html", "report.json", "report.md"]
     assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == files
-    assert runner.invoke(app, [*words, "--force", "--out", str(tmp_path / "o")]).exit_code == 0
+    invoke(app, *words, "--force")
     assert (tmp_path / "o" / "config.yaml").exists()
 
 
 DRAFT_COLUMNS = drive(seconds=8.0)
 
 
-def draft(*words):
-    return CliRunner().invoke(app, ["identify", "--draft-mapping", *(str(word) for word in words)])
+def draft(*words, code=0):
+    return invoke(app, "identify", "--draft-mapping", *words, code=code)
 
 
 def test_a_draft_is_written_where_the_user_stands_and_is_never_replaced(tmp_path, monkeypatch):
@@ -131,14 +124,12 @@ def test_a_draft_is_written_where_the_user_stands_and_is_never_replaced(tmp_path
     log = write_csv(tmp_path / "log.csv", DRAFT_COLUMNS | {"gyro": -DRAFT_COLUMNS["gyro"]})
     shown = draft("log.csv").stdout
     written = tmp_path / "mapping.yaml"
-    assert written.read_text() in shown
-    assert "omega of the gyro runs against the command" in shown
+    assert written.read_text() in shown and "omega of the gyro runs against the command" in shown
     assert shown.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
     written.write_text("corrected by hand")
-    refused = draft("log.csv")
-    assert refused.exit_code == 2
-    assert "mapping.yaml: exists and is not replaced; move it away, or give --out" in refused.stderr
+    refused = draft("log.csv", code=2).stderr
+    assert "mapping.yaml: exists and is not replaced; move it away, or give --out" in refused
     assert written.read_text() == "corrected by hand"
-    assert draft(log, "--out", "mine/map.yaml").exit_code == 0
+    draft(log, "--out", "mine/map.yaml")
     assert (tmp_path / "mine/map.yaml").is_file()
-    assert "--draft-mapping: 2 logs; give one" in draft(log, log).stderr
+    assert "--draft-mapping: 2 logs; give one" in draft(log, log, code=2).stderr

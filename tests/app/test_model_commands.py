@@ -1,7 +1,5 @@
 """`models fit` and `models calibrate`: checked before the long work, counted while it goes on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -26,21 +24,13 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Short experiments on a velocity model."""
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
-    monkeypatch.setattr(
-        f"{FITTING}.run_experiments",
-        lambda: PaperExperiments(straight, straight, turn),
-    )
-    monkeypatch.setattr(
-        f"{FITTING}.validation_table",
-        lambda folder: Table("FIT", ("model",), (("sm",),)),
-    )
+    monkeypatch.setattr(f"{FITTING}.run_experiments", lambda: PaperExperiments(straight, straight, turn))
+    monkeypatch.setattr(f"{FITTING}.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
 
 
 @pytest.mark.usefixtures("quick_parts")
 def test_every_identification_is_announced_against_the_right_total(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     fit_models(tmp_path, on_progress=lambda done, total: seen.append((done, total)))
-    assert IDENTIFICATIONS == 10
-    assert seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
-    assert load_model(tmp_path / "sm.yaml").order == 4
-    assert load_model(tmp_path / "mbm.yaml").order == 8
+    assert IDENTIFICATIONS == 10 and seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
+    assert load_model(tmp_path / "sm.yaml").order == 4 and load_model(tmp_path / "mbm.yaml").order == 8

@@ -1,7 +1,5 @@
 """No command replaces a file that it reads, under whatever name."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -11,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
-from commands import invoke
+from commands import invoke, refusal
 from diffdrive_mpc import ControllerConfig, identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.input_file import read_input, reading
@@ -40,12 +37,6 @@ def _hard_linked(file: Path, folder: Path) -> Path:
     return folder / "hard.csv"
 
 
-def _refused(*words: object) -> str:
-    result = invoke(app, *words, code=2)
-    (line,) = result.stderr.splitlines()
-    return line
-
-
 @pytest.mark.parametrize("name", [_as_it_is, _linked, _hard_linked])
 def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     tmp_path: Path, name: Callable[[Path, Path], Path]
@@ -53,9 +44,8 @@ def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     """Refused before the drive, with the file as it was."""
     file = tmp_path / "poses.csv"
     file.write_text(_POSES, encoding="utf-8")
-    line = _refused("simulate", "--trajectory", file, "--log", name(file, tmp_path))
-    assert "this command reads that file" in line
-    assert "--log" in line
+    line = refusal("simulate", "--trajectory", file, "--log", name(file, tmp_path))
+    assert "this command reads that file" in line and "--log" in line
     assert file.read_text(encoding="utf-8") == _POSES
 
 
@@ -66,22 +56,15 @@ def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> N
     before = model.read_bytes()
     config = tmp_path / "config.yaml"
     config.write_text(f"model: {model}\n", encoding="utf-8")
-    assert "this command reads that file" in _refused("simulate", "--config", config, "--log", model)
+    assert "this command reads that file" in refusal("simulate", "--config", config, "--log", model)
     assert model.read_bytes() == before
 
 
 def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Path) -> None:
     """An option that is written does not count as read, nor does what another command has read."""
-    assert named_inputs(["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]) == [
-        "simulate",
-        "simulate",
-        "--log",
-        "--log",
-        "--trajectory",
-        "--trajectory",
-        "b.yaml",
-        "b.yaml",
-    ]
+    inputs = ("simulate", "--log", "--trajectory", "b.yaml")
+    words = ["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]
+    assert named_inputs(words) == [word for word in inputs for _ in range(2)]
     assert "a.csv" in named_inputs(["twin", "--log", "a.csv"])
     assert {"x.yaml", "y.csv"} <= set(named_inputs(["bench", "--models=x.yaml,y.csv"]))
     assert "z.yaml" in named_inputs(["simulate", "--plant", "mujoco:z.yaml"])
@@ -97,15 +80,15 @@ def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Pat
 WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
 
 
-def simulated(*words):
-    return CliRunner().invoke(app, [*WORDS, *words])
+def simulated(*words, code=0):
+    return invoke(app, *WORDS, *words, code=code)
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     for name in ("s.csv", "s.mcap"):
-        assert simulated("--log", str(folder / name)).exit_code == 0
+        simulated("--log", folder / name)
     return folder
 
 
@@ -133,7 +116,8 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
     monkeypatch.setattr(log_mcap, "write_ticks", full)
     log = tmp_path / "run.mcap"
     log.write_bytes(b"old")
-    result = simulated("--log", str(log))
-    assert result.exit_code == 2
-    assert result.stderr.splitlines()[-1] == f"error: --log {log}: cannot be written (No space left on device)"
+    assert (
+        simulated("--log", log, code=2).stderr.splitlines()[-1]
+        == f"error: --log {log}: cannot be written (No space left on device)"
+    )
     assert log.read_bytes() == b"old" and list(tmp_path.iterdir()) == [log]

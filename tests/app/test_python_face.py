@@ -1,6 +1,5 @@
 """From Python as people of the field write it: names where objects stand, sweeps, and one sentence for each mistake."""
 
-import re
 import warnings
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from diffdrive_mpc import (
     simulate,
     sweep,
 )
+from refusals import one_line_error
 
 STRAIGHT = Trajectory.from_waypoints([(0, 0), (0.3, 0)], name="straight")
 PLANT = "model:ssm"
@@ -49,8 +49,7 @@ def test_names_stand_for_what_they_name(controller):
 def test_a_plant_by_name_has_the_controllers_sample_time_and_a_model_is_one():
     mine = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
     run = simulate({"model": "ssm", "sample_time": 0.05}, mine, STRAIGHT)
-    assert run.sample_time == 0.05
-    assert run.metrics.completed
+    assert run.sample_time == 0.05 and run.metrics.completed
 
 
 @pytest.mark.parametrize(
@@ -86,13 +85,9 @@ MISTAKES = {
 def test_a_wrong_type_is_one_sentence_that_says_how_to_make_it(controller, mistake):
     make, remedy = MISTAKES[mistake]
     controller.start(STRAIGHT, 0.0)
-    with pytest.raises(ArgumentError, match=re.escape(remedy)) as caught:
+    assert issubclass(ArgumentError, TypeError)
+    with one_line_error(ArgumentError, remedy, "expected ", "got "):
         make(controller)
-    message = str(caught.value)
-    assert "expected " in message
-    assert "got " in message
-    assert "\n" not in message
-    assert isinstance(caught.value, TypeError)
 
 
 def test_a_sweep_is_a_table_with_one_row_for_each_run():
@@ -100,10 +95,8 @@ def test_a_sweep_is_a_table_with_one_row_for_each_run():
     values = {"horizon": [10, 30], "weights.across": 150.0}
     table = sweep(model=["sm", mine], trajectory=STRAIGHT, seeds=range(2), plant=PLANT, jobs=1, **values)
     assert list(table.columns[:6]) == ["model", "trajectory", "seed", "plant", "horizon", "weights.across"]
-    assert list(table["model"]) == ["sm"] * 4 + ["mine"] * 4
-    assert list(table["seed"]) == [0, 0, 1, 1] * 2
-    assert list(table["horizon"]) == [10, 30] * 4
-    assert table["completed"].all()
+    assert list(table["model"]) == ["sm"] * 4 + ["mine"] * 4 and list(table["seed"]) == [0, 0, 1, 1] * 2
+    assert list(table["horizon"]) == [10, 30] * 4 and table["completed"].all()
     assert set(table["ended"]) == {""}
     # The same numbers as the run by itself, and the same model under both names.
     run = simulate(load_config("sm", {"horizon": 30, "weights.across": 150.0}), make_plant(PLANT, seed=1), STRAIGHT)
@@ -115,10 +108,7 @@ def test_a_sweep_is_a_table_with_one_row_for_each_run():
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [
-        ({"horizn": 3}, "unknown key 'horizn'; did you mean 'horizon'"),
-        ({"seeds": 0}, "seeds = 0; give 1 to 10000"),
-    ],
+    [({"horizn": 3}, "unknown key 'horizn'; did you mean 'horizon'"), ({"seeds": 0}, "seeds = 0; give 1 to 10000")],
 )
 def test_a_sweep_that_cannot_run_is_refused_before_it_begins(values, message):
     with pytest.raises(ConfigError, match=message):

@@ -6,11 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from two_processes import drive_over_dds
-from typer.testing import CliRunner
 
-from commands import invoke
+from commands import call
 from diffdrive_mpc import ConfigError, load_config, load_trajectory
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.node_log import LoggedConfigs
 from diffdrive_mpc.app.replay.own_log import read_recording
 from diffdrive_mpc.app.replay.replay import replay
@@ -59,9 +57,7 @@ def recorded(path, config=None):
 
 def log_replay(*words, code=0):
     """Run `log replay`; return its output with single spaces."""
-    result = CliRunner().invoke(app, ["log", "replay", *map(str, words)])
-    assert result.exit_code == code, result.output
-    return " ".join(result.output.split())
+    return " ".join(call("log", "replay", *words, code=code).split())
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -69,13 +65,11 @@ def test_csv_log_replays_to_the_same_commands(name, tmp_path):
     run, path, config = logged(CASES[name], tmp_path)
     recording = recorded(path, config)
     replayed = replay(recording, config, recording.references, as_recorded=False)
-    assert np.array_equal(recording.command, run.command)
-    assert np.abs(replayed.command - run.command).max() < 1e-9
+    assert np.array_equal(recording.command, run.command) and np.abs(replayed.command - run.command).max() < 1e-9
     assert replayed.modes == run.modes and not recording.notes
     # With the trajectory itself the commands are equal to the last bit.
     exact = replay(recording, config, (load_trajectory(CASES[name].trajectory, config),), as_recorded=False)
-    assert np.array_equal(exact.command, run.command)
-    assert exact.messages == run.messages
+    assert np.array_equal(exact.command, run.command) and exact.messages == run.messages
 
 
 def test_slew_of_another_configuration_counts_from_the_recorded_command(tmp_path):
@@ -106,7 +100,7 @@ def mcap(tmp_path_factory):
     model, config, log = folder / "mine.yaml", folder / "config.yaml", folder / "drive.mcap"
     model.write_text((Path(__file__).parents[2] / "models" / "parameters" / "sm.yaml").read_text())
     config.write_text("model: mine.yaml\nhorizon: 20\nweights: {across: 90.0}\n")
-    invoke(app, "simulate", "--config", config, "--trajectory", "cane", "--plant", "model:sm", "--log", log)
+    call("simulate", "--config", config, "--trajectory", "cane", "--plant", "model:sm", "--log", log)
     model.unlink()
     config.unlink()
     return log
@@ -196,4 +190,4 @@ def test_mcap_bag_of_the_node_replays_to_the_last_bit(lock_step, tmp_path):
     replayed = replay(recording, recording.config, recording.references, as_recorded=True)
     assert np.array_equal(replayed.command, recording.command)
     assert replayed.modes == tuple(tick.mode for tick in recording.ticks)
-    assert "commands are equal at every tick" in " ".join(invoke(app, "log", "replay", bag).stdout.split())
+    assert "commands are equal at every tick" in log_replay(bag)

@@ -1,7 +1,5 @@
 """A fast plant and ready-made outcomes for the tests of the bench."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +11,9 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped, TrackingController
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim import Run, make_plant, simulate
 
 META: dict[str, object] = {
     "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
@@ -55,18 +55,26 @@ class DisplacedUnicycle(KinematicPlant):
         return Measurement(pose=self._past[-1 - self._late])
 
 
+def check_return(peer: TrackingController) -> Run:
+    """Check that a peer brings the robot back to an arc from beside it; return the run."""
+    plant = make_plant("model:sm", surface="ideal", sensors="perfect")
+    plant.reset = lambda pose: type(plant).reset(plant, [-0.05, 0.1, 0.1])
+    run = simulate(peer, plant, Arc(duration=6.0))
+    late = run.counted & (run.time > 4.5)
+    assert run.errors.position[0] > 0.1 and run.errors.position[late].max() < 0.02
+    return run
+
+
+def check_square(peer: TrackingController, path: str = "square") -> None:
+    """Check that a peer completes a path near to it."""
+    run = simulate(peer, make_plant("model:sm", seed=0), load_trajectory(path))
+    assert run.metrics.completed and run.errors.position[run.counted].max() < 0.05
+    assert set(run.modes[:-1]) <= {"TRACKING", "FINISHED"}
+
+
 def quick_case(**changes: object) -> Case:
     """A case on the plant of the controller's own model, without noise."""
-    fields = {
-        "controller": "mpc",
-        "model": "ssm",
-        "trajectory": "circle",
-        "plant": "model:ssm",
-        "surface": "ideal",
-        "sensors": "perfect",
-        "seed": 0,
-    }
-    return Case(**{**fields, **changes})  # type: ignore[arg-type]
+    return Case(**{"plant": "model:ssm", "surface": "ideal", "sensors": "perfect", **changes})  # type: ignore[arg-type]
 
 
 def rows(*outcomes: RunOutcome) -> DataFrame:

@@ -1,7 +1,5 @@
 """A report opened in a real browser without a network, and what must hold of every one."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

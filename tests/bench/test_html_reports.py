@@ -1,7 +1,5 @@
 """Reports as pages: the linked views in a real browser, what they hold of a run, and what they warn of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,14 +50,8 @@ def single(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    words = (
-        "--quick",
-        "--models",
-        "ssm,sm",
-        "--seeds",
-        "2",
-        *(word.replace("--trajectory", "--trajectories") for word in QUICK),
-    )
+    paths = [word.replace("--trajectory", "--trajectories") for word in QUICK]
+    words = ["--quick", "--models", "ssm,sm", "--seeds", "2", *paths]
     return called(tmp_path_factory.mktemp("compared"), "bench", *words)
 
 
@@ -110,16 +102,14 @@ def test_plotly_accepts_every_figure(single: Path, compared: Path, tmp_path: Pat
     plane, times = (Figure(content_of(single)["views"][0][name]) for name in ("plane", "times"))
     driven = next(trace for trace in plane.data if trace.name == "driven")
     lateral = times.data[0]
-    assert driven.meta == lateral.meta
-    assert len(driven.x) == len(lateral.x)
+    assert driven.meta == lateral.meta and len(driven.x) == len(lateral.x)
 
 
 def test_a_page_says_how_to_repeat_it_and_with_which_configuration(single: Path) -> None:
     content = content_of(single)
     assert content["origin"]["command"].startswith("diffdrive-mpc simulate --plant model:ssm --surface ideal")
     facts = dict(content["origin"]["facts"])
-    assert facts["seed"] == "0"
-    assert facts["version"].startswith("diffdrive-mpc")
+    assert facts["seed"] == "0" and facts["version"].startswith("diffdrive-mpc")
     assert "horizon: 30" in content["configurations"][0]["text"]
 
 
@@ -173,8 +163,7 @@ def test_content_cannot_end_its_script() -> None:
 def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutcome) -> None:
     run = outcome.run
     kept = kept_ticks(run, 60)
-    assert len(kept) == 60
-    assert (np.diff(kept) > 0).all()
+    assert len(kept) == 60 and (np.diff(kept) > 0).all()
     assert run.errors.position[kept].max() == run.errors.position.max()
     series = run_series(run, "a", points=60)
     driven = next(entry for entry in series.plane if entry.name == "driven")
@@ -192,7 +181,6 @@ def test_a_sound_run_is_not_warned_of(outcome: RunOutcome) -> None:
 
 def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> None:
     run, config = outcome.run, case_config(outcome.case)
-    assert config is not None
     count = len(run.time)
     modes = ("BRAKING",) * 4 + ("REUSED_PLAN",) * 2 + run.modes[6:]
     times = np.where(np.arange(count) == 7, 1.0, 1e-3)
@@ -214,7 +202,6 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
         "Poses failed to come once",
     ):
         assert said in told
-    assert "v at 100 %" in told
-    assert "A backend had to solve 100 %" in told
+    assert "v at 100 %" in told and "A backend had to solve 100 %" in told
     assert "“why”" in told
     assert all(one.what.startswith("SSM: ") and one.remedy for one in found)

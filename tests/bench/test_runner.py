@@ -1,7 +1,5 @@
 """Tasks in a pool of processes and on a Dask cluster."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

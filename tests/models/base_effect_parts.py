@@ -1,9 +1,11 @@
 """Records of a made-up robot with known base effects."""
 
 import numpy as np
+import yaml
 
 from diffdrive_mpc.models.base_effects import BaseEffects, respond
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import PARAMETERS
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.structures.model_file import SmFile, build_model
 
@@ -20,6 +22,13 @@ def linear_model():
         "channels": {"v": channel, "omega": {**channel, "gain": 0.57, "natural_frequency": 20.0}},
     }
     return build_model(SmFile.model_validate(data))
+
+
+def write_effects(path, effects):
+    """Write the shipped SM with these effects of its base."""
+    data = yaml.safe_load((PARAMETERS / "sm.yaml").read_text())
+    path.write_text(yaml.safe_dump({**data, "base_effects": effects}))
+    return path
 
 
 def step_commands(seed, duration, hold=2.5) -> FloatArray:

@@ -1,8 +1,11 @@
 """Drives with a known truth, for the tests of the identification."""
 
 import numpy as np
+import pytest
 
+from diffdrive_mpc import Controller, load_config
 from diffdrive_mpc.models import VelocityModel, load_model
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
@@ -45,6 +48,29 @@ def two_channels(v, omega, dead_time=(0.05, 0.03)):
         A[rows, rows] = [[0.0, w], [-w, -2 * damping * w]]
         B[2 * row + 1, row], C[row, 2 * row] = gain * w, 1.0
     return VelocityModel("truth", "sm", A, B, C, np.array(dead_time))
+
+
+def data_of(*records):
+    """Return data whose first record is to train on and whose others are to validate on."""
+    return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
+
+
+def differences(function, point, step=1e-6):
+    """Return the Jacobian of a function at a point by central differences."""
+    moves = step * np.eye(len(point))
+    ends = [(np.ravel(function(point + move)), np.ravel(function(point - move))) for move in moves]
+    return np.column_stack([(high - low) / (2 * step) for high, low in ends])
+
+
+def check_written(found, folder, within):
+    """Check that an identification's files give its model and a controller that drives with it; return the model."""
+    found.write(folder)
+    model, config = load_model(folder / "model.yaml"), load_config(folder / "config.yaml")
+    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
+    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=within)
+    assert config.sample_time == model.dt
+    assert Controller(config).model.structure == model.structure == found.report.as_json()["model"]
+    return model
 
 
 def single(inputs, outputs):

@@ -1,7 +1,5 @@
 """Drawn robots whose command is clipped at a known level, or that have another defect."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

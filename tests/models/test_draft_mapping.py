@@ -12,41 +12,18 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 COLUMNS = drive(seconds=8.0)
 DEGREE = 180.0 / np.pi
 FIELDS = ("command", "twist", "yaw_rate", "pose")
-# Name in the log by the name in COLUMNS, and the factor from SI units.
+# By case the columns in order, their names in the log and the factors from SI units.
+ORDER = ("t", "v_ref", "omega_ref", "v", "omega_wheels", "gyro", "x", "y", "theta")
+MIXED = ("t", "omega_wheels", "v", "v_ref", "omega_ref", "gyro", "x", "y", "theta")
+WORDS = "time,velCmd,yaw_rate_cmd,velMeasured,yaw_rate_measured,imu.angular_velocity.z,mocap/x,mocap/y,mocap/yaw"
+UNITS = "stamp_us,v_target_km_h,w_target[deg/s],v_enc_mm_s,w_enc_rpm,gyro_z_dps,x (cm),y (cm),heading_deg"
 NAMES = {
-    "words and no units": {
-        "t": ("time", 1.0),
-        "v_ref": ("velCmd", 1.0),
-        "omega_ref": ("yaw_rate_cmd", 1.0),
-        "v": ("velMeasured", 1.0),
-        "omega_wheels": ("yaw_rate_measured", 1.0),
-        "gyro": ("imu.angular_velocity.z", 1.0),
-        "x": ("mocap/x", 1.0),
-        "y": ("mocap/y", 1.0),
-        "theta": ("mocap/yaw", 1.0),
-    },
-    "units in the names": {
-        "t": ("stamp_us", 1e6),
-        "v_ref": ("v_target_km_h", 3.6),
-        "omega_ref": ("w_target[deg/s]", DEGREE),
-        "v": ("v_enc_mm_s", 1e3),
-        "omega_wheels": ("w_enc_rpm", DEGREE / 6.0),
-        "gyro": ("gyro_z_dps", DEGREE),
-        "x": ("x (cm)", 1e2),
-        "y": ("y (cm)", 1e2),
-        "theta": ("heading_deg", DEGREE),
-    },
-    "units by the values, command by what follows it": {
-        "t": ("t", 1e3),
-        "omega_wheels": ("w", DEGREE),
-        "v": ("speed", 1e3),
-        "v_ref": ("speed_2", 1e3),
-        "omega_ref": ("w_2", DEGREE),
-        "gyro": ("gz", DEGREE),
-        "x": ("px", 1e3),
-        "y": ("py", 1e3),
-        "theta": ("psi", DEGREE),
-    },
+    "words and no units": (ORDER, WORDS, [1.0] * 9),
+    "units in the names": (ORDER, UNITS, [1e6, 3.6, DEGREE, 1e3, DEGREE / 6.0, DEGREE, 1e2, 1e2, DEGREE]),
+    "units by the values, command by what follows it": (
+        *(MIXED, "t,w,speed,speed_2,w_2,gz,px,py,psi"),
+        [1e3, DEGREE, 1e3, 1e3, DEGREE, DEGREE, 1e3, 1e3, DEGREE],
+    ),
 }
 
 
@@ -56,7 +33,8 @@ def draft_of(log, tmp_path):
 
 @pytest.mark.parametrize("names", NAMES.values(), ids=NAMES)
 def test_columns_and_units_are_guessed(tmp_path, names):
-    log = write_csv(tmp_path / "log.csv", {name: COLUMNS[key] * factor for key, (name, factor) in names.items()})
+    rows = zip(names[0], names[1].split(","), names[2], strict=True)
+    log = write_csv(tmp_path / "log.csv", {name: COLUMNS[key] * factor for key, name, factor in rows})
     (guessed,) = read_log(log, draft_of(log, tmp_path)).records
     (right,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
     for field in FIELDS:
@@ -79,8 +57,7 @@ def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled
     filled = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
     filled = filled.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
     mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", filled))
-    assert mapping.columns.encoders.left.unit == "ticks"
-    assert mapping.columns.command.right.column == "cmd_right"
+    assert mapping.columns.encoders.left.unit == "ticks" and mapping.columns.command.right.column == "cmd_right"
 
 
 def test_topics_are_guessed_by_type_and_name(tmp_path):

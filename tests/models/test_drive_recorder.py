@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord, TickRecordError
+from processes import is_running
 
 PATIENCE = 60.0
 PERIOD = 20_000_000
@@ -131,21 +131,14 @@ os.kill(os.getpid(), 9)
 
 
 def test_the_file_is_whole_when_the_recording_process_is_killed(tmp_path):
-    words = [sys.executable, "-c", KILLED, str(tmp_path), str(Path(__file__).parent)]
+    words = [sys.executable, "-c", KILLED, str(tmp_path), *sys.path]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.returncode == -signal.SIGKILL, done.stderr
     end = time.monotonic() + PATIENCE
-    while _lives(int(done.stdout)) and time.monotonic() < end:
+    while is_running(int(done.stdout)) and time.monotonic() < end:
         time.sleep(0.01)
     log = read_drive_log(tmp_path / "drive.mcap")
     assert not log.cut and len(log.rows) == 100
-
-
-def _lives(process):
-    try:
-        return Path(f"/proc/{process}/stat").read_text(encoding="ascii").split()[2] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def test_a_file_whose_writer_was_killed_is_read_as_far_as_it_goes(tmp_path):

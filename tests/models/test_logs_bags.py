@@ -1,7 +1,5 @@
 """Bags of ROS 2, both storages, and of ROS 1: what is read, whose clock counts, and that a bag can run nothing."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3
@@ -28,6 +26,7 @@ from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, unpacked
 from diffdrive_mpc.models.logs.bag_topics import opened
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.record import MappingChange
+from refusals import one_line_error
 
 COLUMNS = drive(seconds=6.0)
 TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"
@@ -71,23 +70,24 @@ def test_signs_and_delays_of_topics_act(tmp_path):
     assert np.allclose(record.yaw_rate[:295], -COLUMNS["gyro"][5:300], atol=1e-12)
 
 
-def test_unset_stamps_fall_back_to_the_times_of_receipt(tmp_path):
+def altered_bag(folder, topic, change):
+    """Write the bag of the drive with other times of receipt, stamps and readings of a topic."""
     topics = bag_topics(COLUMNS)
-    kind, received, stamped, readings = topics["/imu"]
-    topics["/imu"] = (kind, received, np.full_like(stamped, -1_700_000_000.0), readings)
-    log = read_log(write_bag(tmp_path / "bag", topics))
+    kind, *arrays = topics[topic]
+    return write_bag(folder / "bag", topics | {topic: (kind, *change(*arrays))})
+
+
+def test_unset_stamps_fall_back_to_the_times_of_receipt(tmp_path):
+    bag = altered_bag(tmp_path, "/imu", lambda received, stamped, readings: (received, 0 * stamped - 1.7e9, readings))
+    log = read_log(bag)
     (finding,) = log.findings
     assert str(finding) == "bag, /imu: not every message has a stamp; the times of receipt are used"
 
 
 def test_two_clocks_are_an_error_with_a_remedy(tmp_path):
-    topics = bag_topics(COLUMNS)
-    kind, received, stamped, readings = topics["/imu"]
-    topics["/imu"] = (kind, received, stamped - 1000.0, readings)
-    bag = write_bag(tmp_path / "bag", topics)
-    with pytest.raises(
-        ConfigError, match="two clocks: the times of /cmd_vel are 1000.007 s ahead of those of /imu; set"
-    ):
+    bag = altered_bag(tmp_path, "/imu", lambda received, stamped, readings: (received, stamped - 1000.0, readings))
+    line = "two clocks: the times of /cmd_vel are 1000.007 s ahead of those of /imu; set"
+    with pytest.raises(ConfigError, match=line):
         read_log(bag)
     mapping = TOPICS + "  clock: receive\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "topics.yaml", mapping)).records
@@ -95,20 +95,18 @@ def test_two_clocks_are_an_error_with_a_remedy(tmp_path):
 
 
 def test_a_drifting_clock_is_said(tmp_path):
-    topics = bag_topics(COLUMNS)
-    kind, received, stamped, readings = topics["/imu"]
-    topics["/imu"] = (kind, received + 0.1 * (received - received[0]), stamped, readings)
-    findings = read_log(write_bag(tmp_path / "bag", topics)).findings
+    bag = altered_bag(tmp_path, "/imu", lambda received, *rest: (received + 0.1 * (received - received[0]), *rest))
+    findings = read_log(bag).findings
     assert any(finding.kind == "clock drift" and "/imu" in finding.place for finding in findings)
 
 
 def test_messages_out_of_order_and_not_finite_are_left_out(tmp_path):
-    topics = bag_topics(COLUMNS)
-    kind, received, stamped, readings = topics["/imu"]
-    stamped, readings = stamped.copy(), readings.copy()
-    stamped[50], readings[70] = stamped[40], np.inf
-    topics["/imu"] = (kind, received, stamped, readings)
-    log = read_log(write_bag(tmp_path / "bag", topics))
+    def spoil(received, stamped, readings):
+        stamped, readings = stamped.copy(), readings.copy()
+        stamped[50], readings[70] = stamped[40], np.inf
+        return received, stamped, readings
+
+    log = read_log(altered_bag(tmp_path, "/imu", spoil))
     assert [str(finding) for finding in log.findings] == [
         "bag, /imu, message 71: 1 messages are not finite; they are left out",
         "bag, /imu, message 51: 1 messages are not later than one before them; they are left out",
@@ -117,15 +115,11 @@ def test_messages_out_of_order_and_not_finite_are_left_out(tmp_path):
 
 
 def test_a_pause_in_the_commands_ends_a_stretch(tmp_path):
-    topics = bag_topics(COLUMNS)
-    kind, received, stamped, readings = topics["/cmd_vel"]
     keep = (COLUMNS["t"] < 2.0) | (COLUMNS["t"] > 4.0)
-    topics["/cmd_vel"] = (kind, received[keep], stamped[keep], readings[keep])
-    log = read_log(write_bag(tmp_path / "bag", topics))
-    assert [finding.kind for finding in log.findings] == ["gap"]
-    assert len(log.records) == 2
+    log = read_log(altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[keep] for array in arrays]))
+    assert [finding.kind for finding in log.findings] == ["gap"] and len(log.records) == 2
     (held,) = read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", TOPICS + "gap: 5.0\n")).records
-    assert np.array_equal(held.command[150], readings[99])
+    assert held.command[150].tolist() == [COLUMNS["v_ref"][99], COLUMNS["omega_ref"][99]]
 
 
 def only(topics, *names):
@@ -155,9 +149,8 @@ def only(topics, *names):
 def test_a_missing_or_wrong_topic_is_one_line(tmp_path, names, mapping, line):
     bag = write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), *names))
     given = None if mapping is None else write_mapping(tmp_path / "map.yaml", mapping)
-    with pytest.raises(ConfigError, match=line) as caught:
+    with one_line_error(ConfigError, match=line):
         read_log(bag, given)
-    assert "\n" not in str(caught.value)
 
 
 def cut_in_half(path):
@@ -178,18 +171,8 @@ def test_a_damaged_bag_is_one_line(tmp_path, storage, damage):
     file = bag / {"sqlite3": "bag.db3", "mcap": "bag.mcap"}[storage]
     damage(file)
     for path in (bag, file):
-        with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag") as caught:
+        with one_line_error(ConfigError, "cannot be read as a ROS 2 bag"):
             read_log(path)
-        assert "\n" not in str(caught.value)
-
-
-def test_metadata_with_a_python_tag_runs_nothing(tmp_path):
-    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
-    trap = tmp_path / "trap"
-    (bag / "metadata.yaml").write_text(f"a: !!python/object/apply:os.mkdir ['{trap}']\n")
-    with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag"):
-        read_log(bag)
-    assert not trap.exists()
 
 
 def test_definitions_inside_a_bag_are_not_used(tmp_path):
@@ -204,10 +187,7 @@ def test_definitions_inside_a_bag_are_not_used(tmp_path):
 
 
 def test_commands_sent_on_change_stay_in_force(tmp_path):
-    topics = bag_topics(COLUMNS)
-    kind, received, stamped, readings = topics["/cmd_vel"]
-    topics["/cmd_vel"] = (kind, received[::25], stamped[::25], readings[::25])  # the command changes every 25
-    bag = write_bag(tmp_path / "bag", topics)
+    bag = altered_bag(tmp_path, "/cmd_vel", lambda *arrays: [array[::25] for array in arrays])  # it changes every 25
     text = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom, imu: /imu}\n"
     (record,) = read_log(bag, write_mapping(tmp_path / "map.yaml", text)).records
     assert record.dt == pytest.approx(0.02)
@@ -356,16 +336,13 @@ def _refused(path: Path) -> str:
     """The line with which a bag is refused; it may take no more than twice what a chunk may."""
     tracemalloc.start()
     try:
-        with pytest.raises(ConfigError) as error:
+        with one_line_error(ConfigError, path.name) as error:
             read_log(path)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
     assert peak < 2.2 * MOST_UNPACKED, peak
-    line = str(error.value)
-    assert "\n" not in line
-    assert path.name in line
-    return line
+    return str(error.value)
 
 
 @pytest.mark.parametrize(("how", "pack"), [("zstd", _zeros_in_zstd), ("lz4", _zeros_in_lz4)])

@@ -77,11 +77,9 @@ def test_a_structure_of_one_s_own_goes_all_the_way(lags, log, tmp_path):
     found = identify(log, tmp_path / "map.yaml", "lags")
     found.write(tmp_path / "mine")
     model = load_model(tmp_path / "mine" / "model.yaml")
-    assert model.structure == "lags"
-    assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
+    assert model.structure == "lags" and np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
     assert model.lag == pytest.approx([0.1, 0.1], abs=0.02)
-    assert found.report.fitted.validation.fit_percent.min() > 90.0
-    assert "LAGS from drive" in str(found)
+    assert found.report.fitted.validation.fit_percent.min() > 90.0 and "LAGS from drive" in str(found)
 
 
 def test_only_what_is_registered_is_known(log, tmp_path):
@@ -89,18 +87,14 @@ def test_only_what_is_registered_is_known(log, tmp_path):
         identify(log, tmp_path / "map.yaml", "lags")
     content = {"name": "x", "structure": "lags", "provenance": {"origin": "identified", "source": "x"}}
     (tmp_path / "lags.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(
-        ConfigError,
-        match="structure: expected one of mbm, sm, ssm.*, found 'lags'",
-    ):
+    with pytest.raises(ConfigError, match="structure: expected one of mbm, sm, ssm.*, found 'lags'"):
         load_model(tmp_path / "lags.yaml")
 
 
 @pytest.mark.parametrize("name", registry.STRUCTURES)
 def test_the_registry_calls_each_by_the_name_in_its_files(name):
     structure = registry.STRUCTURES[name]
-    assert structure.name == name == structure_name(structure.file)
-    assert is_shipped(name)
+    assert structure.name == name == structure_name(structure.file) and is_shipped(name)
     assert load_model(name).structure == name
 
 
@@ -118,12 +112,7 @@ def test_kinematic_is_sm_that_obeys_at_once():
 
 # Guffanti, Pavon, Sensors 2025, 25(18), 5821: numerators (s, 1) over the common denominator, as printed: without
 # minus signs, and with the two cross terms under each other's names.
-PRINTED = {
-    (0, 0): (7.428, 98.86),
-    (1, 1): (14.26, 105.9),
-    (0, 1): (0.1981, 0.01966),
-    (1, 0): (1.013, 0.9052),
-}
+PRINTED = {(0, 0): (7.428, 98.86), (1, 1): (14.26, 105.9), (0, 1): (0.1981, 0.01966), (1, 0): (1.013, 0.9052)}
 PRINTED_DENOMINATOR = (1.0, 20.69, 98.62)
 PRINTED_DIGITS = 4
 
@@ -187,8 +176,7 @@ def test_poles_gains_and_lags():
     model = load_model("ssm")
     assert np.sort(model.poles) == pytest.approx([-13.25, -7.44], abs=0.01)
     assert model.dc_gain == pytest.approx(np.array([[1.0026, -0.0002], [0.0092, 1.073]]), abs=5e-4)
-    assert model.lag == pytest.approx([0.135, 0.075], abs=5e-4)
-    assert (model.dead_time == 0).all()
+    assert model.lag == pytest.approx([0.135, 0.075], abs=5e-4) and (model.dead_time == 0).all()
 
 
 SSM = load_model("ssm")
@@ -238,8 +226,7 @@ def test_it_is_the_zero_order_hold_of_control(name, dead_time):
     acting = np.column_stack([held(dt - rest[j]).B[:, j] for j in (0, 1)])
     assert pytest.approx(whole.A, rel=1e-13, abs=1e-15) == discrete.A
     assert pytest.approx(acting, rel=1e-13, abs=1e-15) == discrete.B0
-    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
-    assert not discrete.D.any()
+    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1 and not discrete.D.any()
     assert discrete.delay.tolist() == [0, 4 if any(dead_time) else 0]
 
 

@@ -1,7 +1,5 @@
 """Small plants, controllers and references with known answers, for the tests of the loop and its metrics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

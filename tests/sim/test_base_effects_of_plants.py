@@ -1,14 +1,12 @@
 """What a base makes of its commands: effects by themselves, and in its motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-import yaml
+from base_effect_parts import write_effects
 
 from diffdrive_mpc import load_model, make_plant
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, respond
-from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
+from diffdrive_mpc.models.load import load_base_effects
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
@@ -86,10 +84,7 @@ EFFECTS = {
 
 @pytest.fixture
 def path(tmp_path):
-    file = tmp_path / "base.yaml"
-    data = yaml.safe_load((PARAMETERS / "sm.yaml").read_text())
-    file.write_text(yaml.safe_dump({**data, "base_effects": EFFECTS}))
-    return file
+    return write_effects(tmp_path / "base.yaml", EFFECTS)
 
 
 def readings(plant, commands):

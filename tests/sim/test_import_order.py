@@ -1,7 +1,5 @@
 """The modules of `sim` build on each other in one direction."""
 
-from __future__ import annotations
-
 from graphlib import TopologicalSorter
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sensors: what they measure, and their faults."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +50,7 @@ def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None
         if measurement.pose is None:
             assert expected <= newest + 1e-6
         else:
-            assert measurement.pose.time == pytest.approx(expected, abs=1e-6)
-            assert measurement.pose.time > newest
+            assert measurement.pose.time == pytest.approx(expected, abs=1e-6) and measurement.pose.time > newest
             newest = measurement.pose.time
             assert np.asarray(measurement.pose.value)[0] == pytest.approx(max(newest, 0.0), abs=1e-9)
 
@@ -95,8 +92,6 @@ def test_gyro_bias_is_constant_in_a_run_and_differs_between_seeds() -> None:
 def test_changing_one_sensor_leaves_the_noise_of_the_others() -> None:
     default, slam = (_run(load_sensor_set(name), 30, seed=3) for name in ("default", "slam"))
     for one, other in zip(default, slam, strict=True):
-        assert one.yaw_rate is not None and other.yaw_rate is not None
-        assert one.wheel_speeds is not None and other.wheel_speeds is not None
         assert one.yaw_rate.value == other.yaw_rate.value
         np.testing.assert_array_equal(one.wheel_speeds.value, other.wheel_speeds.value)
 
@@ -106,10 +101,8 @@ def test_reported_heading_is_wrapped(theta: float) -> None:
     sensors = Sensors(load_sensor_set("perfect"), KINEMATICS, DT, seed=0, noisy_encoders=True)
     sensors.reset([1.0, 2.0, theta], np.zeros(4))
     pose = sensors.collect(0.0, None).pose
-    assert pose is not None
     reported = float(np.asarray(pose.value)[2])
-    assert -np.pi < reported <= np.pi
-    assert np.cos(reported - theta) == pytest.approx(1.0, abs=1e-9)
+    assert -np.pi < reported <= np.pi and np.cos(reported - theta) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_nothing_is_delivered_twice() -> None:
@@ -129,11 +122,7 @@ def _file(folder: Path, period: str, latency: str) -> Path:
 
 @pytest.mark.parametrize(
     ("period", "latency", "key"),
-    [
-        ("1.0e-7", "0.02", "pose.period"),
-        ("0.1", "1.0e+9", "pose.latency"),
-        ("0.1", "-0.01", "pose.latency"),
-    ],
+    [("1.0e-7", "0.02", "pose.period"), ("0.1", "1.0e+9", "pose.latency"), ("0.1", "-0.01", "pose.latency")],
 )
 def test_a_pose_sensor_that_would_never_end_is_refused(period: str, latency: str, key: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"mine\.yaml: {key}: [^\n]*\(found [^\n]*\)$"):
@@ -177,8 +166,7 @@ def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rat
     arrived = [(time, m.pose) for time, m, _ in seen if m.pose is not None]
     assert len(arrived) == pytest.approx(rate * len(seen) * TICK, rel=0.03, abs=1)
     ages = np.array([time - pose.time for time, pose in arrived])
-    assert ages.min() >= age - 1e-9
-    assert ages.max() < age + TICK + 1e-9
+    assert ages.min() >= age - 1e-9 and ages.max() < age + TICK + 1e-9
     times, truth = np.array([time for time, _, _ in seen]), np.array([pose for _, _, pose in seen])
     late = [(time, np.asarray(pose.value)) for time, pose in arrived if time > latency + 0.1]
     # The instant that a pose shows, by where it is along the way: of the noise the mean over many.
@@ -206,8 +194,7 @@ def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path
     path = tmp_path / "mine.yaml"
     path.write_text("gyro: {bias_sd: 0.02}\n")
     mine, usual = load_sensor_set(path), load_sensor_set("default")
-    assert mine.gyro.bias_sd == 0.02
-    assert mine.gyro.noise_sd == usual.gyro.noise_sd
+    assert mine.gyro.bias_sd == 0.02 and mine.gyro.noise_sd == usual.gyro.noise_sd
     assert (mine.pose, mine.encoders) == (usual.pose, usual.encoders)
     path.write_text("pose: {latncy: 0.1}\n")
     with pytest.raises(ConfigError, match=r"mine\.yaml: unknown key 'pose\.latncy'; did you mean 'pose\.latency'\?$"):
@@ -299,5 +286,4 @@ def test_a_sensor_that_is_lost_and_then_stuck_repeats_what_came_last(tmp_path: P
     seen = _drive(DisturbedPlant(make_plant("model:ssm"), scenario, load_robot()))
     rates = [_value(m.yaw_rate) for time, m, _ in seen if time >= 0.5]
     assert all(m.yaw_rate is None for time, m, _ in seen if time < 0.5)
-    assert rates[0] is not None
-    assert all(rate == rates[0] for rate in rates)
+    assert rates[0] is not None and all(rate == rates[0] for rate in rates)

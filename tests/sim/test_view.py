@@ -1,7 +1,5 @@
 """MuJoCo's viewer on a drive."""
 
-from __future__ import annotations
-
 import csv
 import os
 import subprocess

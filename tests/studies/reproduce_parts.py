@@ -1,7 +1,5 @@
 """Results of a reproduction that was never driven."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +12,7 @@ from studies.reproduce.drives import PathError, Spread
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
 from studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
 from studies.reproduce.published import load_published, load_study
-from studies.reproduce.state_space import (
-    IDENTIFIED,
-    PRINTED,
-    FreeDrive,
-    OrderResult,
-    SsmResult,
-    VelocityFit,
-)
+from studies.reproduce.state_space import IDENTIFIED, PRINTED, FreeDrive, OrderResult, SsmResult, VelocityFit
 from studies.reproduce.study import ReproduceResults, ReproduceStudy
 from studies.reproduce.virtual_track import check_virtual_track
 

@@ -1,7 +1,5 @@
 """The monitor behind real controllers on the simulated robot: some faults, some sound drives, and the report."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The experiments of `reproduce`: kinematics, drives, lines and what is taken from the papers."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -20,11 +18,7 @@ from studies.reproduce.drive_models import (
     drive_model_findings,
     drive_model_tables,
 )
-from studies.reproduce.drives import (
-    RobotLogs,
-    dead_reckon,
-    trajectory_commands,
-)
+from studies.reproduce.drives import RobotLogs, dead_reckon, trajectory_commands
 from studies.reproduce.published import load_published, load_study
 from studies.reproduce.virtual_track import DrivenTrack, drive_tests, fit_line
 
@@ -56,8 +50,7 @@ def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
     one, other = RobotLogs(31), RobotLogs(31)
     first, second = one.free(2, 2.0)
     again = other.free(1, 2.0)[0]
-    assert np.array_equal(first.yaw_rate, again.yaw_rate)
-    assert np.array_equal(first.pose, again.pose)
+    assert np.array_equal(first.yaw_rate, again.yaw_rate) and np.array_equal(first.pose, again.pose)
     assert not np.array_equal(first.command, second.command)
     steps = one.steps("v")
     assert np.array_equal(steps[0].command[0], steps[1].command[0])
@@ -78,8 +71,7 @@ def test_the_papers_statistics_are_copied_without_slips():
     printed += [drive.odometry for drive in published.free_drives]
     for errors in printed:
         for rmse, mean, std, largest in (errors.position, errors.heading):
-            assert rmse == pytest.approx(np.hypot(mean, std), abs=0.008)
-            assert rmse < largest
+            assert rmse == pytest.approx(np.hypot(mean, std), abs=0.008) and rmse < largest
     averages = {"mbm": (0.309, 0.170), "sm": (0.414, 0.239)}
     for model, (position, heading) in averages.items():
         rows = published.odometry[model].values()

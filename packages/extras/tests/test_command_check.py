@@ -1,7 +1,5 @@
 """The checker of commands: sound runs pass, runs that were corrupted on purpose do not, and it shares no code."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from pathlib import Path

@@ -1,15 +1,12 @@
 """`diffdrive-mpc torque`: from the log of a robot to its drive constants, torque curves and slip law."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
+from commands import call
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc_extras.costs_from_log.costs_from_log import learn_log
 from diffdrive_mpc_extras.torque.measurements import write_diagnostic_log
@@ -26,11 +23,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def asked(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(app, ["torque", *map(str, words)])
-    return result.exit_code, " ".join(result.output.split())
-
-
 @pytest.fixture(scope="module")
 def told(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the command makes of it, from a motor that is not the robot's."""
@@ -39,8 +31,7 @@ def told(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = "name: a guess\ntorque_constant: 0.04\ngear_ratio: 49.8\ngear_efficiency: 0.76\nresistance: 1.5\n"
     before.write_text(text + "motors_per_side: 2\nregeneration: true\nprovenance: a guess\n")
     out = folder / "out"
-    code, words = asked("--log", log, "--vehicle", "fsu_bot", "--drive", before, "--out", out)
-    assert code == 0, words
+    call("torque", "--log", log, "--vehicle", "fsu_bot", "--drive", before, "--out", out)
     return out
 
 
@@ -62,7 +53,6 @@ def test_constants_and_curves_are_those_of_the_robot(told: Path) -> None:
 
 def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
     found = learn_log(log, None, "fsu_bot", "fsu_bot").slip
-    assert found is not None
     normalised = (found.coefficients - SLIPPERY.slip.rows) / found.deviations
     assert np.abs(normalised).max() < 5
     commands = np.array([[0.4, 0.3], [0.4, -0.3], [0.2, 0.2], [0.6, 0.1]])

@@ -1,16 +1,15 @@
 """Drive models against hand-written loops, an ODE solver, finite differences and known truths."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
+from identification_parts import check_written, differences
 from log_parts import drive, write_csv, write_mapping
 from scipy.integrate import solve_ivp
 
-from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
+from diffdrive_mpc import ConfigError, identify, load_model
 from diffdrive_mpc.models.checked_yaml import check, read_yaml
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs import Record
@@ -74,20 +73,12 @@ def test_gradients_are_those_of_finite_differences(name):
     x, window = ca.SX.sym("x", model.order), ca.SX.sym("w", 2 * (model.memory + 1))
     stacked = ca.vertcat(x, window)
     jacobian = ca.Function("j", [x, window], [ca.jacobian(model.step(x, window), stacked)])
-    rng, small = np.random.default_rng(3), 1e-6
+    rng = np.random.default_rng(3)
     for _ in range(20):
         point = np.concatenate([0.3 * rng.standard_normal(model.order), 0.5 * rng.standard_normal(window.numel())])
-        columns = []
-        for k in range(len(point)):
-            ends = []
-            for sign in (1, -1):
-                moved = point.copy()
-                moved[k] += sign * small
-                ends.append(model.step(moved[: model.order], moved[model.order :]).full().ravel())
-            columns.append((ends[0] - ends[1]) / (2 * small))
+        found = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
         exact = jacobian(point[: model.order], point[model.order :]).full()
-        assert np.isfinite(exact).all()
-        assert np.abs(exact - np.array(columns).T).max() < 1e-5 * max(1.0, np.abs(exact).max())
+        assert np.isfinite(exact).all() and np.abs(exact - found).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
 def test_the_physical_model_solves_the_equations_of_both_wheels():
@@ -96,13 +87,8 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     c, d = file.chassis, file.wheel_drive
     forward = c.mass * c.wheel_radius**2 / 4
     turning = (c.yaw_inertia + c.mass * c.centre_ahead**2) * c.wheel_radius**2 / c.track**2
-    inertia = np.array(
-        [
-            [forward + turning + c.wheel_inertia, forward - turning],
-            [forward - turning, forward + turning + c.wheel_inertia],
-        ]
-    )
-
+    inertia = np.array([[forward + turning, forward - turning], [forward - turning, forward + turning]])
+    inertia += c.wheel_inertia * np.eye(2)
     dt, count = file.sample_time, 60
     switched = 20 * dt
 
@@ -116,18 +102,13 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
         v, omega = v * file.v.gain, omega * file.omega.gain
         wanted = np.array([v + omega * c.track / 2, v - omega * c.track / 2]) / c.wheel_radius
         error = wanted - speed
-        return np.concatenate(
-            [
-                np.linalg.solve(inertia, torque - d.friction * speed),
-                (d.proportional_gain * (error + integral / d.integral_time) - torque) / d.actuator_lag,
-                error,
-            ]
-        )
+        wished = d.proportional_gain * (error + integral / d.integral_time)
+        acceleration = np.linalg.solve(inertia, torque - d.friction * speed)
+        return np.concatenate([acceleration, (wished - torque) / d.actuator_lag, error])
 
     # Slopes so steep that a step is a step.
-    steep = file.model_copy(
-        update={k: getattr(file, k).model_copy(update={"quicker": 1e6, "slower": 1e6}) for k in ("v", "omega")}
-    )
+    steps = {"quicker": 1e6, "slower": 1e6}
+    steep = file.model_copy(update={k: getattr(file, k).model_copy(update=steps) for k in ("v", "omega")})
     dead = [file.v.dead_samples, file.omega.dead_samples]
     model = drive_model("p", "drive_physical", dt, dead, [1e-3, 1e-3], steep.coefficients())
     ours = model.simulate(np.array([command(k * dt + 1e-9) for k in range(count)]))
@@ -139,29 +120,20 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     for begin, end in pairwise(edges):
         middle = 0.5 * (begin + end)
         at = [k * dt for k in range(count) if begin - 1e-9 <= k * dt < end - 1e-9]
-        solved = solve_ivp(
-            lambda t, x, m=middle: rates(m, x, late),
-            (begin, end),
-            x,
-            t_eval=[*at, end],
-            method="Radau",
-            rtol=1e-9,
-            atol=1e-11,
-        )
+        options = {"t_eval": [*at, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
+        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (begin, end), x, **options)
         times += at
         speeds += list(solved.y[:2, : len(at)].T)
         x = solved.y[:, -1]
     right, left = np.array(speeds).T * c.wheel_radius
     theirs = np.column_stack([(right + left) / 2, (right - left) / c.track])
     assert len(times) >= count - 1
-    assert np.abs(ours[: len(theirs)] - theirs).max() < 1e-6
-    assert np.abs(theirs).max() > 0.2
+    assert np.abs(ours[: len(theirs)] - theirs).max() < 1e-6 and np.abs(theirs).max() > 0.2
 
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_as_a_plant_it_is_sharp(name):
     model = load_model(name)
-    assert isinstance(model, DriveModel)
     plant = make_plant(f"model:{name}", surface="ideal", seed=1)
     x, past = np.zeros(model.order), np.zeros((model.memory, 2))
     for k in range(80):
@@ -215,8 +187,7 @@ def test_slope_limits_that_act_are_told_within_their_uncertainty():
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
             assert found.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
-    assert found.fit.dead_samples == DEAD
-    assert found.estimate.deviation("v.gain") < 0.02
+    assert found.fit.dead_samples == DEAD and found.estimate.deviation("v.gain") < 0.02
 
 
 def test_what_a_log_does_not_show_keeps_its_prior():
@@ -227,8 +198,7 @@ def test_what_a_log_does_not_show_keeps_its_prior():
     for values in found.fit.values:
         assert values["quicker"] == values["slower"] == NO_LIMIT
         assert values["threshold"] == values["threshold_by_slope"] == 0.0
-    assert "v.quicker" not in found.estimate.names
-    assert found.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
+    assert "v.quicker" not in found.estimate.names and found.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.fixture(scope="module")
@@ -244,16 +214,11 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     found = identify(log, log.with_name("map.yaml"), structure)
     report = found.report
     assert report.fitted.validation.fit_percent.min() > 90.0
-    assert report.as_json()["model"] == structure
-    assert f"{structure}.v.gain" in report.as_json()["parameters"]
-    assert structure.upper() in report.markdown()
+    assert f"{structure}.v.gain" in report.as_json()["parameters"] and structure.upper() in report.markdown()
     assert "Parameters of the linear model beside a drive" in report.markdown()
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
-    found.write(tmp_path)
-    model = load_model(tmp_path / "model.yaml")
-    assert isinstance(model, DriveModel)
-    commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
-    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=1e-3)
+    model = check_written(found, tmp_path, 1e-3)
+    assert isinstance(model, DriveModel) and model.dt == 0.04
     # The robot: lags of 0.1 s, and a gyro that sees what it does.
     # PI control with the paper's slow integral makes up for what its gain lacks only after seconds.
     within = 0.02 if structure == "p2_experimental" else 0.04
@@ -261,6 +226,3 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     answer = model.simulate(np.full((100, 2), 0.5)) / 0.5
     risen = LOG_DT * np.argmax(answer > 1 - np.exp(-1), axis=0)
     assert risen == pytest.approx([0.1, 0.1], abs=LOG_DT)
-    config = load_config(tmp_path / "config.yaml")
-    assert config.sample_time == model.dt == 0.04
-    assert Controller(config).model.structure == model.structure

@@ -1,7 +1,5 @@
 """The exported controller: what is written, and that it commands as in Python."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -142,6 +140,12 @@ def differences(steps) -> np.ndarray:
     return np.array([ours.command - theirs.command for ours, theirs in steps])
 
 
+def check_same(steps, within):
+    """Check that modes are the same and commands differ by no more than `within`."""
+    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
+    assert np.abs(differences(steps)).max() <= within
+
+
 # Limits that the square's corners lean on.
 TIGHT = {"limits.omega": 1.0, "limits.v": 0.52, "limits.v_slew": 1.0, "limits.omega_slew": 2.5}
 # Two commands that differ by no more than this are the same one [m/s, rad/s].
@@ -163,25 +167,24 @@ def with_sanitizers(tmp_path_factory):
 
 def test_hard_limits_in_double_precision(in_double):
     steps = drive_both(in_double, "square", TIGHT, 350, offset=(0.02, -0.03, 0.1))
-    assert np.abs(differences(steps)).max() <= DOUBLE
+    check_same(steps, DOUBLE)
     solved = np.array([theirs.iterations > 0 for _, theirs in steps])
     assert solved.mean() > 0.2  # constraints were active
     assert not solved.all()  # and were not
-    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+    assert {ours.mode for ours, _ in steps} == {Mode.TRACKING}
 
 
 def test_soft_limits_in_double_precision(with_sanitizers):
     steps = drive_both(with_sanitizers, "s", {"limits.wheel_speed": 0.58, "failure.resume": False}, 150)
-    assert np.abs(differences(steps)).max() <= DOUBLE
-    assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
+    assert np.abs(differences(steps)).max() <= DOUBLE and sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
 
 
 def track_both(folder, trajectory, overrides, ticks, *flags, precision="double", within=DOUBLE, offset=(0, 0, 0), **of):
     """Steps of an export and of Python's controller, which track, and differ by no more than `within`."""
     program = export(folder / precision, trajectory, precision, overrides, "-O0", *flags, **of)
     steps = drive_both(program, trajectory, overrides, ticks, offset=offset, **of)
-    assert np.abs(differences(steps)).max() <= within
-    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+    check_same(steps, within)
+    assert {ours.mode for ours, _ in steps} == {Mode.TRACKING}
     return steps
 
 
@@ -214,12 +217,8 @@ def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
 
 
 def test_energy_and_its_least_radius_come_along(tmp_path):
-    overrides = {
-        "energy.turn_costs": "fsu_bot-carpet",
-        "energy.weight": 0.01,
-        "energy.use_min_radius": True,
-        "horizon": 12,
-    }
+    overrides = {"energy.turn_costs": "fsu_bot-carpet", "energy.weight": 0.01, "energy.use_min_radius": True}
+    overrides["horizon"] = 12
     steps = track_both(tmp_path, "circle", overrides, 120, offset=(0.0, 0.03, 0.05))
     radius = load_turn_costs("fsu_bot-carpet").least_radius()
     commands = np.abs([theirs.command for _, theirs in steps])
@@ -235,10 +234,8 @@ def test_to_the_end(in_double):
         return skipped, later(measurement, skipped), None
 
     steps = drive_both(in_double, "square", TIGHT, 150, change=change)
-    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
-    assert np.abs(differences(steps)).max() <= DOUBLE
-    assert steps[0][1].mode == Mode.TRACKING
-    assert steps[-1][1].mode == Mode.FINISHED
+    check_same(steps, DOUBLE)
+    assert steps[0][1].mode == Mode.TRACKING and steps[-1][1].mode == Mode.FINISHED
 
 
 def later(measurement: Measurement, shift: float) -> Measurement:
@@ -280,20 +277,17 @@ def events(k, measurement, exported, reference):
 
 def test_every_step_of_the_ladder(in_double):
     steps = drive_both(in_double, "square", TIGHT, 230, change=events)
-    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
-    assert np.abs(differences(steps)).max() <= DOUBLE
+    check_same(steps, DOUBLE)
     modes = [theirs.mode for _, theirs in steps]
     assert set(modes) == {Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED}
-    assert modes[180:185] == [Mode.REUSED_PLAN] * 5
-    assert modes[185] == Mode.BRAKING
+    assert modes[180:185] == [Mode.REUSED_PLAN] * 5 and modes[185] == Mode.BRAKING
     assert modes[-1] == Mode.TRACKING
 
 
 def test_a_failure_latches_where_the_robot_must_not_resume(with_sanitizers):
     overrides = {"limits.wheel_speed": 0.58, "failure.resume": False, "failure.dead_reckoning": 0.0}
     steps = drive_both(with_sanitizers, "s", overrides, 100, change=events)
-    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
-    assert np.abs(differences(steps)).max() <= DOUBLE
+    check_same(steps, DOUBLE)
     assert steps[-1][1].mode == Mode.STOPPED
 
 
@@ -304,8 +298,7 @@ def test_ticks_too_soon_and_pauses(in_double):
         return shift, later(measurement, 3.0) if k >= 40 else measurement, None
 
     steps = drive_both(in_double, "square", TIGHT, 60, change=change)
-    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
-    assert np.abs(differences(steps)).max() <= DOUBLE
+    check_same(steps, DOUBLE)
     assert {theirs.mode for _, theirs in steps[40:]} >= {Mode.STOPPED}
 
 
@@ -324,32 +317,21 @@ def terms_of_the_user(point) -> tuple[Term, ...]:
     calm = ca.Function("calm", [twist], [2 * twist[1]], ["twist"], ["value"])
     distance = ca.sqrt((pose[0] - parameters[0]) ** 2 + (pose[1] - parameters[1]) ** 2 + 1e-4) - parameters[2]
     away = ca.Function("away", [pose, parameters], [distance], ["pose", "parameters"], ["value"])
-    return (
-        Term("calm", calm),
-        Term("away", away, "soft", lower=[0.0], defaults=[*point, 0.2]),
-    )
+    return Term("calm", calm), Term("away", away, "soft", lower=[0.0], defaults=[*point, 0.2])
 
 
 @pytest.mark.parametrize(("precision", "within"), [("double", DOUBLE), ("float", 2e-4)])
 def test_functions_of_the_user(tmp_path, precision, within):
     """A nonlinear model and two terms: the same C as Python's."""
-    given = {
-        "model": saturating_lag(),
-        "terms": terms_of_the_user(load_trajectory("circle").sample([2.5]).pose[0, :2]),
-    }
-    steps = track_both(
-        tmp_path, "circle", {}, 200, precision=precision, within=within, offset=(0.0, 0.03, 0.0), **given
-    )
+    terms = terms_of_the_user(load_trajectory("circle").sample([2.5]).pose[0, :2])
+    options = {"precision": precision, "within": within, "offset": (0.0, 0.03, 0.0)}
+    steps = track_both(tmp_path, "circle", {}, 200, model=saturating_lag(), terms=terms, **options)
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 10
 
 
 @pytest.mark.parametrize(
     ("model", "precision", "within"),
-    [
-        ("lstm", "double", DOUBLE),
-        ("lstm", "float", 2e-3),
-        ("p2_experimental", "double", DOUBLE),
-    ],
+    [("lstm", "double", DOUBLE), ("lstm", "float", 2e-3), ("p2_experimental", "double", DOUBLE)],
 )
 def test_networks_and_drives_come_along(tmp_path, model, precision, within):
     """A network's weights as tables; slope limits and, of the experimental drive, its threshold."""
@@ -436,6 +418,5 @@ def test_name_of_a_trajectory_is_never_code_in_the_export():
         object.__setattr__(reference, "name", name)
         header = trajectory_texts(reference, 0.02)["trajectory.h"]
         (comment,) = [line for line in header.splitlines() if line.startswith("/*")]
-        assert comment.endswith(" */")
-        assert not set("*/\\?") & set(comment[2:-2])
+        assert comment.endswith(" */") and not set("*/\\?") & set(comment[2:-2])
         assert header.count("/*") == header.count("*/") == 1

@@ -1,7 +1,5 @@
 """Controllers with features keep the promises of docs/safety.md in random lives."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from random import Random

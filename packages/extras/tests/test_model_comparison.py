@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from base_effect_parts import record_of
-from identification_parts import noisy_drive, published_ssm, two_channels
-from typer.testing import CliRunner
+from identification_parts import data_of, noisy_drive, published_ssm, two_channels
 
+from commands import invoke
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures import ssm
 from diffdrive_mpc_extras.model_comparison.model_comparison import NO_MODEL, ModelComparison, Scored, compare_models
 
@@ -20,21 +19,15 @@ def no_fifth_order(monkeypatch):
     monkeypatch.setattr(ssm, "LARGEST_ORDER", 4)
 
 
-def data_of(*records):
-    return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
-
-
 @pytest.mark.long
 def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
     found = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
-    assert found.recommended.kind == "sm"
-    assert [one.kind for one in found.scores] == [NO_MODEL, "sm", "ssm"]
+    assert found.recommended.kind == "sm" and [one.kind for one in found.scores] == [NO_MODEL, "sm", "ssm"]
     low, high = found.gain(found.scores[2], found.recommended)
     assert low <= 0.0
     assert high < 1.0
-    assert found.gain(found.scores[0], found.recommended)[1] < -5.0
-    assert found.sentence().startswith("sm: ssm is ")
+    assert found.gain(found.scores[0], found.recommended)[1] < -5.0 and found.sentence().startswith("sm: ssm is ")
 
 
 @pytest.mark.long
@@ -54,8 +47,7 @@ def test_a_base_that_limits_slopes_is_an_sm_with_effects():
     effects = BaseEffects(twist_slew=TwistSlew(v=0.8, omega=1.5))
     records = [record_of(effects, seed, 30.0, noise=0.3) for seed in (1, 2)]
     found = compare_models(data_of(*records), ["sm", "sm+effects"], parts=2)
-    assert found.recommended.kind == "sm+effects"
-    assert "sm is worse by" in found.sentence()
+    assert found.recommended.kind == "sm+effects" and "sm is worse by" in found.sentence()
 
 
 def scored(kind, powers, failure=""):
@@ -77,8 +69,7 @@ def test_the_interval_is_that_of_the_blocks():
     assert found.gain(everywhere, base) == pytest.approx(2 * [100 * (0.2 - np.sqrt(0.03))])
     low, high = found.gain(by_one, base)
     assert low < 0.0 < high
-    assert found.recommended is everywhere
-    assert "sm+effects was not found: too few rows" in found.sentence()
+    assert found.recommended is everywhere and "sm+effects was not found: too few rows" in found.sentence()
     assert [row[0] for row in found.table().rows] == ["sm", "ssm *", "mbm", "sm+effects"]
 
 
@@ -94,12 +85,9 @@ def test_what_cannot_be_compared_is_refused(arguments, said):
 
 def test_the_command_prints_table_and_recommendation(tmp_path, monkeypatch):
     monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
-    runner, log = CliRunner(), str(tmp_path / "drive.csv")
-    drive = ["simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log]
-    assert runner.invoke(app, drive).exit_code == 0
-    result = runner.invoke(app, ["models", "compare", log, "--kinds", "sm,ssm", "--parts", "2"])
-    assert result.exit_code == 0, result.output
-    assert "sm *" in result.output
-    assert "ssm is " in result.output
+    log = tmp_path / "drive.csv"
+    invoke(app, "simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log)
+    result = invoke(app, "models", "compare", log, "--kinds", "sm,ssm", "--parts", "2")
+    assert "sm *" in result.output and "ssm is " in result.output
     rows = [line.split(":")[0] for line in result.stderr.splitlines() if "found in" in line]
     assert rows == ["sm", "ssm"]

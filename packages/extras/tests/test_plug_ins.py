@@ -1,7 +1,5 @@
 """Registered parts, commands of the command line, and compiled free space of the wheel."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
@@ -12,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import invoke
+from commands import invoke, refusal
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE
@@ -90,10 +88,7 @@ def test_help_of_a_command_loads_that_command_alone() -> None:
 def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path) -> None:
     out, taken = tmp_path / "out", tmp_path / "taken"
     taken.write_text("a file")
-    result = invoke(app, *shlex.split(arguments.format(out=out, taken=taken)), code=2)
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
-    assert message.format(taken=taken) in result.stderr
-    assert result.stdout == ""
+    assert message.format(taken=taken) in refusal(*shlex.split(arguments.format(out=out, taken=taken)))
     assert not out.exists()
 
 

@@ -1,7 +1,5 @@
 """Sensors of battery and motors: what they read, what they leave alone, and what their log tells of the drive."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -44,8 +42,7 @@ def test_a_battery_gives_what_is_taken(power: float, voltage: float, resistance:
     volts, amperes = battery.loaded(power)
     assert volts == pytest.approx(voltage - resistance * amperes, abs=1e-6 * voltage)
     if power < voltage**2 / (4 * resistance + 1e-12):
-        assert volts * amperes == pytest.approx(power, rel=1e-6, abs=1e-6)
-        assert volts >= 0.5 * voltage
+        assert volts * amperes == pytest.approx(power, rel=1e-6, abs=1e-6) and volts >= 0.5 * voltage
 
 
 def run(sensors: str, world: str = "", **around: str) -> Run:
@@ -72,14 +69,8 @@ def test_without_noise_the_battery_gives_the_energy_of_the_run() -> None:
     build = load_simulated_robot("fsu_bot")
     power = robot_power("mujoco:fsu_bot")
     part = PowerReadings(EXACT, power.battery, power.drive, 0)
-    plant = MujocoPlant(
-        1.0,
-        build.sensors,
-        robot=build.robot,
-        twin=build.twin,
-        firmware=build.firmware,
-        parts={"power": part},
-    )
+    built = {"robot": build.robot, "twin": build.twin, "firmware": build.firmware}
+    plant = MujocoPlant(1.0, build.sensors, parts={"power": part}, **built)
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
     done = simulate(FeedForward(), plant, reference, extra_time=0.1)
     readings = done.parts["power"].readings
@@ -124,7 +115,6 @@ def test_csv_and_mcap_tell_the_same_and_so_do_the_topics(logged: Run, tmp_path: 
         read_log(tmp_path / name, *mapping).records
         for name, mapping in (("log.csv", ()), ("log.mcap", ()), ("log.mcap", (tmp_path / "bag.yaml",)))
     )
-    assert csv.battery is not None and csv.motor_currents is not None
     assert np.array_equal(csv.battery, logged.parts["power"].readings[:, :2])
     assert np.array_equal(csv.motor_currents, logged.parts["power"].readings[:, 2:])
     for name in ("battery", "motor_current", "motor_currents"):
@@ -154,9 +144,7 @@ def driven(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
     speeds, motors = [], []
     done = np.zeros_like(plant.motors)
     for command in commands:
-        measured = plant.measure().wheel_speeds
-        assert measured is not None
-        speeds.append(np.asarray(measured.value))
+        speeds.append(np.asarray(plant.measure().wheel_speeds.value))
         motors.append(done)
         plant.advance(command)
         done = plant.motors.copy()
@@ -172,17 +160,8 @@ def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Ba
         rows.append(reads.value)
     read = np.array(rows)
     sides = 0.5 * (drive.speeds[:, :2] + drive.speeds[:, 2:])
-    return Record(
-        "drive",
-        0.0,
-        drive.dt,
-        drive.command,
-        wheels=sides,
-        wheel_speeds=drive.speeds,
-        battery=read[:, :2],
-        motor_current=read[:, 2:4] + read[:, 4:],
-        motor_currents=read[:, 2:],
-    )
+    sensed = {"wheels": sides, "wheel_speeds": drive.speeds, "battery": read[:, :2], "motor_currents": read[:, 2:]}
+    return Record("drive", 0.0, drive.dt, drive.command, motor_current=read[:, 2:4] + read[:, 4:], **sensed)
 
 
 def drawn(usual: DriveConstants, rng: np.random.Generator) -> DriveConstants:
@@ -203,9 +182,7 @@ def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:
     commands = diagnostic_commands(
         (400.0, -60.0, 15.0, -8.0, 4.5, -2.8, 1.8, -1.1, 0.8, -0.6), (0.2, 0.6, 0.4), 130, 100
     )
-    plant = make_plant(f"mujoco:{robot}", surface=surface, seed=seed)
-    assert isinstance(plant, MujocoPlant)
-    return driven(plant, commands)
+    return driven(make_plant(f"mujoco:{robot}", surface=surface, seed=seed), commands)
 
 
 def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
@@ -228,5 +205,4 @@ def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
             )
     assert len(errors) >= 12
     normalised = np.array(errors)
-    assert 0.5 < math.sqrt(np.mean(normalised**2)) < 1.6
-    assert np.abs(normalised).max() < 5
+    assert 0.5 < math.sqrt(np.mean(normalised**2)) < 1.6 and np.abs(normalised).max() < 5

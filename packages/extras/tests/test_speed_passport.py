@@ -1,7 +1,5 @@
 """`diffdrive-mpc prove --tolerance`: what its statistics promise, and paths timed by what it measures."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,8 +45,7 @@ def test_a_speed_that_passes_is_wrong_no_more_often_than_it_says() -> None:
         measure([search], drive)
         wrong += search.speed is not None and search.speed > just
         none += search.speed is None
-    assert Rate.of_runs(wrong, repeats).low < 1.0 - plan.confidence
-    assert none < 0.1 * repeats
+    assert Rate.of_runs(wrong, repeats).low < 1.0 - plan.confidence and none < 0.1 * repeats
 
 
 PLAN: dict[str, Any] = {
@@ -72,18 +69,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("passport")
     plain = {"description": "drawn robots", "runs": 1, "factors": ROBOTS, "passport": PLAN}
     (folder / "mine.yaml").write_text(yaml.safe_dump(plain), encoding="utf-8")
-    call(
-        "prove",
-        "ssm",
-        "--campaign",
-        folder / "mine.yaml",
-        "--tolerance",
-        "0.03,0.01",
-        "--out",
-        folder / "out",
-        "--jobs",
-        "1",
-    )
+    words = ["--campaign", folder / "mine.yaml", "--tolerance", "0.03,0.01", "--out", folder / "out", "--jobs", "1"]
+    call("prove", "ssm", *words)
     return folder / "out"
 
 
@@ -97,8 +84,7 @@ def test_a_passport_is_a_table_a_page_and_a_file(measured: Path) -> None:
     # More room, more speed.
     assert all(close <= wide for close, wide in zip(*(row["speeds"] for row in passport["rows"]), strict=True))
     text = (measured / "passport.md").read_text(encoding="utf-8")
-    assert "within 10 mm [m/s]" in text
-    assert "one-sided with 90.0 %, as there are 2 tries" in text
+    assert "within 10 mm [m/s]" in text and "one-sided with 90.0 %, as there are 2 tries" in text
     assert (measured / "report.html").is_file()
 
 

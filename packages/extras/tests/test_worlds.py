@@ -1,7 +1,5 @@
 """Worlds: what is touched is counted, what is hidden is not seen, what is drawn can be passed."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re
@@ -24,6 +22,7 @@ from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Polygon, Shapes, Wall
 from diffdrive_mpc_extras.worlds.sight import FREE, OCCUPIED, UNKNOWN, Eyes, cast_rays, in_view
 from diffdrive_mpc_extras.worlds.world import World, load_world
 from diffdrive_mpc_extras.worlds.world_plant import TouchedError, WorldPlant
+from refusals import one_line_error
 
 WIDTH, LENGTH = 0.38, 0.30
 """Of the robot of the papers: over its tyres, and of its body [m]."""
@@ -36,9 +35,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def plant_in(folder: Path, text: str) -> WorldPlant:
-    plant = make_plant(f"world:{written(folder, text)}", sensors="perfect")
-    assert isinstance(plant, WorldPlant)
-    return plant
+    return make_plant(f"world:{written(folder, text)}", sensors="perfect")
 
 
 def drive(plant: WorldPlant, command: tuple[float, float], ticks: int) -> FloatArray:
@@ -54,8 +51,7 @@ def test_a_wall_ahead_is_touched_where_it_stands_with_the_speed_of_the_robot(tmp
     plant = plant_in(tmp_path, "ends_at_contact: false\nwalls: [{start: [1, -1], end: [1, 1], thickness: 0.1}]\n")
     driven = drive(plant, (0.5, 0.0), 200)
     (contact,) = plant.contacts
-    assert contact.obstacle == "wall 0"
-    assert contact.x == pytest.approx(0.95, abs=0.01)
+    assert contact.obstacle == "wall 0" and contact.x == pytest.approx(0.95, abs=0.01)
     assert contact.speed == pytest.approx(0.5, abs=0.03)
     # The front of the body stops at the wall, and the wall does not give way.
     assert driven[-1, 0] == pytest.approx(0.95 - LENGTH / 2, abs=0.01)
@@ -96,7 +92,6 @@ def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> 
     looks, poses = [], []
     for _ in range(2):
         plant = make_plant("world:crossing", seed=4)
-        assert isinstance(plant, WorldPlant)
         plant.reset((0, 0, 0))
         seen = []
         for _ in range(60):
@@ -115,8 +110,7 @@ def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path
     assert contact.obstacle == "mover 0"
     # Edge to edge after 2 s less the time for half a width and the radius.
     assert contact.time == pytest.approx(2.0 - (WIDTH / 2 + 0.25), abs=0.02)
-    assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02)
-    assert contact.fastest < 0.005
+    assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02) and contact.fastest < 0.005
     assert np.abs(driven[-1]).max() < 1e-3
 
 
@@ -141,9 +135,7 @@ def test_what_stands_behind_a_wall_is_not_seen(tmp_path: Path) -> None:
 def test_the_costmap_knows_what_rays_have_met_and_nothing_beyond(tmp_path: Path) -> None:
     walls = "walls: [{start: [1, -3], end: [1, 3], thickness: 0.1}]\n"
     text = walls + "posts: [{at: [1.6, 0], radius: 0.1}]\nsight: {range_sd: 0, latency: 0}\n"
-    seen = Eyes(load_world(written(tmp_path, text)), 0).look(0.0, [0, 0, 0])
-    assert seen is not None and seen.grid is not None
-    grid = seen.grid
+    grid = Eyes(load_world(written(tmp_path, text)), 0).look(0.0, [0, 0, 0]).grid
 
     def cell(x: float, y: float) -> int:
         return int(grid.cells[math.floor((y - grid.origin[1]) / 0.05), math.floor((x - grid.origin[0]) / 0.05)])
@@ -170,13 +162,11 @@ def test_the_velocity_of_a_person_is_found_and_the_noise_is_as_stated(tmp_path: 
     for seed in range(60):
         eyes = Eyes(world, seed)
         looks = [eyes.look(k / 10, [0, 0, 0]) for k in range(16)]
-        assert looks[0] is not None and looks[-1] is not None
         first, last = looks[0].discs[0], looks[-1].discs[0]
         errors.append([first.x - 2.0, first.y + 2.0, last.vx, last.vy - 1.0])
         assert first.vx == first.vy == 0.0  # one place is no velocity
     errors = np.array(errors)
-    assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60)
-    assert 0.02 < errors[:, :2].std() < 0.04
+    assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60) and 0.02 < errors[:, :2].std() < 0.04
     assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.06 and errors[:, 2:].std() < 0.2
 
 
@@ -188,7 +178,6 @@ def test_drawn_worlds_can_be_passed_and_are_the_same_each_time(through: bool) ->
         drawn_world.cache_clear()
         assert drawn_world(seed, through=through) == world
         densities.append(len(world.posts))
-        assert world.way is not None
         assert filled(world, of.disc_radius)
         way = np.array(world.way.waypoints)
         if through:
@@ -209,7 +198,6 @@ def filled(world: World, radius: float) -> bool:
     points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
     free = world.shapes(0.0).distance(points) > radius
     regions, _ = ndimage.label(free.reshape(len(y), len(x)))
-    assert world.way is not None
     start, goal = (
         regions[np.abs(y - place[1]).argmin(), np.abs(x - place[0]).argmin()]
         for place in ((0.0, 0.0), world.way.waypoints[-1])
@@ -237,9 +225,8 @@ def test_distances_from_shapes() -> None:
     ],
 )
 def test_a_mistake_in_a_file_gets_its_sentence(tmp_path: Path, text: str, sentence: str) -> None:
-    with pytest.raises(ConfigError, match=sentence) as error:
+    with one_line_error(ConfigError, match=sentence):
         load_world(written(tmp_path, text))
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", ["doorwy", "drawn:x", "drawn:-1", "drawn:3:over", "drawn"])

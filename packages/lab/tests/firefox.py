@@ -1,7 +1,5 @@
 """A page in Firefox, by the protocol that both sides speak without a driver (WebDriver BiDi)."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re
@@ -54,7 +52,6 @@ def opened_firefox(program: str, profile: Path) -> Iterator[Tab]:
     """A tab of a Firefox of its own with an empty `profile`."""
     process = subprocess.Popen([program, *_OPTIONS, str(profile)], stderr=subprocess.PIPE, text=True)
     try:
-        assert process.stderr is not None
         lines = (re.search(r"WebDriver BiDi listening on (ws://\S+)", line) for line in process.stderr)
         address = next(match[1] for match in lines if match)
         with connect(f"{address}/session", max_size=2**26) as socket:
