@@ -43,9 +43,7 @@ SPEED = 0.4
 
 def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
     """A floor with the torques of both sides [N m] at each turning radius [m]."""
-    columns = {
-        name: tuple(values.tolist()) for name, values in (("radius", radius), ("outer", outer), ("inner", inner))
-    }
+    columns = {"radius": radius, "outer": outer, "inner": inner}
     columns = {name: tuple(values.tolist()) for name, values in columns.items()}
     curve = TorqueTable(**columns, speed=SPEED, speed_exponent=0.0)
     slip = slip or SlipCoefficients()
