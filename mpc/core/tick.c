@@ -142,7 +142,7 @@ static real restart_elsewhere(ddmpc_controller *c)
         if (commands[i] != R(0.0))
             return R(-1.0);
     take_estimate(c);
-    const real before[2] = {pose_of(c)[0], pose_of(c)[1]};
+    const real before[3] = {pose_of(c)[0], pose_of(c)[1], pose_of(c)[2]};
     if (!c->constants->resume || !ddmpc_estimator_restart_elsewhere(c))
         return R(-1.0);
     take_estimate(c);

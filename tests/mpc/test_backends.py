@@ -425,7 +425,7 @@ def test_missed_deadlines_stop_the_robot_for_good_without_resume():
     results = drive(driven, plant(), 40, deadline=lambda k: 1e-9 if k in (20, 21) else None)
     assert results[20].mode is Mode.TRACKING
     assert all(result.mode in (Mode.BRAKING, Mode.STOPPED) for result in results[21:])
-    assert "call start or reset" in results[-1].message
+    assert "call start or resume" in results[-1].message
 
 
 def test_step_that_ends_late_is_counted_though_no_limit_presses():
