@@ -141,7 +141,8 @@ def test_files_of_tests_that_documents_and_ci_name_are_there():
     named_files = {name for text in texts for name in re.findall(r"(?:packages/\w+/)?tests/[a-z_0-9/]+\.py", text)}
     on_the_robot = re.search(r'robot="(.*)"', CI_SCRIPT)[1].split()
     named_files |= {f"tests/mpc/test_{name}.py" for name in on_the_robot}
-    assert len(named_files) > 10 and [name for name in sorted(named_files) if not (ROOT / name).is_file()] == []
+    assert len(named_files) > 10
+    assert [name for name in sorted(named_files) if not (ROOT / name).is_file()] == []
 
 
 @pytest.mark.parametrize(("line", "part"), PART_OF_CI.items())
@@ -186,7 +187,8 @@ def test_pages_lead_to_the_committed_report_and_show_its_tables(shown):
     report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
     if shown.page:
         page = (ROOT / "docs" / shown.page).read_text(encoding="utf-8")
-        assert f"<!-- {shown.name}" in page and with_report(shown, page, report) == page
+        assert f"<!-- {shown.name}" in page
+        assert with_report(shown, page, report) == page
     else:
         assert any(f"({shown.name}/{shown.name}.md" in page.read_text(encoding="utf-8") for page in PAGES)
         assert re.search(r"^\* diffdrive-mpc .*, revision [0-9a-f]{12}, \d{4}-\d\d-\d\d\.$", report, re.MULTILINE)
@@ -224,6 +226,7 @@ def test_the_stated_number_of_findings_that_hold_is_that_of_the_report(page):
 )
 def test_error_lines_are_as_documented(words, line):
     result = subprocess.run([str(COMMAND), *words], capture_output=True, text=True, check=False)
-    assert result.returncode == 2 and line in result.stderr
+    assert result.returncode == 2
+    assert line in result.stderr
     documented = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
     assert line.removeprefix("error: ") in documented

@@ -37,7 +37,8 @@ def test_an_example_is_short(path):
 
 def test_track_a_circle(tmp_path):
     said = run("track_a_circle.py", tmp_path)
-    assert float(RUN.search(said)[1]) < 0.01 and "ways the solver took: {" in said
+    assert float(RUN.search(said)[1]) < 0.01
+    assert "ways the solver took: {" in said
 
 
 def test_identify_and_drive(tmp_path):
@@ -78,12 +79,14 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
         # Where the tests run in the background the signal is ignored, and that is inherited.
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - it has no threads
     ) as process:
-        assert process.stdout is not None and process.stdout.readline() == "driving\n"
+        assert process.stdout is not None
+        assert process.stdout.readline() == "driving\n"
         time.sleep(0.4)
         process.send_signal(signal.SIGINT)
         said, complained = process.communicate(timeout=60)
     assert process.returncode == 0, complained
-    assert "interrupted" in said and re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", said)
+    assert "interrupted" in said
+    assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", said)
 
 
 def test_own_cost(tmp_path):

@@ -79,7 +79,8 @@ def position_rmse(output):
 
 def test_what_was_identified_is_the_robot(session):
     config = load_config(session[0] / "mine" / "config.yaml")
-    assert config.sample_time == PERIOD and config.limits.v == pytest.approx(TOP_SPEED, rel=0.01)
+    assert config.sample_time == PERIOD
+    assert config.limits.v == pytest.approx(TOP_SPEED, rel=0.01)
     found = re.search(r"omega becomes (\S+) times its command, (\S+) s later", session[1])
     assert float(found[1]) == pytest.approx(YAW_GAIN, rel=0.01)
     assert float(found[2]) == pytest.approx(DEAD_TIME + LAG_OMEGA, abs=0.01)
@@ -119,4 +120,5 @@ def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path
         assert robot.popen.returncode == 0, robot.output
     over_dds = read_drive(tmp_path / "bag", reference, config.sample_time).metrics
     alone = position_rmse(typed(" ".join(["diffdrive-mpc", "simulate", *own, *plant])))
-    assert over_dds.completed and over_dds.position_rmse_m == pytest.approx(alone, rel=0.05)
+    assert over_dds.completed
+    assert over_dds.position_rmse_m == pytest.approx(alone, rel=0.05)

@@ -35,7 +35,8 @@ def test_every_error_of_the_project_has_the_common_base():
 
 @pytest.mark.parametrize("name", diffdrive_mpc.__all__)
 def test_every_public_name_is_there(name):
-    assert getattr(diffdrive_mpc, name).__name__ == name and name in dir(diffdrive_mpc)
+    assert getattr(diffdrive_mpc, name).__name__ == name
+    assert name in dir(diffdrive_mpc)
 
 
 SCRIPT = """

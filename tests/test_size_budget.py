@@ -121,7 +121,8 @@ int area(int a) /* it's */
 
 
 def test_blank_lines_comments_and_docstrings_do_not_count():
-    assert code_lines.python_size(PYTHON) == (6, 4) and code_lines.c_size(C) == (6, 2)
+    assert code_lines.python_size(PYTHON) == (6, 4)
+    assert code_lines.c_size(C) == (6, 2)
 
 
 def write_tree(root):

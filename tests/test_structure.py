@@ -193,7 +193,8 @@ def test_wheel_holds_every_file_of_its_package(package):
     files = [path for path in (folder / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts]
     others = [path for path in files if path.suffix not in (".py", ".so") and not path.name.endswith(".schema.json")]
     others = [path for path in others if not any(part.endswith(".egg-info") for part in path.parts)]
-    assert others and [path for path in others if not any(fnmatch(path.name, pattern) for pattern in patterns)] == []
+    assert others
+    assert [path for path in others if not any(fnmatch(path.name, pattern) for pattern in patterns)] == []
 
 
 def test_public_class_names_are_unique():

@@ -21,7 +21,8 @@ def test_notebook_draws_the_pictures_of_its_page(page, tmp_path, monkeypatch):
     notebook = notebook_text(markdown)
     assert '"outputs": []' in notebook
     shown = pictures(markdown)
-    assert shown and all((FOLDER / name).is_file() for name in shown)
+    assert shown
+    assert all((FOLDER / name).is_file() for name in shown)
     for name, value in own_domain(tmp_path).items():
         monkeypatch.setenv(name, value)
     assert len(executed(notebook, tmp_path)) == len(shown)
@@ -36,7 +37,8 @@ def check_jackal(folder):
     reference = load_trajectory(folder / "my_jackal" / "first_circle.yaml", config)
     drive = read_drive(folder / "driven", reference, config.sample_time)
     tube = np.genfromtxt(folder / "predicted" / "predicted-error.csv", delimiter=",", names=True)
-    assert drive.metrics.completed and 0.001 < drive.metrics.lateral_max_m < np.min(tube["lateral_everywhere"])
+    assert drive.metrics.completed
+    assert 0.001 < drive.metrics.lateral_max_m < np.min(tube["lateral_everywhere"])
 
 
 def test_every_tutorial_is_listed_and_the_site_links_its_notebook(tmp_path):

@@ -21,7 +21,8 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     ours, peer = said["runs"]
     assert (ours["controller"], ours["plant"], peer["controller"]) == ("mpc", "mujoco", "kanayama")
     assert ours["completed"] and peer["completed"]
-    assert ours["in_band_percent"] == 100.0 and ours["fallbacks"] == 0
+    assert ours["in_band_percent"] == 100.0
+    assert ours["fallbacks"] == 0
     # Last, and on one screen of 80 columns, in a pipe too: models and errors, and where the report lies.
     lines = result.stdout.rstrip().splitlines()
     assert lines[-1] == f"2 runs in {said['meta']['wall_time_s']:g} s; report: {tmp_path / 'out' / 'report.html'}"
@@ -61,8 +62,10 @@ def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp
     first = r"1 of 2 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0, scenario tips"
     assert re.fullmatch(rf"error: {first} \({TIPPED}\); bench.json lists them\n", result.stderr)
     tipped, upright = json.loads((out / "bench.json").read_text())["runs"]
-    assert (tipped["completed"], upright["completed"]) == (False, True) and re.fullmatch(TIPPED, tipped["ended"])
-    assert upright["ended"] is None and 50 < tipped["steps"] < 100 < upright["steps"]
+    assert (tipped["completed"], upright["completed"]) == (False, True)
+    assert re.fullmatch(TIPPED, tipped["ended"])
+    assert upright["ended"] is None
+    assert 50 < tipped["steps"] < 100 < upright["steps"]
     assert tipped["recovery_time_s"] is None
     # On a busy machine so short a run may have no tick that was timed undisturbed.
     timed = ("step_time", "solve_time")

@@ -168,7 +168,8 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
 
     monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
     result = invoke(app, "models", "show", "ssm", code=130)
-    assert result.stderr.strip() == "error: aborted" and result.stdout == ""
+    assert result.stderr.strip() == "error: aborted"
+    assert result.stdout == ""
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

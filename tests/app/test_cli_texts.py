@@ -33,16 +33,21 @@ def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) ->
 
 def test_the_schema_lists_every_key_with_its_default() -> None:
     flat = {row.key: row for row in schema_rows()}
-    assert flat["horizon"].default == str(ControllerConfig().horizon) and flat["horizon"].range == ">= 1, <= 200"
-    assert flat["weights.across"].unit == "1/m^2" and flat["weights.across"].range == ">= 0"
-    assert flat["solver.method"].range == "auto, osqp, daqp" and all(row.help for row in flat.values())
+    assert flat["horizon"].default == str(ControllerConfig().horizon)
+    assert flat["horizon"].range == ">= 1, <= 200"
+    assert flat["weights.across"].unit == "1/m^2"
+    assert flat["weights.across"].range == ">= 0"
+    assert flat["solver.method"].range == "auto, osqp, daqp"
+    assert all(row.help for row in flat.values())
     text = runner.invoke(app, ["config", "schema"]).stdout
-    assert all(key in text for key in flat) and "[" not in flat["weights.across"].help
+    assert all(key in text for key in flat)
+    assert "[" not in flat["weights.across"].help
 
 
 def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
     result = invoke(app, "models", "show", "ssm")
-    assert "-7.444, -13.25" in result.stdout and "published" in result.stdout
+    assert "-7.444, -13.25" in result.stdout
+    assert "published" in result.stdout
     assert str(load_model("ssm").provenance["source"]).split(":")[0] in result.stdout
 
 

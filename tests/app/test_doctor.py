@@ -15,7 +15,8 @@ def test_installation_passes_and_every_check_is_one_line() -> None:
     lines = invoke(app, "doctor").stdout.splitlines()
     assert lines[0].startswith("diffdrive-mpc ")
     names = ("python", "dependencies", "controller", "compiler", "mujoco", "ROS 2", "CPU governor", "real time")
-    assert len(lines) == 1 + len(names) and all(name in line for name, line in zip(names, lines[1:], strict=True))
+    assert len(lines) == 1 + len(names)
+    assert all(name in line for name, line in zip(names, lines[1:], strict=True))
     assert all(line.startswith("OK ") for line in lines[1:6])
     assert "TRACKING" in lines[3] and "operations" in lines[3]
 

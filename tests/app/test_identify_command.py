@@ -63,7 +63,8 @@ def identified(tmp_path, columns, mapping=MAPPING, **options):
 
 def test_the_report_has_the_agreed_keys(mine):
     report = json.loads((mine[0] / "report.json").read_text())
-    assert list(report) == [*REPORT_KEYS, "verdict"] and report["model"] == "sm"
+    assert list(report) == [*REPORT_KEYS, "verdict"]
+    assert report["model"] == "sm"
     assert all(set(report[f"{part}_fit_percent"]) == {"v", "omega"} for part in ("train", "validation"))
     assert min(report["validation_fit_percent"].values()) > 85.0
     assert [entry["horizon_s"] for entry in report["pose_error"]] == [1.0, 2.0, 5.0]
@@ -84,7 +85,8 @@ def test_the_report_ends_with_the_first_drive_on_the_robot(mine, monkeypatch):
     assert 0.0 < turn.v < 0.4 * load_config("config.yaml").limits.v
     assert turn.omega * turn.duration == pytest.approx(2 * np.pi, rel=1e-4)
     named = set(re.findall(r"docs/\w+\.md", recipe))
-    assert named == {"docs/robot.md", "docs/safety.md"} and all((ROOT / page).is_file() for page in named)
+    assert named == {"docs/robot.md", "docs/safety.md"}
+    assert all((ROOT / page).is_file() for page in named)
 
 
 @pytest.mark.system("browser")
@@ -97,14 +99,17 @@ def test_the_configuration_drives_the_plant(mine, logs):
     config = mine[0] / "config.yaml"
     assert "valid" in run("config", "check", config)
     loaded = load_config(config)
-    assert loaded.sample_time == 0.0202 and loaded.wheels.encoder_track == pytest.approx(0.330, rel=1e-3)
+    assert loaded.sample_time == 0.0202
+    assert loaded.wheels.encoder_track == pytest.approx(0.330, rel=1e-3)
     # The square turns on the spot with 1.0 rad/s and drives with 0.5 m/s; corrections go a little beyond.
-    assert 0.5 <= loaded.limits.v < 0.7 and 1.0 <= loaded.limits.omega < 1.5
+    assert 0.5 <= loaded.limits.v < 0.7
+    assert 1.0 <= loaded.limits.omega < 1.5
     bench = logs / "bench"
     words = f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1 --models"
     run(*words.split(), f"sm,{mine[0] / 'model.yaml'}")
     shipped, found = json.loads((bench / "bench.json").read_text())["runs"]
-    assert found["completed"] and found["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
+    assert found["completed"]
+    assert found["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
 
 
 def files_of(folder):
@@ -115,7 +120,8 @@ def files_of(folder):
 
 def test_the_same_log_gives_the_same_files(third_order, tmp_path):
     again, _ = identify_order_3(tmp_path / "out")
-    assert len(files_of(again)) >= 8 and files_of(again) == files_of(third_order[0])
+    assert len(files_of(again)) >= 8
+    assert files_of(again) == files_of(third_order[0])
 
 
 def without_times(path: Path) -> bytes:
@@ -132,7 +138,8 @@ def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_pa
     columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(asked))
     out, _ = identified(tmp_path, columns, NO_POSE)
     limits = read_model_file(out / "model.yaml").limits
-    assert limits.v is None and limits.omega == pytest.approx(0.9, rel=0.02)
+    assert limits.v is None
+    assert limits.omega == pytest.approx(0.9, rel=0.02)
     config = load_config(out / "config.yaml")
     assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
     assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)

@@ -124,7 +124,8 @@ def test_a_draft_is_written_where_the_user_stands_and_is_never_replaced(tmp_path
     log = write_csv(tmp_path / "log.csv", DRAFT_COLUMNS | {"gyro": -DRAFT_COLUMNS["gyro"]})
     shown = draft("log.csv").stdout
     written = tmp_path / "mapping.yaml"
-    assert written.read_text() in shown and "omega of the gyro runs against the command" in shown
+    assert written.read_text() in shown
+    assert "omega of the gyro runs against the command" in shown
     assert shown.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
     written.write_text("corrected by hand")
     refused = draft("log.csv", code=2).stderr

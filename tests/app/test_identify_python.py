@@ -25,7 +25,8 @@ def found(folder):
 
 
 def test_the_model_is_the_robot_and_drives(found):
-    assert np.diag(found.model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02) and found.model.name == "SM from one"
+    assert np.diag(found.model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
+    assert found.model.name == "SM from one"
     controller = Controller(load_config(found.config), model=found.model)
     assert controller.config.limits.v == found.config["limits"]["v"]
     assert controller.config.sample_time == pytest.approx(0.02)
@@ -36,7 +37,8 @@ def test_what_is_written_is_what_was_found(found, tmp_path):
     folder = tmp_path / "new" / "mine"
     assert sorted(path.name for path in folder.iterdir()) == sorted(set(FILES) - {NODE_FILE})
     written, held = load_config(folder / "config.yaml"), load_config(found.config)
-    assert written.model_copy(update={"model": held.model}) == held and written.model == str(folder / "model.yaml")
+    assert written.model_copy(update={"model": held.model}) == held
+    assert written.model == str(folder / "model.yaml")
     loaded = load_model(folder / "model.yaml")
     for name in ("A", "B", "C", "dead_time"):
         assert getattr(loaded, name).tolist() == getattr(found.model, name).tolist()
@@ -59,6 +61,8 @@ def test_one_path_is_a_log_and_progress_is_told(folder):
         on_progress=told.append,
         on_findings=findings.extend,
     )
-    assert isinstance(one, Identification) and one.model.name == "mine"
-    assert told[0] == "reading" and told[1].startswith("identification")
+    assert isinstance(one, Identification)
+    assert one.model.name == "mine"
+    assert told[0] == "reading"
+    assert told[1].startswith("identification")
     assert "the last 50 %" in one.content.provenance.notes

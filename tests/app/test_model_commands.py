@@ -32,5 +32,7 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_identification_is_announced_against_the_right_total(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     fit_models(tmp_path, on_progress=lambda done, total: seen.append((done, total)))
-    assert IDENTIFICATIONS == 10 and seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
-    assert load_model(tmp_path / "sm.yaml").order == 4 and load_model(tmp_path / "mbm.yaml").order == 8
+    assert IDENTIFICATIONS == 10
+    assert seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
+    assert load_model(tmp_path / "sm.yaml").order == 4
+    assert load_model(tmp_path / "mbm.yaml").order == 8

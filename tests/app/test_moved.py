@@ -94,7 +94,8 @@ def test_renamed_keys_of_the_page_are_those_that_are_read():
 @pytest.mark.parametrize("words", [*former_names("commands"), *former_names("options")])
 def test_former_command_or_option_prints_its_line_and_is_listed(words):
     line = {**former_names("commands"), **former_names("options")}[words]
-    assert line in " ".join(refusal(*words.split()).split()) and words in LISTED
+    assert line in " ".join(refusal(*words.split()).split())
+    assert words in LISTED
 
 
 def test_parameters_of_node_parts_are_those_of_the_page():

@@ -45,7 +45,8 @@ def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     file = tmp_path / "poses.csv"
     file.write_text(_POSES, encoding="utf-8")
     line = refusal("simulate", "--trajectory", file, "--log", name(file, tmp_path))
-    assert "this command reads that file" in line and "--log" in line
+    assert "this command reads that file" in line
+    assert "--log" in line
     assert file.read_text(encoding="utf-8") == _POSES
 
 

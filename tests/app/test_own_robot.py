@@ -84,8 +84,10 @@ def identified(tmp_path_factory):
 def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
     folder, screen = identified
     config = load_config(folder / "my robot" / "config.yaml")
-    assert config.sample_time == 0.05 and config.wheels.encoder_track == 0.6
-    assert config.wheels.track == pytest.approx(1.6 * 0.6, rel=0.05) and config.limits.wheel_speed > config.limits.v
+    assert config.sample_time == 0.05
+    assert config.wheels.encoder_track == 0.6
+    assert config.wheels.track == pytest.approx(1.6 * 0.6, rel=0.05)
+    assert config.limits.wheel_speed > config.limits.v
     assert load_surface(folder / "my robot" / "surface.yaml").slip.wheel_yaw_gain == pytest.approx(1 / 1.6, rel=0.02)
     assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in screen
 
@@ -100,7 +102,8 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     assert "-r cmd_vel:=/base/cmd_vel -r odom:=/base/odom -r imu:=/base/imu\n" in text
     assert "# /base/pose carries geometry_msgs/msg/PoseStamped, which the node cannot read as pose" in text
     parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
-    assert parameters == {"stamped": False, "use_imu": True, "pose_source": "odometry"} and NodeSettings(**parameters)
+    assert parameters == {"stamped": False, "use_imu": True, "pose_source": "odometry"}
+    assert NodeSettings(**parameters)
 
 
 def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
@@ -108,7 +111,8 @@ def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     (files / "wide.yaml").write_text(yaml.safe_dump(wide))
     wide_robot, fast_robot = Case(model="sm", config="wide.yaml"), Case(model="sm", config="fast.yaml")
     (sentence,) = other_robots([wide_robot, wide_robot])
-    assert "'mujoco' is another robot" in sentence and "its track is 0.33 m, the configuration's 0.6 m" in sentence
+    assert "'mujoco' is another robot" in sentence
+    assert "its track is 0.33 m, the configuration's 0.6 m" in sentence
     (sentence,) = other_robots([fast_robot])
     assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
     assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []

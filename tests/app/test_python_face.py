@@ -49,7 +49,8 @@ def test_names_stand_for_what_they_name(controller):
 def test_a_plant_by_name_has_the_controllers_sample_time_and_a_model_is_one():
     mine = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
     run = simulate({"model": "ssm", "sample_time": 0.05}, mine, STRAIGHT)
-    assert run.sample_time == 0.05 and run.metrics.completed
+    assert run.sample_time == 0.05
+    assert run.metrics.completed
 
 
 @pytest.mark.parametrize(
@@ -95,8 +96,10 @@ def test_a_sweep_is_a_table_with_one_row_for_each_run():
     values = {"horizon": [10, 30], "weights.across": 150.0}
     table = sweep(model=["sm", mine], trajectory=STRAIGHT, seeds=range(2), plant=PLANT, jobs=1, **values)
     assert list(table.columns[:6]) == ["model", "trajectory", "seed", "plant", "horizon", "weights.across"]
-    assert list(table["model"]) == ["sm"] * 4 + ["mine"] * 4 and list(table["seed"]) == [0, 0, 1, 1] * 2
-    assert list(table["horizon"]) == [10, 30] * 4 and table["completed"].all()
+    assert list(table["model"]) == ["sm"] * 4 + ["mine"] * 4
+    assert list(table["seed"]) == [0, 0, 1, 1] * 2
+    assert list(table["horizon"]) == [10, 30] * 4
+    assert table["completed"].all()
     assert set(table["ended"]) == {""}
     # The same numbers as the run by itself, and the same model under both names.
     run = simulate(load_config("sm", {"horizon": 30, "weights.across": 150.0}), make_plant(PLANT, seed=1), STRAIGHT)

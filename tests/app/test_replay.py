@@ -65,11 +65,13 @@ def test_csv_log_replays_to_the_same_commands(name, tmp_path):
     run, path, config = logged(CASES[name], tmp_path)
     recording = recorded(path, config)
     replayed = replay(recording, config, recording.references, as_recorded=False)
-    assert np.array_equal(recording.command, run.command) and np.abs(replayed.command - run.command).max() < 1e-9
+    assert np.array_equal(recording.command, run.command)
+    assert np.abs(replayed.command - run.command).max() < 1e-9
     assert replayed.modes == run.modes and not recording.notes
     # With the trajectory itself the commands are equal to the last bit.
     exact = replay(recording, config, (load_trajectory(CASES[name].trajectory, config),), as_recorded=False)
-    assert np.array_equal(exact.command, run.command) and exact.messages == run.messages
+    assert np.array_equal(exact.command, run.command)
+    assert exact.messages == run.messages
 
 
 def test_slew_of_another_configuration_counts_from_the_recorded_command(tmp_path):

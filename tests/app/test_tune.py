@@ -39,7 +39,8 @@ def test_command_writes_configuration_and_report(tuned_folder: tuple[Path, str])
     assert "## Best point of the search\n" in report
     assert (out / "figures" / "search.png").is_file()
     written = json.loads((out / "tune.json").read_text(encoding="utf-8"))
-    assert written["meta"]["sentence"] in printed and len(written["points"]) == 8
+    assert written["meta"]["sentence"] in printed
+    assert len(written["points"]) == 8
     page = content_of(out / "report.html")
     assert page["key_figures"][0]["value"] == ("yes" if written["meta"]["is_better"] else "no")
 
@@ -49,7 +50,8 @@ def test_configuration_changes_only_if_the_report_seeds_confirm_it(tuned_folder:
     written = json.loads((out / "tune.json").read_text(encoding="utf-8"))
     tuned, start = load_config(out / "config.yaml"), load_config("ssm")
     is_better = written["change"]["high"] < 0.0
-    assert written["meta"]["is_better"] == is_better and (tuned != start) == is_better
+    assert written["meta"]["is_better"] == is_better
+    assert (tuned != start) == is_better
     assert tuned.model_copy(update={"weights": start.weights, "horizon": start.horizon}) == start
     assert ("was 700" in (out / "config.yaml").read_text(encoding="utf-8")) == is_better
 
@@ -80,9 +82,11 @@ def test_mistake_in_a_plan_gives_one_line(changes: dict[str, object], line: str,
 def test_seed_fixes_the_search_with_any_number_of_processes(tmp_path: Path) -> None:
     points = search_points(tmp_path)
     assert [point.number for point in points] == list(range(6))
-    assert points[0].values == {"weights.across": 700.0, "horizon": 30} and search_points(tmp_path, jobs=2) == points
+    assert points[0].values == {"weights.across": 700.0, "horizon": 30}
+    assert search_points(tmp_path, jobs=2) == points
     other = search_points(tmp_path, sampler_seed=1)
-    assert other[0] == points[0] and other[1:] != points[1:]
+    assert other[0] == points[0]
+    assert other[1:] != points[1:]
 
 
 def run_rows(errors: list[float], completed: list[bool]) -> pd.DataFrame:

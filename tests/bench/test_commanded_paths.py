@@ -50,7 +50,8 @@ def test_without_a_stop_it_stays_near_what_geometry_allows(path, model):
     run = run_case(Case(model=model, trajectory=path, timing="commanded", seed=60))
     bound = least_lateral(STEPS[path])
     assert run.metrics.completed
-    assert 1e-5 < bound < 0.002 and bound < run.metrics.lateral_max_m <= 0.02
+    assert 1e-5 < bound < 0.002
+    assert bound < run.metrics.lateral_max_m <= 0.02
 
 
 EDGE = ["fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "spline-0"]
@@ -60,8 +61,10 @@ WHEEL_SPEED = ("limits.wheel_speed", 1.53)
 @pytest.mark.parametrize("name", EDGE)
 def test_a_path_at_the_edge_is_driven_to_its_end(name: str) -> None:
     run = run_case(Case(trajectory=name))
-    assert run.metrics.completed and run.metrics.fallbacks == 0
-    assert run.metrics.in_band_percent == 100.0 and run.metrics.position_rmse_m < 0.025
+    assert run.metrics.completed
+    assert run.metrics.fallbacks == 0
+    assert run.metrics.in_band_percent == 100.0
+    assert run.metrics.position_rmse_m < 0.025
 
 
 @pytest.mark.parametrize("overrides", [(), (WHEEL_SPEED,)])
@@ -80,7 +83,8 @@ def test_limits_bind_on_tight_for_a_third_of_the_time(overrides: tuple[tuple[str
         "wheels": rim[run.counted] >= 0.98 * limits.wheel_speed,
     }
     share = {name: rows.mean() for name, rows in at.items()}
-    assert share["command"] > 0.05 and share["slew"] > 0.1
+    assert share["command"] > 0.05
+    assert share["slew"] > 0.1
     # Within the command's shipped limits the wheels never reach theirs.
     assert (share["wheels"] > 0.05) == bool(overrides)
     assert 0.28 < (at["command"] | at["slew"] | at["wheels"]).mean() < (0.5 if overrides else 0.45)

@@ -53,8 +53,10 @@ def asked(**given: Any) -> ComparisonSettings:
 def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
     plan = plan_cases(experiment(seeds=(0, 1), horizons=(5, 30)))
     assert load_config("ssm").horizon == 30
-    assert len(plan.main) == 8 and len(plan.horizon) == 8
-    assert len(plan.all) == 12 and {case.horizon for case in plan.horizon} == {5, 30}
+    assert len(plan.main) == 8
+    assert len(plan.horizon) == 8
+    assert len(plan.all) == 12
+    assert {case.horizon for case in plan.horizon} == {5, 30}
     assert {case.seed for case in plan.horizon} == {0}
 
 
@@ -106,7 +108,8 @@ def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> N
     path = tmp_path / "my_robot.yaml"
     path.write_text(source.read_text())
     case = quick_case(model=str(path), plant=f"model:{path}")
-    assert case.labels["model"] == "my_robot" and case.labels["plant"] == "model:my_robot"
+    assert case.labels["model"] == "my_robot"
+    assert case.labels["plant"] == "model:my_robot"
     assert case.horizon == load_config("ssm").horizon
     assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
 
@@ -121,7 +124,8 @@ def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
     assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
     ours = [case.late for case in plan.dead_time if case.model == "ssm"]
     peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
-    assert ours == list(LATE_TICKS) and peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
+    assert ours == list(LATE_TICKS)
+    assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
     assert not set(plan.beyond) & set(plan.all)
 
 
@@ -205,7 +209,8 @@ def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: R
 def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
     values = np.random.default_rng(3).normal(2.0, 1.0, 400)
     low, high = interval(values)
-    assert low < values.mean() < high and high - low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
+    assert low < values.mean() < high
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
     assert np.array_equal(interval(values), (low, high))
 
 
@@ -214,14 +219,16 @@ def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
     own, other = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)
     # The plant lacks the extra dead time of the shipped configuration, a quarter of a sample.
     assert own.fit_v > 97 and own.fit_omega > 95
-    assert own.fit_omega > other.fit_omega + 2 and 0 <= own.drift < other.drift
+    assert own.fit_omega > other.fit_omega + 2
+    assert 0 <= own.drift < other.drift
 
 
 def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
     values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
     assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
     # A twentieth of 30 runs is one and a half of them.
-    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5) and cvar(np.arange(1.0, 11.0)) == 10.0
+    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
+    assert cvar(np.arange(1.0, 11.0)) == 10.0
     assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
     # Of a normal distribution it is density over tail: 2.0627 standard deviations.
     assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)

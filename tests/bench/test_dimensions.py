@@ -21,8 +21,10 @@ NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sen
 @pytest.mark.parametrize("of", DIMENSIONS, ids=lambda of: of.name)
 def test_every_dimension_has_its_options_and_its_default(of: Dimension) -> None:
     options = {command: set(re.findall(r"--[\w-]+", help_of(command))) for command in ("simulate", "bench")}
-    assert of.option in options["simulate"] and of.list_option in options["bench"]
-    assert default_settings().values(of.several) == of.compared and getattr(Case(), of.name) == of.default
+    assert of.option in options["simulate"]
+    assert of.list_option in options["bench"]
+    assert default_settings().values(of.several) == of.compared
+    assert getattr(Case(), of.name) == of.default
 
 
 def help_of(command: str) -> str:
@@ -59,7 +61,8 @@ def test_timing_makes_another_reference_of_a_trajectory() -> None:
 def test_values_have_their_yaml_types(text: str, values: list[object]) -> None:
     key, parsed = parse_setting(text)
     assert key == text.partition("=")[0]
-    assert parsed == values and [type(value) for value in parsed] == [type(value) for value in values]
+    assert parsed == values
+    assert [type(value) for value in parsed] == [type(value) for value in values]
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=5))

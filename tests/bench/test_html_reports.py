@@ -102,14 +102,16 @@ def test_plotly_accepts_every_figure(single: Path, compared: Path, tmp_path: Pat
     plane, times = (Figure(content_of(single)["views"][0][name]) for name in ("plane", "times"))
     driven = next(trace for trace in plane.data if trace.name == "driven")
     lateral = times.data[0]
-    assert driven.meta == lateral.meta and len(driven.x) == len(lateral.x)
+    assert driven.meta == lateral.meta
+    assert len(driven.x) == len(lateral.x)
 
 
 def test_a_page_says_how_to_repeat_it_and_with_which_configuration(single: Path) -> None:
     content = content_of(single)
     assert content["origin"]["command"].startswith("diffdrive-mpc simulate --plant model:ssm --surface ideal")
     facts = dict(content["origin"]["facts"])
-    assert facts["seed"] == "0" and facts["version"].startswith("diffdrive-mpc")
+    assert facts["seed"] == "0"
+    assert facts["version"].startswith("diffdrive-mpc")
     assert "horizon: 30" in content["configurations"][0]["text"]
 
 
@@ -163,7 +165,8 @@ def test_content_cannot_end_its_script() -> None:
 def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutcome) -> None:
     run = outcome.run
     kept = kept_ticks(run, 60)
-    assert len(kept) == 60 and (np.diff(kept) > 0).all()
+    assert len(kept) == 60
+    assert (np.diff(kept) > 0).all()
     assert run.errors.position[kept].max() == run.errors.position.max()
     series = run_series(run, "a", points=60)
     driven = next(entry for entry in series.plane if entry.name == "driven")
@@ -202,6 +205,7 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
         "Poses failed to come once",
     ):
         assert said in told
-    assert "v at 100 %" in told and "A backend had to solve 100 %" in told
+    assert "v at 100 %" in told
+    assert "A backend had to solve 100 %" in told
     assert "“why”" in told
     assert all(one.what.startswith("SSM: ") and one.remedy for one in found)

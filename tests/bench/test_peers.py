@@ -107,7 +107,8 @@ def test_kanayamas_function_decreases_on_the_ideal_robot(x: float, y: float, tur
     dx, dy, dturned = w * y - u + v * np.cos(turned), -w * x + v * np.sin(turned), omega - w
     rate = x * dx + y * dy + np.sin(turned) * dturned / gains.across
     expected = -gains.along * x**2 - (abs(v) * gains.heading + gains.turn) * np.sin(turned) ** 2 / gains.across
-    assert rate == pytest.approx(expected, abs=1e-12) and rate <= 1e-12
+    assert rate == pytest.approx(expected, abs=1e-12)
+    assert rate <= 1e-12
 
 
 @pytest.mark.parametrize("twist", [(0.5, 0.5), (1.2, -1.0), (-0.4, 0.3)])
@@ -202,7 +203,8 @@ def test_a_peer_that_gets_no_pose_brakes_and_says_so() -> None:
         plant.advance(step.command)
         if t < 1.0 + CONFIG.failure.max_pose_age - 0.1:
             assert step.mode == ("BRAKING" if t < 0 else "TRACKING")
-    assert (step.mode, step.message) == ("BRAKING", "no recent pose") and step.command == pytest.approx([0.0, 0.0])
+    assert (step.mode, step.message) == ("BRAKING", "no recent pose")
+    assert step.command == pytest.approx([0.0, 0.0])
 
 
 def test_leaning_into_the_curve_makes_up_for_side_slip() -> None:

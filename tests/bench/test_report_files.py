@@ -92,7 +92,8 @@ def test_a_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
         assert type(values[name]) is kind, name
-    assert values["completed"] is True and values["horizon"] == 30
+    assert values["completed"] is True
+    assert values["horizon"] == 30
 
 
 def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: RunOutcome) -> None:
@@ -114,32 +115,39 @@ def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: RunOutco
 def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
     values = json_row(RunOutcome(outcome.case, lasting).row, silent=())
-    assert values["disturbance_s"] == [0.0, None] and (values["recovery_time_s"], values["ended"]) == (None, None)
+    assert values["disturbance_s"] == [0.0, None]
+    assert (values["recovery_time_s"], values["ended"]) == (None, None)
     assert values["overshoot_m"] == 0.0
     (cells,) = scenario_table(rows_of(RunOutcome(outcome.case, lasting))).rows
-    assert cells[2:4] == ("-", "-") and cells[-2:] == ("-", "1/1")
+    assert cells[2:4] == ("-", "-")
+    assert cells[-2:] == ("-", "1/1")
 
 
 def test_what_cannot_be_computed_is_null(outcome: RunOutcome) -> None:
     broken = outcome.run.true_pose.copy()
     broken[5] = np.nan
     values = json_row(RunOutcome(outcome.case, replace(outcome.run, true_pose=broken)).row, ["scenario"])
-    assert values["position_rmse_m"] is None and values["completed"] is False
+    assert values["position_rmse_m"] is None
+    assert values["completed"] is False
 
 
 def test_a_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Path) -> None:
     done: list[int] = []
     written(results, tmp_path, lambda: done.append(1))
     data = json.loads((tmp_path / "bench.json").read_text())
-    assert set(data) == {"meta", "runs"} and [set(run) for run in data["runs"]] == [set(FIELDS)] * 3
-    assert [run["horizon"] for run in data["runs"]] == [30, None, 15] and data["meta"]["machine"]["cores"] >= 1
+    assert set(data) == {"meta", "runs"}
+    assert [set(run) for run in data["runs"]] == [set(FIELDS)] * 3
+    assert [run["horizon"] for run in data["runs"]] == [30, None, 15]
+    assert data["meta"]["machine"]["cores"] >= 1
     pictures = sorted(path.name for path in (tmp_path / "figures").iterdir())
     expected = ["horizon.png", "overview.png", "ssm-cane.png", "step-time.png"]
-    assert pictures == expected and len(done) == len(drawings(results)) == len(expected)
+    assert pictures == expected
+    assert len(done) == len(drawings(results)) == len(expected)
     text = (tmp_path / "bench.md").read_text()
     assert all(f"(figures/{name})" in text for name in expected)
     assert all(f"## {table.title}" in text for table in report_tables(results))
-    assert str(tmp_path) not in text + json.dumps(data) and str(Path.home()) not in text + json.dumps(data)
+    assert str(tmp_path) not in text + json.dumps(data)
+    assert str(Path.home()) not in text + json.dumps(data)
 
 
 def test_a_figure_is_the_same_file_every_time(outcome: RunOutcome, tmp_path: Path) -> None:
@@ -175,7 +183,8 @@ def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marke
     assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
     whole = RunOutcome(outcome.case, outcome.run.with_step_time(np.full(len(times), 2e-3), np.full(len(times), 1e-3)))
     assert times_in(summary_table(rows_of(whole))) == ["1.00", "1.00", "2.00", "2.00"]
-    assert "*" not in summary_table(rows_of(whole)).note and "*" not in "".join(time_table(rows_of(whole)).rows[0])
+    assert "*" not in summary_table(rows_of(whole)).note
+    assert "*" not in "".join(time_table(rows_of(whole)).rows[0])
 
 
 def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, tmp_path: Path) -> None:
@@ -186,7 +195,8 @@ def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, 
     settings = results.settings.model_copy(update=changes)
     meta = describe(settings, TimingPass())
     used = json.loads(json.dumps(meta["configuration"]))
-    assert used["file"] == "tuned" and used["set"] == {"weights.across": [60, 120], "estimator.history": [0.4]}
+    assert used["file"] == "tuned"
+    assert used["set"] == {"weights.across": [60, 120], "estimator.history": [0.4]}
     for combination, across in zip(used["controllers"], (60, 120), strict=True):
         expected = load_config(path, {"weights.across": across, "estimator.history": 0.4})
         assert combination["model"] == "ssm"
@@ -380,7 +390,8 @@ def test_workers_end_when_their_parent_is_killed() -> None:
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
         workers = [int(number) for number in process.stdout.readline().split()]
-        assert workers and all(map(is_running, workers))
+        assert workers
+        assert all(map(is_running, workers))
         process.send_signal(signal.SIGKILL)
         process.wait()
     for _ in range(200):

@@ -50,7 +50,8 @@ def test_a_replay_measures_every_whole_step_itself() -> None:
     controller = Dawdling()
     controller.start(run.reference, 0.0)
     times = replay(controller, run, 0, len(run.time))
-    assert times.shape == (len(run.time), 2) and (times[:, 0] >= 2e-3).all()
+    assert times.shape == (len(run.time), 2)
+    assert (times[:, 0] >= 2e-3).all()
     assert np.isnan(times[:, 1]).all()
 
 
@@ -69,7 +70,8 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
         timed_ticks = np.arange(len(before.run.time)) % BLOCK >= COLD
         expected = np.where(timed_ticks, before.run.reference.duration + before.run.time, np.nan)
         assert np.array_equal(outcome.run.step_time, expected, equal_nan=True)
-        assert np.array_equal(outcome.run.solve_time, expected / 2, equal_nan=True) and outcome.clean_share == 1.0
+        assert np.array_equal(outcome.run.solve_time, expected / 2, equal_nan=True)
+        assert outcome.clean_share == 1.0
 
 
 @pytest.mark.parametrize("clean", [1, 0])
@@ -107,7 +109,8 @@ def test_the_predictive_controller_replays_bit_for_bit() -> None:
     (timed,), timing = time_outcomes([outcome], lambda: None)
     assert timed.run.metrics.position_rmse_m == outcome.run.metrics.position_rmse_m
     assert 0 < timed.run.metrics.solve_time_max_s < timed.run.metrics.step_time_max_s
-    assert timing.yardstick > 0 and 0 <= timing.clean_share == timed.clean_share <= 1
+    assert timing.yardstick > 0
+    assert 0 <= timing.clean_share == timed.clean_share <= 1
 
 
 def test_the_quiet_core_is_given_back() -> None:
@@ -163,7 +166,8 @@ def test_blocks_take_turns_and_each_is_the_first_once_in_a_while() -> None:
 def test_a_disturbed_block_is_measured_again_and_the_others_keep_their_first_times() -> None:
     a, b = Scripted("a", 6, said := [], {2: [PUT_ASIDE, PUT_ASIDE]}), Scripted("b", 6, said)
     ((times, untouched),), best = take_turns([[a, b]], block=2)
-    assert times.times[0, 1::2, 0].tolist() == [1, 3, 1] and times.share == untouched.share == 1.0
+    assert times.times[0, 1::2, 0].tolist() == [1, 3, 1]
+    assert times.share == untouched.share == 1.0
     assert (a.passes, b.passes) == (3, 1)
     assert said[6:] == ["a0", "a2"] * 2, "as far as the disturbed block, and not further"
     assert best == QUIET.pace
@@ -172,7 +176,8 @@ def test_a_disturbed_block_is_measured_again_and_the_others_keep_their_first_tim
 def test_what_stays_disturbed_is_marked_and_left_out() -> None:
     replay = Scripted("a", 4, [], {2: [PUT_ASIDE] * (AGAIN + 1)})
     ((times,),), _ = take_turns([[replay]], block=2)
-    assert times.clean.tolist() == [[True, True, False, False]] and times.share == 0.5
+    assert times.clean.tolist() == [[True, True, False, False]]
+    assert times.share == 0.5
     assert np.isnan(times.kept[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
     assert replay.passes == AGAIN + 1
 
@@ -191,7 +196,8 @@ def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is
 def test_so_many_undisturbed_repetitions_as_wanted_are_taken() -> None:
     replay = Scripted("a", 4, [], {0: [QUIET, PUT_ASIDE]})
     ((times,),), _ = take_turns([[replay]], block=2, repetitions=3)
-    assert times.times[:, 1, 0].tolist() == [1, 3, 4] and times.times[:, 3, 0].tolist() == [1, 2, 3]
+    assert times.times[:, 1, 0].tolist() == [1, 3, 4]
+    assert times.times[:, 3, 0].tolist() == [1, 2, 3]
     assert times.clean.all()
 
 

@@ -90,7 +90,8 @@ def test_slope_is_the_derivative_of_the_map_without_steps(twist):
 @given(st.floats(-1, 1), st.floats(-3, 3), st.floats(0.001, 1.0), st.floats(0.005, 0.5))
 def test_strain_stays_bounded_and_the_heading_adds_up(strain, rate, dt, angle):
     end, body = YawRelaxation(angle=angle).advance(strain, rate, dt)
-    assert -1 <= end <= 1 and body * dt == pytest.approx(rate * dt - angle * (end - strain), abs=1e-12)
+    assert -1 <= end <= 1
+    assert body * dt == pytest.approx(rate * dt - angle * (end - strain), abs=1e-12)
     assert abs(body) <= abs(rate) * (1 + 1e-9) + 1e-12
 
 
@@ -112,7 +113,8 @@ def test_a_reversal_costs_twice_the_angle_and_a_pause_nothing():
     np.testing.assert_allclose(body[:250], rates[:250], atol=1e-12)
     lost = dt * np.sum(body[250:] - rates[250:])
     assert lost == pytest.approx(2 * 0.035, rel=0.12)
-    assert relaxation.gain(1.0, 0.8) == 1.0 and relaxation.gain(1.0, -0.8) == -1.0
+    assert relaxation.gain(1.0, 0.8) == 1.0
+    assert relaxation.gain(1.0, -0.8) == -1.0
 
 
 @given(TWISTS, LENGTHS)

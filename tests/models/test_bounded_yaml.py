@@ -111,13 +111,15 @@ def test_a_message_repeats_no_more_of_a_value_or_a_key_than_shows_what_it_is(tmp
         file.write_text(text, encoding="utf-8")
         with pytest.raises(ConfigError) as caught:
             load_config(str(file))
-        assert len(str(caught.value)) < 600 and "\x1b" not in str(caught.value)
+        assert len(str(caught.value)) < 600
+        assert "\x1b" not in str(caught.value)
 
 
 @given(st.text())
 def test_any_text_becomes_one_line_that_can_be_printed(text):
     line = plain_line(text, longest=60)
-    assert line.isprintable() and len(line) <= 60
+    assert line.isprintable()
+    assert len(line) <= 60
     assert len(line.splitlines()) <= 1
 
 

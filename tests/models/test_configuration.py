@@ -60,7 +60,8 @@ def test_a_slew_hardly_known_is_never_zero_nor_negative(slew, deviation):
     """It failed: two deviations off a slew of 1.0 +- 0.6 m/s^2 were written as -0.2."""
     written = limits(identified(slew=(slew, slew), deviation=deviation))
     for name in ("v_slew", "omega_slew"):
-        assert written[name] >= 0.499 * min(slew, 2.0) and written[name] <= 1.001 * slew
+        assert written[name] >= 0.499 * min(slew, 2.0)
+        assert written[name] <= 1.001 * slew
 
 
 def test_limits_are_those_that_the_log_covers_or_the_base_has():
@@ -81,8 +82,10 @@ def test_motors_that_saturate_bind_before_what_the_log_asked():
 def test_the_file_says_what_the_mapping_says(slew, geometry):
     found = configure("robot", identified(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry)
     text = found.text()
-    assert side_by_side(yaml.safe_load(text)) == found.mapping() and found.mapping()["sample_time"] == 0.05
-    assert ("not in a log" in text) == (slew is None) and ("Not in the log" in text) == (geometry is None)
+    assert side_by_side(yaml.safe_load(text)) == found.mapping()
+    assert found.mapping()["sample_time"] == 0.05
+    assert ("not in a log" in text) == (slew is None)
+    assert ("Not in the log" in text) == (geometry is None)
     if geometry:
         assert found.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
 
@@ -111,7 +114,8 @@ def test_most_limits_of_drawn_robots_are_identified():
     cases = [drawn_case(seed) for seed in range(11_000, 11_060)]
     verdicts = [judged(case, identify_sm(case.records).limits) for case in cases]
     limited = sum(case.channel is not None for case in cases)
-    assert limited > 20 and sum(close for _, close, _ in verdicts) >= 0.8 * limited
+    assert limited > 20
+    assert sum(close for _, close, _ in verdicts) >= 0.8 * limited
     assert sum(false for _, _, false in verdicts) <= 0.05 * len(cases)
 
 
@@ -120,7 +124,8 @@ def test_most_limits_of_drawn_robots_are_identified():
 )
 def test_what_is_no_limit_is_not_taken_for_one(seed, odd):
     case = drawn_case(seed)
-    assert case.name.endswith(odd) and identify_sm(case.records).limits == {}
+    assert case.name.endswith(odd)
+    assert identify_sm(case.records).limits == {}
 
 
 SETTINGS = identification_settings()
@@ -174,4 +179,5 @@ def test_noise_is_found_under_motion_plateaus_and_outliers(outliers):
     # A spike spoils three differences of a hundred, of which nine tenths count.
     assert found["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
     assert found["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
-    assert found["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1) and "position_noise" not in found
+    assert found["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
+    assert "position_noise" not in found

@@ -24,7 +24,8 @@ def test_a_model_survives_the_way_to_control_and_back(name):
     back = VelocityModel.from_control(model.to_control(), dead_time=model.dead_time)
     for matrix in ("A", "B", "C", "dead_time"):
         np.testing.assert_array_equal(getattr(back, matrix), getattr(model, matrix))
-    assert back.name == model.name and model.to_control().input_labels == ["v_ref", "omega_ref"]
+    assert back.name == model.name
+    assert model.to_control().input_labels == ["v_ref", "omega_ref"]
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])

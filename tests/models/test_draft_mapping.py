@@ -57,7 +57,8 @@ def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled
     filled = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
     filled = filled.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
     mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", filled))
-    assert mapping.columns.encoders.left.unit == "ticks" and mapping.columns.command.right.column == "cmd_right"
+    assert mapping.columns.encoders.left.unit == "ticks"
+    assert mapping.columns.command.right.column == "cmd_right"
 
 
 def test_topics_are_guessed_by_type_and_name(tmp_path):

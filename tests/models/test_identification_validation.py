@@ -52,7 +52,8 @@ def test_a_limit_and_an_offset_are_part_of_the_prediction():
     plain = system(MODEL)
     right = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([np.inf, 0.6]))
     drive = record(drive.command, drive.twist + [0.0, 0.05])
-    assert validate(right, [drive]).fit_percent.min() > 99.0 and validate(plain, [drive]).fit_percent[1] < 80.0
+    assert validate(right, [drive]).fit_percent.min() > 99.0
+    assert validate(plain, [drive]).fit_percent[1] < 80.0
 
 
 def test_white_residuals_pass_and_coloured_ones_do_not():
@@ -65,7 +66,8 @@ def test_white_residuals_pass_and_coloured_ones_do_not():
     good, bad = (validate(system(MODEL), [r]).residuals for r in (white, record(white.command, clean + noise)))
     # The first reading is noisy, and the run starts there: a short transient that a white noise test forgives.
     assert good.ljung_box_p.min() > 1e-3
-    assert bad.ljung_box_p.max() < 1e-9 and bad.autocorrelation[:, 1] == pytest.approx([0.6, 0.6], abs=0.05)
+    assert bad.ljung_box_p.max() < 1e-9
+    assert bad.autocorrelation[:, 1] == pytest.approx([0.6, 0.6], abs=0.05)
     inside = np.abs(good.autocorrelation[:, 1:]) < good.whiteness_bound
     assert inside.mean() > 0.9
     assert good.autocorrelation[:, 0] == pytest.approx([1.0, 1.0])
@@ -86,7 +88,8 @@ def test_a_model_that_misses_its_command_is_correlated_with_it():
     drive = noisy_drive(MODEL, 5)
     wrong = published_ssm(dead_time=(0.043, 0.152))
     good, bad = (validate(system(m), [drive]).residuals.unexplained for m in (MODEL, wrong))
-    assert good.max() < 2.5 and bad[1, 1] > 2 * good[1, 1]
+    assert good.max() < 2.5
+    assert bad[1, 1] > 2 * good[1, 1]
     assert bad[1, 1] > bad[1, 0]
 
 
@@ -97,7 +100,8 @@ def test_the_correlation_reported_is_the_largest_over_all_lags():
     echo[20:, 0] = 0.1 * drive.command[:-20, 0]
     residuals = validate(system(MODEL), [record(drive.command, drive.twist + echo)]).residuals
     past = np.abs(residuals.cross_correlation[0, 0, residuals.cross_correlation.shape[2] // 2 :])
-    assert past.argmax() == 20 and past[20] == pytest.approx(1.0, abs=0.05)
+    assert past.argmax() == 20
+    assert past[20] == pytest.approx(1.0, abs=0.05)
     assert residuals.unexplained[0, 0] * residuals.cross_bound[0, 0] == pytest.approx(past[20])
 
 
@@ -117,7 +121,8 @@ def test_a_true_twist_does_not_drift():
     twist = set_points(6, 1500, (0.5, 1.0))
     settings = {"lever_arm": (0.146, 0.02), "side_slip": 0.1, "horizons": (1.0, 5.0)}
     exact = pose_drift([driven(twist, (0.146, 0.02))], [twist], **settings)
-    assert [drift.horizon for drift in exact] == [1.0, 5.0] and max(drift.position_rmse for drift in exact) < 1e-9
+    assert [drift.horizon for drift in exact] == [1.0, 5.0]
+    assert max(drift.position_rmse for drift in exact) < 1e-9
     assert max(drift.heading_rmse for drift in exact) < 1e-9
     late = pose_drift([driven(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
     assert max(drift.position_rmse for drift in late) < 1e-9
@@ -161,10 +166,12 @@ def test_the_loaded_model_is_the_identified_one(structure, tmp_path):
     loaded = load_model(path)
     for name in ("A", "B", "C", "dead_time"):
         assert getattr(loaded, name).tolist() == getattr(identified.model, name).tolist()
-    assert loaded.structure == structure and loaded.provenance["date"] == "2026-01-02"
+    assert loaded.structure == structure
+    assert loaded.provenance["date"] == "2026-01-02"
     assert "omega of the gyro" in loaded.provenance["method"]
     data = read_model_file(path)
-    assert data.fit_percent.v == 91.23 and data.validation_fit_percent.omega == 84.0
+    assert data.fit_percent.v == 91.23
+    assert data.validation_fit_percent.omega == 84.0
     known = data.uncertainty
     assert known.parameters == list(identified.parameters.names)
     deviation = np.array(known.standard_deviation)
@@ -176,7 +183,8 @@ def test_the_loaded_model_is_the_identified_one(structure, tmp_path):
 
 def test_a_limit_found_stands_in_the_file(tmp_path):
     data = read_model_file(written(IDENTIFY["ssm"](), tmp_path / "model.yaml"))
-    assert data.limits.omega == pytest.approx(0.9, abs=0.02) and data.limits.v is None
+    assert data.limits.omega == pytest.approx(0.9, abs=0.02)
+    assert data.limits.v is None
 
 
 @pytest.mark.parametrize(
@@ -270,7 +278,8 @@ def test_tracks_are_recovered():
 
 def test_fit_of_perfect_mean_and_worse():
     y = np.sin(np.arange(50.0))
-    assert fit_percent(y, y) == 100.0 and fit_percent(y, np.full(50, y.mean())) == pytest.approx(0.0, abs=1e-9)
+    assert fit_percent(y, y) == 100.0
+    assert fit_percent(y, np.full(50, y.mean())) == pytest.approx(0.0, abs=1e-9)
     assert fit_percent(y, -y) < 0
     with pytest.raises(ValueError, match="constant"):
         fit_percent(np.ones(5), np.ones(5))

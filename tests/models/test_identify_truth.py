@@ -44,7 +44,8 @@ def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model():
     parts = [whole.part(0, 1700), whole.part(1700, 3000)]
     moved = Record("moved", whole.start + 1e4, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)
     one, two, three = (identify_sm(records, limits=False).parameters for records in ([whole], parts, [moved]))
-    assert three.values.tolist() == one.values.tolist() and two.values.tolist() == one.values.tolist()
+    assert three.values.tolist() == one.values.tolist()
+    assert two.values.tolist() == one.values.tolist()
 
 
 @pytest.mark.parametrize("offset", [0, 37])
@@ -190,13 +191,15 @@ def test_mbm_finds_motors_both_tracks_and_a_limit(four, limit):
         for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
             truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}
     agrees(found.parameters, truth)
-    assert found.parameters.value("effective_track") == pytest.approx(effective, rel=0.02) and found.model.order == 8
+    assert found.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
+    assert found.model.order == 8
 
 
 def test_the_same_log_gives_the_same_numbers():
     drive = noisy_drive(SM, 19, count=1000)
     first, second = (identify_sm([drive]).parameters for _ in range(2))
-    assert first.values.tolist() == second.values.tolist() and first.covariance.tolist() == second.covariance.tolist()
+    assert first.values.tolist() == second.values.tolist()
+    assert first.covariance.tolist() == second.covariance.tolist()
 
 
 def test_bad_input_is_one_clear_line():
@@ -239,7 +242,8 @@ def as_read(drive, folder):
 def test_one_wild_reading_in_a_hundred_costs_nothing(size, tmp_path):
     clean = noisy_drive(SPIKED, 5)
     records, findings = as_read(spiked(clean, size), tmp_path)
-    assert [finding.severity for finding in findings] == ["warning", "warning"] and "(1 %)" in findings[1].words
+    assert [finding.severity for finding in findings] == ["warning", "warning"]
+    assert "(1 %)" in findings[1].words
     one, other = (identify_sm(part, limits=False) for part in ([clean], records))
     assert validate(other.system, [clean]).fit_percent == pytest.approx(
         validate(one.system, [clean]).fit_percent, abs=0.3

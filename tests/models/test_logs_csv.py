@@ -118,7 +118,8 @@ def test_one_reading_a_period_is_fresh_also_where_a_coarse_one_repeats(tmp_path,
 def test_a_delay_moves_readings_back_to_when_they_were_true(tmp_path):
     mapping = "columns:\n  time: t\n  command: {v: v_ref, omega: omega_ref}\n  gyro: {yaw_rate: gyro, delay: 0.1}\n"
     (record,) = read(tmp_path, COLUMNS, mapping).records
-    assert np.allclose(record.yaw_rate[:-5], COLUMNS["gyro"][5:], atol=1e-12) and not record.fresh_yaw_rate[-5:].any()
+    assert np.allclose(record.yaw_rate[:-5], COLUMNS["gyro"][5:], atol=1e-12)
+    assert not record.fresh_yaw_rate[-5:].any()
 
 
 def test_segments_and_a_fixed_sample_time_replace_time_stamps(tmp_path):
@@ -142,7 +143,8 @@ def test_stamps_rounded_to_milliseconds_keep_the_mean_rate(tmp_path):
     """202 us times 100: a median step of 20 ms would lose one sample in a hundred."""
     columns = drive(dt=0.0202)
     (record,) = read(tmp_path, columns | {"t": np.round(columns["t"], 3)}).records
-    assert record.dt == pytest.approx(0.0202, rel=2e-4) and abs(len(record.command) - len(columns["t"])) <= 1
+    assert record.dt == pytest.approx(0.0202, rel=2e-4)
+    assert abs(len(record.command) - len(columns["t"])) <= 1
 
 
 def test_a_coarser_sample_time_takes_the_values_at_its_own_times(tmp_path):
@@ -159,7 +161,8 @@ def test_a_log_of_simulate_needs_no_mapping(tmp_path):
     write_log(run, tmp_path / "run.csv")
     log = read_log(tmp_path / "run.csv")
     (record,) = log.records
-    assert record.dt == pytest.approx(run.sample_time, rel=1e-9) and np.array_equal(record.command, run.command)
+    assert record.dt == pytest.approx(run.sample_time, rel=1e-9)
+    assert np.array_equal(record.command, run.command)
     assert np.array_equal(record.yaw_rate, run.gyro, equal_nan=True)
     true = np.column_stack([np.interp(record.time, run.time, column) for column in run.true_pose.T])
     errors = (record.pose - true)[record.fresh_pose]

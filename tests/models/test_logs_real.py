@@ -41,7 +41,8 @@ def test_the_husky_log_has_its_three_stretches():
 @pytest.mark.real_logs
 def test_the_huskys_encoders_and_poses_are_fresh_at_about_half_the_rate():
     (record, *_) = read_log(log_path("husky_tile"), "husky_tile").records
-    assert 0.45 < record.fresh_twist.mean() < 0.6 and 0.45 < record.fresh_pose.mean() < 0.6
+    assert 0.45 < record.fresh_twist.mean() < 0.6
+    assert 0.45 < record.fresh_pose.mean() < 0.6
     assert record.fresh_yaw_rate.mean() > 0.95
 
 
@@ -61,7 +62,8 @@ def test_after_the_stated_delay_the_huskys_encoders_turn_with_its_gyro():
 @pytest.mark.parametrize("terrain", ["asphalt", "gravel"])
 def test_the_warthog_logs_are_read_step_by_step(terrain):
     log = read_log(log_path(f"warthog_{terrain}"), f"warthog_{terrain}")
-    assert len(log.records) == 100 and sum(len(record.command) for record in log.records) == 12000
+    assert len(log.records) == 100
+    assert sum(len(record.command) for record in log.records) == 12000
     assert log.findings == ()
 
 

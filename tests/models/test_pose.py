@@ -93,7 +93,8 @@ def test_going_back_returns(pose, v, omega, dt):
 @given(st.floats(-100, 100))
 def test_wrapped_angles_point_the_same_way(angle):
     wrapped = float(wrap_angle(angle))
-    assert -np.pi <= wrapped < np.pi and np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
+    assert -np.pi <= wrapped < np.pi
+    assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
     assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
 
 

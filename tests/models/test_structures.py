@@ -77,9 +77,11 @@ def test_a_structure_of_one_s_own_goes_all_the_way(lags, log, tmp_path):
     found = identify(log, tmp_path / "map.yaml", "lags")
     found.write(tmp_path / "mine")
     model = load_model(tmp_path / "mine" / "model.yaml")
-    assert model.structure == "lags" and np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
+    assert model.structure == "lags"
+    assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
     assert model.lag == pytest.approx([0.1, 0.1], abs=0.02)
-    assert found.report.fitted.validation.fit_percent.min() > 90.0 and "LAGS from drive" in str(found)
+    assert found.report.fitted.validation.fit_percent.min() > 90.0
+    assert "LAGS from drive" in str(found)
 
 
 def test_only_what_is_registered_is_known(log, tmp_path):
@@ -94,7 +96,8 @@ def test_only_what_is_registered_is_known(log, tmp_path):
 @pytest.mark.parametrize("name", registry.STRUCTURES)
 def test_the_registry_calls_each_by_the_name_in_its_files(name):
     structure = registry.STRUCTURES[name]
-    assert structure.name == name == structure_name(structure.file) and is_shipped(name)
+    assert structure.name == name == structure_name(structure.file)
+    assert is_shipped(name)
     assert load_model(name).structure == name
 
 
@@ -176,7 +179,8 @@ def test_poles_gains_and_lags():
     model = load_model("ssm")
     assert np.sort(model.poles) == pytest.approx([-13.25, -7.44], abs=0.01)
     assert model.dc_gain == pytest.approx(np.array([[1.0026, -0.0002], [0.0092, 1.073]]), abs=5e-4)
-    assert model.lag == pytest.approx([0.135, 0.075], abs=5e-4) and (model.dead_time == 0).all()
+    assert model.lag == pytest.approx([0.135, 0.075], abs=5e-4)
+    assert (model.dead_time == 0).all()
 
 
 SSM = load_model("ssm")
@@ -226,7 +230,8 @@ def test_it_is_the_zero_order_hold_of_control(name, dead_time):
     acting = np.column_stack([held(dt - rest[j]).B[:, j] for j in (0, 1)])
     assert pytest.approx(whole.A, rel=1e-13, abs=1e-15) == discrete.A
     assert pytest.approx(acting, rel=1e-13, abs=1e-15) == discrete.B0
-    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1 and not discrete.D.any()
+    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
+    assert not discrete.D.any()
     assert discrete.delay.tolist() == [0, 4 if any(dead_time) else 0]
 
 

@@ -65,7 +65,8 @@ def read(tmp_path, words, **more):
 
 def test_what_the_battery_gives_is_positive_whatever_the_robot_says(tmp_path):
     (record,) = read(tmp_path, "  battery: /battery\n").records
-    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, GIVEN])) and record.motor_current is None
+    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, GIVEN]))
+    assert record.motor_current is None
 
 
 def test_a_robot_of_the_other_sign_is_turned_round(tmp_path):
@@ -84,7 +85,8 @@ def test_efforts_of_joints_are_the_motors_of_the_sides(tmp_path):
 def test_single_numbers_have_the_times_of_their_receipt_and_their_unit(tmp_path):
     words = "  motors: {left: {topic: /left_a, unit: mA}, right: /right_a}\n"
     (record,) = read(tmp_path, words).records
-    assert record.motor_currents is None and record.motor_current[1:299, 0] == pytest.approx(1e-3 * MOTORS[1:299, 0])
+    assert record.motor_currents is None
+    assert record.motor_current[1:299, 0] == pytest.approx(1e-3 * MOTORS[1:299, 0])
     # Those of the right come half as often and half a sample late.
     later = np.interp(T[1:299], T[::2] + 0.01, MOTORS[::2, 1])
     assert record.motor_current[1:299, 1] == pytest.approx(later, abs=1e-4)

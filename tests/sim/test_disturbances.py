@@ -64,7 +64,8 @@ def test_what_has_not_happened_yet_changes_nothing(tmp_path: Path) -> None:
         "stiffness: 10, damping: 1, yaw_stiffness: 1, yaw_damping: 1}]\n"
     )
     plant = make_plant("mujoco", seed=2, scenario=path)
-    assert trace(plant, 150) == trace(make_plant("mujoco", seed=2), 150) and plant.disturbance is None
+    assert trace(plant, 150) == trace(make_plant("mujoco", seed=2), 150)
+    assert plant.disturbance is None
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -211,7 +212,8 @@ def test_on_a_gentle_slope_the_robot_stands_across_and_creeps_along_no_faster_th
     # At zero set-point the driver shorts the motor: it brakes by back-EMF, in proportion to the speed.
     pull = ROBOT.mass * G * np.sin(0.1)
     damping = 4 * TWIN.motor.stall_torque / TWIN.motor.no_load_speed / ROBOT.wheel_radius**2
-    assert 0.0 < along.true_twist[0] < 1.2 * pull / damping and along.true_pose[0] > 0.01
+    assert 0.0 < along.true_twist[0] < 1.2 * pull / damping
+    assert along.true_pose[0] > 0.01
 
 
 def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
@@ -222,7 +224,8 @@ def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
 
     assert abs(dead(WHEELS).true_pose[0]) < 1e-3
     # Towards the side that is dragged along.
-    assert dead(LEFT).true_pose[2] > 0.03 and dead(RIGHT).true_pose[2] < -0.03
+    assert dead(LEFT).true_pose[2] > 0.03
+    assert dead(RIGHT).true_pose[2] < -0.03
 
 
 def test_a_weak_motor_gives_its_share_while_it_is_weak() -> None:
@@ -297,7 +300,8 @@ def test_one_side_on_ice_lets_that_side_slip_only() -> None:
         assert before[0] > TWIN.chassis.wheel_base  # all wheels are on it
         _drive(plant, 1.2, 0.0, 0.5)
         turned[side] = plant.true_pose[2] - before[2]
-    assert turned["left"] > 0.05 and turned["right"] < -0.05
+    assert turned["left"] > 0.05
+    assert turned["right"] < -0.05
     assert abs(turned["both"]) < 0.01
 
 
@@ -310,7 +314,8 @@ def test_a_blockade_holds_the_robot_and_lets_it_go() -> None:
     # All wheels skidding push no harder than friction, against the spring.
     give = FLOOR * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
     assert np.hypot(*(log.true_pose[held] - start)[:, :2].T).max() < give
-    assert log.wheel_twist[held, 0][10:].mean() > 0.3 and np.abs(log.true_twist[held, 0][10:]).mean() < 0.05
+    assert log.wheel_twist[held, 0][10:].mean() > 0.3
+    assert np.abs(log.true_twist[held, 0][10:]).mean() < 0.05
     free = log.true_twist[log.time > 2.5]
     assert free[:, 0].mean() == pytest.approx(0.5, rel=0.03)
 
@@ -376,7 +381,8 @@ def test_drawn_values_lie_in_their_ranges_and_choices(
     text = f"pushes: [{{force: {force}, yaw_torque: {{one_of: {torque}}}, height: 0, start: 1, duration: 1}}]"
     file = load_scenario(_written(tmp_path_factory.mktemp("scenario"), text))
     (push,) = file.draw(seed).pushes
-    assert low <= push.force <= low + width and 1.0 <= abs(push.yaw_torque) <= 2.0
+    assert low <= push.force <= low + width
+    assert 1.0 <= abs(push.yaw_torque) <= 2.0
     assert file.draw(seed) == file.draw(seed)
 
 

@@ -250,4 +250,5 @@ def test_the_drivers_keep_the_torque_within_their_limit_and_the_turn_gets_wider(
 def test_a_disturbed_sample_tells_the_weakened_torque() -> None:
     healthy = drive_open_loop(make_plant("mujoco", seed=2), random_commands(2)[:200])
     weak = drive_open_loop(make_plant("mujoco", seed=2, scenario="weak_motor"), random_commands(2)[:200])
-    assert np.isfinite(weak.motor_torque).all() and not np.array_equal(weak.motor_torque, healthy.motor_torque)
+    assert np.isfinite(weak.motor_torque).all()
+    assert not np.array_equal(weak.motor_torque, healthy.motor_torque)

@@ -20,8 +20,10 @@ CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
 
 def test_a_perfect_plant_under_feed_forward_stays_on_the_reference() -> None:
     run = simulate(FeedForward(), KinematicPlant(), CIRCLE)
-    assert run.metrics.position_max_m < 1e-12 and run.metrics.heading_max_rad < 1e-12
-    assert run.metrics.lateral_max_m < 3.2e-6 and run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
+    assert run.metrics.position_max_m < 1e-12
+    assert run.metrics.heading_max_rad < 1e-12
+    assert run.metrics.lateral_max_m < 3.2e-6
+    assert run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
 
 
 class Workshop(KinematicPlant):
@@ -38,14 +40,16 @@ def test_a_plant_of_the_user_is_not_taken_for_one_in_a_world() -> None:
 @pytest.mark.parametrize(("duration", "ticks"), [(1.0, 51), (1.001, 52), (0.999, 51), (0.02 * 7, 8)])
 def test_the_last_tick_is_the_first_at_or_after_the_end(duration: float, ticks: int) -> None:
     run = simulate(FeedForward(), KinematicPlant(), ConstantTwist(0.5, 0.0, duration))
-    assert len(run.time) == ticks and run.time == pytest.approx(0.02 * np.arange(ticks))
+    assert len(run.time) == ticks
+    assert run.time == pytest.approx(0.02 * np.arange(ticks))
 
 
 def test_rows_hold_the_state_before_the_command_of_the_tick_acts() -> None:
     run = simulate(FeedForward(), KinematicPlant(), CIRCLE)
     assert run.true_twist[0] == pytest.approx([0.0, 0.0, 0.0])
     assert run.true_twist[1, [0, 2]] == pytest.approx(run.command[0])
-    assert run.measured_pose == pytest.approx(run.true_pose) and run.gyro[1:] == pytest.approx(0.5)
+    assert run.measured_pose == pytest.approx(run.true_pose)
+    assert run.gyro[1:] == pytest.approx(0.5)
     assert np.isnan(run.wheel_speeds).all()
 
 
@@ -72,7 +76,8 @@ def test_a_lost_robot_ends_the_run_incomplete_with_the_figures_of_what_was_drive
     run, whole = (simulate(FeedForward(), plant, CIRCLE) for plant in (Fragile(), KinematicPlant()))
     n = 11
     assert (run.ended, whole.ended) == ("t = 0.20 s: gone", "")
-    assert (run.metrics.completed, whole.metrics.completed) == (False, True) and run.metrics.steps == n
+    assert (run.metrics.completed, whole.metrics.completed) == (False, True)
+    assert run.metrics.steps == n
     for series in ("time", "true_pose", "true_twist", "command", "step_time", "reference_pose", "measured_pose"):
         np.testing.assert_array_equal(getattr(run, series), getattr(whole, series)[:n])
     assert len(run.modes) == len(run.messages) == len(run.measurements) == n
@@ -127,7 +132,8 @@ def test_an_exponential_return_recovers_when_it_enters_the_band(
         assert figures.recovery_time_s == pytest.approx(exact, abs=DT + 1e-9)
     else:
         assert figures.recovery_time_s >= TIME[-1] - end - 2 * DT
-    assert figures.overshoot_m == 0.0 and 0.0 < height - figures.lateral_max_m + 1e-12 < height * rate * DT + 1e-9
+    assert figures.overshoot_m == 0.0
+    assert 0.0 < height - figures.lateral_max_m + 1e-12 < height * rate * DT + 1e-9
 
 
 @given(sign=st.sampled_from([-1.0, 1.0]), height=st.floats(0.1, 0.5), decay=st.floats(0.3, 1.0), w=st.floats(2.0, 5.0))
@@ -145,7 +151,8 @@ def test_a_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: 
 def test_recovery_counts_from_the_end_of_the_disturbance_and_a_second_departure_counts() -> None:
     lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.06, 0.0)
     figures = _recovery(lateral, (2.0, 2.5))
-    assert figures.recovery_time_s == pytest.approx(3.0) and figures.overshoot_m == pytest.approx(0.06)
+    assert figures.recovery_time_s == pytest.approx(3.0)
+    assert figures.overshoot_m == pytest.approx(0.06)
 
 
 def test_a_robot_that_never_leaves_the_band_recovers_at_once_and_overshoots_nothing() -> None:
@@ -162,21 +169,24 @@ def test_the_side_of_the_excursion_is_not_that_of_the_wobble_at_its_begin() -> N
 
 def test_an_end_outside_the_band_is_no_recovery() -> None:
     figures = _recovery(_after(2.0, np.full(len(TIME), 0.1)), (2.0, 2.0))
-    assert figures.recovery_time_s == math.inf and figures.overshoot_m == 0.0
+    assert figures.recovery_time_s == math.inf
+    assert figures.overshoot_m == 0.0
 
 
 def test_without_a_disturbance_or_with_a_lost_robot_there_is_nothing_to_recover_from() -> None:
     lost = np.full(len(TIME), 0.1)
     lost[5] = np.nan
     for figures in (_recovery(np.zeros(len(TIME)), None), _recovery(lost, (0.0, 0.0))):
-        assert math.isnan(figures.recovery_time_s) and math.isnan(figures.overshoot_m)
+        assert math.isnan(figures.recovery_time_s)
+        assert math.isnan(figures.overshoot_m)
 
 
 def test_what_lasts_to_the_end_has_no_recovery_time_but_an_overshoot_and_a_largest_error() -> None:
     """First 0.2 m to the left, then 0.07 m to the right: outside the band on both sides."""
     lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.07, 0.0)
     figures = _recovery(lateral, (1.0, math.inf))
-    assert math.isnan(figures.recovery_time_s) and figures.overshoot_m == pytest.approx(0.07)
+    assert math.isnan(figures.recovery_time_s)
+    assert figures.overshoot_m == pytest.approx(0.07)
     assert figures.lateral_max_m == pytest.approx(0.2)
     assert _recovery(np.zeros(len(TIME)), (1.0, math.inf)).overshoot_m == 0.0
 
@@ -221,4 +231,5 @@ def test_a_robot_that_is_late_and_then_catches_up_is_found_again() -> None:
     times = np.arange(0.0, 12.0, 0.02)
     late = np.clip(times - 2.0, 0.0, 1.6) - np.clip(0.5 * (times - 5.0), 0.0, 1.6)
     run = run_along(circle, circle.sample(times - late).pose, [0.5, 0.0, 0.5], times)
-    assert run.errors.position.max() > 0.7 and np.abs(run.errors.lateral).max() < 4e-6
+    assert run.errors.position.max() > 0.7
+    assert np.abs(run.errors.lateral).max() < 4e-6

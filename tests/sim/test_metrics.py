@@ -77,7 +77,8 @@ def test_side_slip_shows_in_the_course_or_in_the_heading_that_makes_up_for_it(tu
 def test_driving_backwards_as_the_reference_does_is_no_course_error() -> None:
     back = ConstantTwist(v=-0.3, omega=0.2, duration=10.0)
     run = run_along(back, back.sample(TIMES).pose, [-0.3, 0.0, 0.2], TIMES)
-    assert run.metrics.course_rmse_rad == pytest.approx(0.0, abs=1e-12) and run.metrics.lateral_max_m < 3.2e-6
+    assert run.metrics.course_rmse_rad == pytest.approx(0.0, abs=1e-12)
+    assert run.metrics.lateral_max_m < 3.2e-6
 
 
 def test_course_error_is_against_the_tangent_where_the_reference_is() -> None:
@@ -137,7 +138,8 @@ def test_the_band_counts_the_share_of_ticks_inside_it() -> None:
     pose[:100, 1] = 0.0501
     pose[100:200, 1] = -0.0499
     metrics = run_along(line, pose, [0.5, 0.0, 0.0], TIMES[:400]).metrics
-    assert metrics.in_band_percent == pytest.approx(75.0) and metrics.lateral_mae_m == pytest.approx(0.025, abs=1e-9)
+    assert metrics.in_band_percent == pytest.approx(75.0)
+    assert metrics.lateral_mae_m == pytest.approx(0.025, abs=1e-9)
 
 
 @given(x=st.floats(-5, 5), y=st.floats(-5, 5), theta=st.floats(-10, 10), seed=st.integers(0, 100))
@@ -159,19 +161,23 @@ SECOND = np.arange(0, 51) * 0.02
 def test_ticks_after_the_end_of_the_reference_are_not_counted() -> None:
     controller = FeedForward({80: "BRAKING"})
     run = simulate(controller, KinematicPlant(), LINE, extra_time=1.0)
-    assert len(run.time) == 101 and run.metrics.steps == 51
-    assert run.metrics.fallbacks == 0 and run.metrics.completed
+    assert len(run.time) == 101
+    assert run.metrics.steps == 51
+    assert run.metrics.fallbacks == 0
+    assert run.metrics.completed
 
 
 def test_fallback_ticks_are_counted_by_mode() -> None:
     modes = {3: "REUSED_PLAN", 4: "BRAKING", 5: "STOPPED", 50: "FINISHED"}
     run = simulate(FeedForward(modes), KinematicPlant(), LINE)
-    assert run.metrics.fallbacks == 3 and run.metrics.completed
+    assert run.metrics.fallbacks == 3
+    assert run.metrics.completed
 
 
 def test_every_mode_of_the_controller_is_a_fallback_or_known_to_be_none() -> None:
     assert FALLBACK_MODES | {"TRACKING", "FINISHED"} == {mode.value for mode in Mode}
-    assert not FALLBACK_MODES & {"TRACKING", "FINISHED"} and GIVEN_UP_MODES < FALLBACK_MODES
+    assert not FALLBACK_MODES & {"TRACKING", "FINISHED"}
+    assert GIVEN_UP_MODES < FALLBACK_MODES
 
 
 @pytest.mark.parametrize("mode", ["BRAKING", "STOPPED"])
@@ -194,26 +200,30 @@ def test_a_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
     pose = LINE.sample(SECOND).pose
     pose[20] = np.nan
     metrics = run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND).metrics
-    assert not metrics.completed and np.isnan(metrics.position_rmse_m)
+    assert not metrics.completed
+    assert np.isnan(metrics.position_rmse_m)
     assert metrics.in_band_percent == pytest.approx(100 * 50 / 51)
 
 
 def test_a_step_longer_than_the_sample_is_a_missed_deadline() -> None:
     assert simulate(FeedForward(), KinematicPlant(), LINE).metrics.deadline_misses == 0
     slow = simulate(Slow(), KinematicPlant(), LINE).metrics
-    assert slow.deadline_misses == slow.steps == 51 and slow.step_time_p99_s == pytest.approx(0.03)
+    assert slow.deadline_misses == slow.steps == 51
+    assert slow.step_time_p99_s == pytest.approx(0.03)
 
 
 def test_step_times_can_be_exchanged_for_those_of_a_timing_pass() -> None:
     run = simulate(Slow(), KinematicPlant(), LINE)
     times = np.linspace(0.0, 0.01, 51)
     retimed = run.with_step_time(times)
-    assert retimed.metrics.step_time_max_s == 0.01 and retimed.metrics.step_time_p50_s == pytest.approx(0.005)
+    assert retimed.metrics.step_time_max_s == 0.01
+    assert retimed.metrics.step_time_p50_s == pytest.approx(0.005)
     assert retimed.metrics.step_time_p95_s == pytest.approx(0.0095)
     assert retimed.metrics.step_time_p99_s == pytest.approx(0.0099)
     assert retimed.metrics.position_rmse_m == run.metrics.position_rmse_m
     with_gaps = run.with_step_time(np.where(times < 0.006, times, np.nan), 0.5 * times).metrics
-    assert with_gaps.step_time_max_s == pytest.approx(0.0058) and with_gaps.step_time_p50_s == pytest.approx(0.0029)
+    assert with_gaps.step_time_max_s == pytest.approx(0.0058)
+    assert with_gaps.step_time_p50_s == pytest.approx(0.0029)
     assert (with_gaps.solve_time_p50_s, with_gaps.deadline_misses) == (pytest.approx(0.0025), 0)
     with pytest.raises(ValueError, match="51 ticks"):
         run.with_step_time(times[1:])

@@ -136,7 +136,8 @@ def test_registered_kind_makes_plants_around_others() -> None:
 @pytest.mark.usefixtures("registered")
 def test_plant_with_surroundings_shows_them_each_tick_and_ends_the_run() -> None:
     run = simulate(FeedForward(), make_plant("walled:a@model:ssm"), REFERENCE)
-    assert run.parts["walled"] == len(run.time) and 1.2 < run.time[-1] < 1.25
+    assert run.parts["walled"] == len(run.time)
+    assert 1.2 < run.time[-1] < 1.25
     assert run.columns["walls"].tolist() == list(range(len(run.time)))
     assert row_of(Case(), run)["shown"] == len(run.time)
 

@@ -39,9 +39,11 @@ def test_protocol_of_time_and_sent_commands(name: str) -> None:
     assert isinstance(plant.sample_time, float)
     plant.reset([1.0, 2.0, 3.0])
     np.testing.assert_allclose(plant.true_pose, [1.0, 2.0, 3.0])
-    assert plant.time == 0.0 and plant.measure().sent is None
+    assert plant.time == 0.0
+    assert plant.measure().sent is None
     plant.advance([0.2, -0.1])
-    assert plant.time == DT and plant.measure().sent == (0.2, -0.1)
+    assert plant.time == DT
+    assert plant.measure().sent == (0.2, -0.1)
     plant.advance([9.0, -9.0])
     limits = load_robot().limits
     assert plant.measure().sent == (limits.v, -limits.omega)
@@ -231,7 +233,8 @@ def test_random_set_points_stay_in_their_ranges_and_hold_long_enough(seed: int) 
     rows = random_commands(seed, smooth=False)
     assert rows.shape == (round(RANDOM.duration / load_robot().sample_time), 2)
     for column, (low, high) in enumerate((RANDOM.v_range, RANDOM.omega_range)):
-        assert rows[:, column].min() >= low and rows[:, column].max() <= high
+        assert rows[:, column].min() >= low
+        assert rows[:, column].max() <= high
     changes = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1))
     holds = np.diff(changes) * load_robot().sample_time
     slack = load_robot().sample_time

@@ -66,7 +66,8 @@ def test_lock_step_repeats_the_run_without_ros_bit_for_bit(tmp_path):
     truth = recorded_truth(tmp_path / "one")
     assert np.array_equal(truth, recorded_truth(tmp_path / "two"))
     assert np.array_equal(truth[:, :2], log.true_pose[:, :2])
-    assert np.allclose(truth[:, 2], log.true_pose[:, 2], rtol=0, atol=1e-14) and np.ptp(truth[:, 0]) > 0.1
+    assert np.allclose(truth[:, 2], log.true_pose[:, 2], rtol=0, atol=1e-14)
+    assert np.ptp(truth[:, 0]) > 0.1
     stamps, _ = recorded(tmp_path / "one", "/ground_truth/pose")
     assert np.array_equal(np.diff(stamps), np.full(TICKS - 1, 20_200_000))
 
@@ -78,7 +79,8 @@ def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
     driven(tmp_path / "bag", rows, seed=2, base=settings(stamped=stamped), storage=storage)
     log = drive_open_loop(make_plant("mujoco", seed=2), rows, (1.0, 2.0, 0.5))
     (drive,) = read_log(tmp_path / "bag", "simulated_robot").records
-    assert drive.dt == pytest.approx(DT, abs=1e-12) and np.array_equal(drive.command, log.command)
+    assert drive.dt == pytest.approx(DT, abs=1e-12)
+    assert np.array_equal(drive.command, log.command)
     assert np.allclose(drive.twist, log.wheel_twist, rtol=0, atol=1e-9)
     assert np.allclose(drive.yaw_rate, log.yaw_rate, rtol=0, atol=1e-9)
     plant = make_plant("mujoco", seed=2)
@@ -109,7 +111,8 @@ def test_a_silent_driver_lets_the_robot_stop(tmp_path):
     speed = np.array([m.twist.linear.x for m in recorded(tmp_path / "bag", "/ground_truth/twist")[1]])
     last = recorded(tmp_path / "bag", "/cmd_vel")[0][-1]
     time = 1e-9 * (recorded(tmp_path / "bag", "/ground_truth/twist")[0] - last)
-    assert np.all(speed[(time > 0.2) & (time < 0.5)] > 0.45) and np.all(np.abs(speed[time > 1.3]) < 0.01)
+    assert np.all(speed[(time > 0.2) & (time < 0.5)] > 0.45)
+    assert np.all(np.abs(speed[time > 1.3]) < 0.01)
     assert time[-1] > 1.3
 
 
@@ -147,7 +150,8 @@ def test_the_pose_in_odom_is_where_the_robot_is(tmp_path, source, bound):
     driven(tmp_path / "bag", rows, base=settings(odometry_pose=source))
     poses = [message.pose.pose.position for message in recorded(tmp_path / "bag", "/odom")[1]]
     odom, truth = np.array([[p.x, p.y] for p in poses]), recorded_truth(tmp_path / "bag")[:, :2]
-    assert np.abs(odom - truth).max() < bound and np.linalg.norm(truth[-1] - truth[0]) > 0.5
+    assert np.abs(odom - truth).max() < bound
+    assert np.linalg.norm(truth[-1] - truth[0]) > 0.5
 
 
 def test_a_lost_robot_ends_the_run_and_the_bag_is_whole(tmp_path):

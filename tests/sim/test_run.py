@@ -67,7 +67,8 @@ def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run)
     assert np.isnan(run.estimates[0]).all() and np.isnan(run.estimate_deviations[0]).all()
     np.testing.assert_array_equal(run.estimates[3], 3 + np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
     np.testing.assert_array_equal(run.estimate_deviations[3], 3 + np.array([0.6, 0.7, 0.8, 0.9, 1.0]))
-    assert run.solver_methods[:3] == ("none", "unlimited", "none") and run.solver_statuses[:3] == ("", "solved", "")
+    assert run.solver_methods[:3] == ("none", "unlimited", "none")
+    assert run.solver_statuses[:3] == ("", "solved", "")
     assert len(run.solver_methods) == len(run.solver_statuses) == len(run.time)
     np.testing.assert_array_equal(run.solver_iterations[:3], [np.nan, 3.0, np.nan])
     assert (run.solve_time == 4e-4).all() and run.metrics.solve_time_max_s == 4e-4
@@ -77,8 +78,10 @@ def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run)
 def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
     for quiet in (simulate(FeedForward(), KinematicPlant(), CIRCLE), run_along(CIRCLE, [0, 0, 0], [0, 0, 0], [0, 1])):
         n = len(quiet.time)
-        assert quiet.estimates.shape == quiet.estimate_deviations.shape == (n, 5) and np.isnan(quiet.estimates).all()
-        assert quiet.solver_methods == ("none",) * n and quiet.solver_statuses == ("",) * n
+        assert quiet.estimates.shape == quiet.estimate_deviations.shape == (n, 5)
+        assert np.isnan(quiet.estimates).all()
+        assert quiet.solver_methods == ("none",) * n
+        assert quiet.solver_statuses == ("",) * n
         assert {len(column) for column in quiet.columns.values()} == {n}
 
 
@@ -109,7 +112,8 @@ def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_proces
 
 def test_a_run_becomes_a_dataframe(run: Run) -> None:
     table = run.to_dataframe()
-    assert isinstance(table, pd.DataFrame) and list(table.columns) == list(run.columns)
+    assert isinstance(table, pd.DataFrame)
+    assert list(table.columns) == list(run.columns)
     assert len(table) == len(run.time)
     np.testing.assert_array_equal(table["estimate_y_sd_m"], run.estimate_deviations[:, 1])
     np.testing.assert_array_equal(table[["v_ref_m_s", "omega_ref_rad_s"]], run.command)

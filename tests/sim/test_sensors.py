@@ -50,7 +50,8 @@ def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None
         if measurement.pose is None:
             assert expected <= newest + 1e-6
         else:
-            assert measurement.pose.time == pytest.approx(expected, abs=1e-6) and measurement.pose.time > newest
+            assert measurement.pose.time == pytest.approx(expected, abs=1e-6)
+            assert measurement.pose.time > newest
             newest = measurement.pose.time
             assert np.asarray(measurement.pose.value)[0] == pytest.approx(max(newest, 0.0), abs=1e-9)
 
@@ -102,7 +103,8 @@ def test_reported_heading_is_wrapped(theta: float) -> None:
     sensors.reset([1.0, 2.0, theta], np.zeros(4))
     pose = sensors.collect(0.0, None).pose
     reported = float(np.asarray(pose.value)[2])
-    assert -np.pi < reported <= np.pi and np.cos(reported - theta) == pytest.approx(1.0, abs=1e-9)
+    assert -np.pi < reported <= np.pi
+    assert np.cos(reported - theta) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_nothing_is_delivered_twice() -> None:
@@ -166,7 +168,8 @@ def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rat
     arrived = [(time, m.pose) for time, m, _ in seen if m.pose is not None]
     assert len(arrived) == pytest.approx(rate * len(seen) * TICK, rel=0.03, abs=1)
     ages = np.array([time - pose.time for time, pose in arrived])
-    assert ages.min() >= age - 1e-9 and ages.max() < age + TICK + 1e-9
+    assert ages.min() >= age - 1e-9
+    assert ages.max() < age + TICK + 1e-9
     times, truth = np.array([time for time, _, _ in seen]), np.array([pose for _, _, pose in seen])
     late = [(time, np.asarray(pose.value)) for time, pose in arrived if time > latency + 0.1]
     # The instant that a pose shows, by where it is along the way: of the noise the mean over many.
@@ -194,7 +197,8 @@ def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path
     path = tmp_path / "mine.yaml"
     path.write_text("gyro: {bias_sd: 0.02}\n")
     mine, usual = load_sensor_set(path), load_sensor_set("default")
-    assert mine.gyro.bias_sd == 0.02 and mine.gyro.noise_sd == usual.gyro.noise_sd
+    assert mine.gyro.bias_sd == 0.02
+    assert mine.gyro.noise_sd == usual.gyro.noise_sd
     assert (mine.pose, mine.encoders) == (usual.pose, usual.encoders)
     path.write_text("pose: {latncy: 0.1}\n")
     with pytest.raises(ConfigError, match=r"mine\.yaml: unknown key 'pose\.latncy'; did you mean 'pose\.latency'\?$"):
@@ -286,4 +290,5 @@ def test_a_sensor_that_is_lost_and_then_stuck_repeats_what_came_last(tmp_path: P
     seen = _drive(DisturbedPlant(make_plant("model:ssm"), scenario, load_robot()))
     rates = [_value(m.yaw_rate) for time, m, _ in seen if time >= 0.5]
     assert all(m.yaw_rate is None for time, m, _ in seen if time < 0.5)
-    assert rates[0] is not None and all(rate == rates[0] for rate in rates)
+    assert rates[0] is not None
+    assert all(rate == rates[0] for rate in rates)

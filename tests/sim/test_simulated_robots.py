@@ -79,7 +79,8 @@ def test_nothing_moves_before_the_dead_time(name: str) -> None:
     assert name in ("default", f"dead_time_{1e3 * dead_time:.0f}")
     log = _hold(name, 0.6, 0.0, 15)
     moving = np.abs(log.true_twist[:, 0]) > 1e-3
-    assert not moving[log.time <= dead_time].any() and moving[log.time > dead_time + load_robot().sample_time].all()
+    assert not moving[log.time <= dead_time].any()
+    assert moving[log.time > dead_time + load_robot().sample_time].all()
 
 
 @pytest.mark.parametrize("name", ["long", "long_naive", "wide", "wide_naive"])
@@ -89,7 +90,8 @@ def test_another_build_turns_on_the_spot_as_coulomb_friction_and_its_firmware_sa
     track, base = build.robot.track, build.twin.chassis.wheel_base
     told = build.firmware.track / track * track**2 / (track**2 + base**2)
     turned = _hold(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
-    assert turned == pytest.approx(told, abs=0.03) and (abs(turned - 1.0) < 0.03) == (not name.endswith("naive"))
+    assert turned == pytest.approx(told, abs=0.03)
+    assert (abs(turned - 1.0) < 0.03) == (not name.endswith("naive"))
 
 
 @pytest.mark.parametrize(
@@ -123,7 +125,8 @@ def test_a_seed_draws_the_same_robot_and_run():
         )
         for _ in range(2)
     )
-    assert (first.true_pose == second.true_pose).all() and (first.command == second.command).all()
+    assert (first.true_pose == second.true_pose).all()
+    assert (first.command == second.command).all()
 
 
 def test_who_drives_is_told_a_slew_that_grip_allows():
@@ -148,7 +151,8 @@ def test_castors_turn_the_robot_about_its_driven_axle():
     for _ in range(150):
         plant.advance((0.0, 0.6))
     x, y, theta = plant.true_pose
-    assert theta > 1.0 and np.hypot(x, y) < 0.05 * theta
+    assert theta > 1.0
+    assert np.hypot(x, y) < 0.05 * theta
 
 
 def test_lost_poses_are_lost_and_the_others_keep_their_noise():
@@ -177,7 +181,8 @@ def test_a_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_it
     inbox = CommandInbox(SECOND // 2, 0)
     inbox.put(0.5, 0.1, 0, SECOND)
     assert "not finite" in inbox.put(bad, 0.0, 0, SECOND) and "not finite" in inbox.put(0.0, bad, 0, SECOND)
-    assert inbox.command(SECOND) == (0.5, 0.1) and inbox.command(2 * SECOND) == STOP
+    assert inbox.command(SECOND) == (0.5, 0.1)
+    assert inbox.command(2 * SECOND) == STOP
 
 
 def test_an_answer_is_known_by_its_stamp_or_else_by_its_receipt():
@@ -239,7 +244,8 @@ def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
 def test_a_pose_message_is_a_unit_turn_about_the_vertical(x, y, theta):
     pose = messages.pose_message((x, y, theta))
     q = pose.orientation
-    assert (pose.position.x, pose.position.y, q.x, q.y) == (x, y, 0.0, 0.0) and abs(q.z**2 + q.w**2 - 1) < 1e-12
+    assert (pose.position.x, pose.position.y, q.x, q.y) == (x, y, 0.0, 0.0)
+    assert abs(q.z**2 + q.w**2 - 1) < 1e-12
     assert abs(wrap_angle(2 * math.atan2(q.z, q.w) - theta)) < 1e-12
 
 

@@ -38,19 +38,22 @@ def test_on_the_plant_of_its_own_model_nothing_is_left_where_commands_cost_nothi
     run = drive(plant, "default", short, weights=CHEAP)
     assert run.metrics.completed
     later = run.counted & (run.time > 1.0)
-    assert run.errors.position[later].max() < 1e-3 and np.abs(run.errors.lateral).max() < 1e-3
+    assert run.errors.position[later].max() < 1e-3
+    assert np.abs(run.errors.lateral).max() < 1e-3
 
 
 def test_with_the_shipped_weights_steady_arcs_are_exact(short):
     run = drive("model:sm", "default", short)
-    assert np.abs(steady_arc_lateral(run)).max() < 2e-4 and run.metrics.lateral_rmse_m < 1e-3
+    assert np.abs(steady_arc_lateral(run)).max() < 2e-4
+    assert run.metrics.lateral_rmse_m < 1e-3
 
 
 @pytest.mark.long
 def test_on_the_physics_it_is_better_than_ours():
     bound = drive("mujoco", "slippery", "cane")
     ours = simulate(make_controller(Case()), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
-    assert bound.metrics.completed and bound.metrics.position_rmse_m <= ours.metrics.position_rmse_m
+    assert bound.metrics.completed
+    assert bound.metrics.position_rmse_m <= ours.metrics.position_rmse_m
     assert bound.metrics.lateral_rmse_m <= ours.metrics.lateral_rmse_m
 
 

@@ -19,11 +19,13 @@ def found(evaluations: int) -> GainSearch:
 
 def test_it_finds_the_minimum_inside_the_ranges() -> None:
     values, _ = found(80).best
-    assert values["a"] == pytest.approx(3.0, rel=0.03) and values["b"] == pytest.approx(1000.0)
+    assert values["a"] == pytest.approx(3.0, rel=0.03)
+    assert values["b"] == pytest.approx(1000.0)
 
 
 @pytest.mark.parametrize("evaluations", [8, 20])
 def test_it_keeps_to_its_budget_and_repeats_itself(evaluations: int) -> None:
     tried = found(evaluations).tried
-    assert len(tried) == evaluations and tried == found(evaluations).tried
+    assert len(tried) == evaluations
+    assert tried == found(evaluations).tried
     assert all(low <= values[name] <= high for values, _ in tried for name, (low, high) in RANGES.items())

@@ -50,7 +50,8 @@ def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
     one, other = RobotLogs(31), RobotLogs(31)
     first, second = one.free(2, 2.0)
     again = other.free(1, 2.0)[0]
-    assert np.array_equal(first.yaw_rate, again.yaw_rate) and np.array_equal(first.pose, again.pose)
+    assert np.array_equal(first.yaw_rate, again.yaw_rate)
+    assert np.array_equal(first.pose, again.pose)
     assert not np.array_equal(first.command, second.command)
     steps = one.steps("v")
     assert np.array_equal(steps[0].command[0], steps[1].command[0])
@@ -71,7 +72,8 @@ def test_the_papers_statistics_are_copied_without_slips():
     printed += [drive.odometry for drive in published.free_drives]
     for errors in printed:
         for rmse, mean, std, largest in (errors.position, errors.heading):
-            assert rmse == pytest.approx(np.hypot(mean, std), abs=0.008) and rmse < largest
+            assert rmse == pytest.approx(np.hypot(mean, std), abs=0.008)
+            assert rmse < largest
     averages = {"mbm": (0.309, 0.170), "sm": (0.414, 0.239)}
     for model, (position, heading) in averages.items():
         rows = published.odometry[model].values()

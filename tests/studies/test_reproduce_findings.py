@@ -85,22 +85,26 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
     tables = {table.title: table for table in report_of(made_up()).tables}
     for table in tables.values():
-        assert table.rows and all(cell for cells in table.rows for cell in cells)
+        assert table.rows
+        assert all(cell for cells in table.rows for cell in cells)
     assert ("RMSE", "circle", "0.848", "1.057", "0.079", "0.158", "0.237") in tables[
         "Position errors of open-loop odometry"
     ].rows
     order_5 = tables["SSM by order"].rows[4]
-    assert order_5[:5] == ("5", "97.41", "85.23", "0.03", "0.09") and order_5[5:7] == ("97.00", "80.00")
+    assert order_5[:5] == ("5", "97.41", "85.23", "0.03", "0.09")
+    assert order_5[5:7] == ("97.00", "80.00")
 
 
 def test_the_report_has_every_figure_and_the_verdicts(report: Path):
     data = json.loads((report / "reproduce.json").read_text())
     verdicts = {finding["claim"]: finding["verdict"] for finding in data["findings"]}
     assert verdicts["the printed tests give the printed p1 within 2 standard deviations"] == "no"
-    assert len(data["mbm_sm"]) == len(data["ssm"]) == 2 and "paths" not in data["mbm_sm"][0]
+    assert len(data["mbm_sm"]) == len(data["ssm"]) == 2
+    assert "paths" not in data["mbm_sm"][0]
     text = (report / "reproduce.md").read_text()
     for name in FIGURES:
-        assert (report / "figures" / name).stat().st_size > 20_000 and f"](figures/{name})" in text
+        assert (report / "figures" / name).stat().st_size > 20_000
+        assert f"](figures/{name})" in text
 
 
 def test_what_the_page_shows_is_in_the_report(report: Path):

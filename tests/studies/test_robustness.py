@@ -37,7 +37,8 @@ def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() ->
     seeds = [case.seed for case in cases]
     assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
     assert all(seed % 2 == 0 and can_drive(draw_robot(seed), spot_turns=True) for seed in seeds)
-    assert not any(case.overrides for case in cases) and dict(settings_of(cases[0])) == draw_robot(seeds[0]).stated
+    assert not any(case.overrides for case in cases)
+    assert dict(settings_of(cases[0])) == draw_robot(seeds[0]).stated
     assert case_config(cases[0]).wheels.track == draw_robot(seeds[0]).stated["wheels.track"]
     assert dict(settings_of(replace(cases[0], overrides=(("limits.omega", 0.5),))))["limits.omega"] == 0.5
     assert not settings_of(market_cases(1, "rpp", "ssm", "circle", spot_turns=False)[0])
@@ -59,7 +60,8 @@ def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path, 
         words = ["--robots", "1", "--rates", "10,100", "--controllers", "mpc", "--jobs", "1"]
         invoke(app, "robustness", "--out", out, "--trajectories", short_path, *words)
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
-    assert runs[0] == runs[1] and [run["condition"] for run in runs[0]] == ["market", "market, 10/h", "market, 100/h"]
+    assert runs[0] == runs[1]
+    assert [run["condition"] for run in runs[0]] == ["market", "market, 10/h", "market, 100/h"]
     assert all(run["driven_s"] > 1.0 for run in runs[0])
 
 
@@ -75,7 +77,8 @@ def test_no_sensor_of_honest_robots_of_the_market_is_given_up() -> None:
 def test_turning_the_other_way_on_a_slope_is_no_drift_of_the_poses(seed: int) -> None:
     """In an S a slide and a turning point change sides; its two turns add up to nothing, what they moved does not."""
     run = run_case(Case(trajectory="s", plant=f"drawn:{seed}", seed=seed))
-    assert run.metrics.completed and not [message for message in run.messages if " not used: " in message]
+    assert run.metrics.completed
+    assert not [message for message in run.messages if " not used: " in message]
 
 
 @pytest.mark.parametrize("name", ["default", "biased_gyro"])

@@ -28,7 +28,8 @@ def test_published_model_predicts_the_plant_on_held_out_drives(fits: list[Predic
     smooth = [fit for fit in fits if fit.smooth]
     assert len(smooth) == 2
     for fit in smooth:
-        assert fit.v >= required.v and fit.omega >= required.omega
+        assert fit.v >= required.v
+        assert fit.omega >= required.omega
 
 
 def test_file_states_the_fit_that_the_plant_has(fits: list[PredictionFit]) -> None:

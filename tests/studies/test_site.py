@@ -40,7 +40,8 @@ def test_links_of_the_repository_become_links_of_the_site(document, link, on_sit
 def test_formulas_become_mathml_and_code_stays():
     marked = "with $a < b_{k+1}$, `$HOME` and `a$b`\n\n$$\n\\sqrt{2}\n$$\n\n```sh\necho $A $B\n```\n"
     page = with_mathml(marked)
-    assert "`$HOME` and `a$b`" in page and page.endswith("```sh\necho $A $B\n```\n")
+    assert "`$HOME` and `a$b`" in page
+    assert page.endswith("```sh\necho $A $B\n```\n")
     formulas = [ElementTree.fromstring(formula) for formula in re.findall(r"<math.*?</math>", page, re.DOTALL)]
     assert [formula.get("display") for formula in formulas] == ["inline", "block"]
     assert ["".join(formula.itertext()) for formula in formulas] == ["a<bk+1", "2"]
@@ -53,7 +54,8 @@ def test_every_command_and_option_is_in_the_reference():
         for option in command.params:
             if option.opts[0].startswith("--") and option.name != "help":
                 assert f"`{option.opts[0]}`" in sections[name], (name, option.opts)
-    assert "| `--trajectory` | `circle` |" in sections["simulate"] and "| `--seed` | `0` |" in sections["simulate"]
+    assert "| `--trajectory` | `circle` |" in sections["simulate"]
+    assert "| `--seed` | `0` |" in sections["simulate"]
 
 
 def commands(group, prefix=""):

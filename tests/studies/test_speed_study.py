@@ -28,8 +28,10 @@ def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
     whole[0, 7] = 1.0  # the machine was elsewhere
     whole[:, 9] = 5e-3  # a hard tick, every time
     statistics = time_statistics(whole, whole / 2)
-    assert statistics["step_max_s"] == 1.0 and statistics["tick_max_s"] == 5e-3
-    assert statistics["step_p50_s"] == 1e-3 and statistics["solver_p50_s"] == 5e-4
+    assert statistics["step_max_s"] == 1.0
+    assert statistics["tick_max_s"] == 5e-3
+    assert statistics["step_p50_s"] == 1e-3
+    assert statistics["solver_p50_s"] == 5e-4
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +52,18 @@ def report(small, tmp_path_factory):
 def test_everyone_solves_the_same_problem(report):
     ours, peer = report["records"]
     assert (ours["solver"], peer["solver"]) == ("ours/daqp", "casadi/sqpmethod")
-    assert ours["unsolved"] == peer["unsolved"] == 0 and peer["gap_v_max"] < 1e-6
+    assert ours["unsolved"] == peer["unsolved"] == 0
+    assert peer["gap_v_max"] < 1e-6
     assert peer["gap_omega_max"] < 1e-6
-    assert ours["gap_v_p50"] < 1e-3 and ours["gap_omega_p50"] < 1e-3
+    assert ours["gap_v_p50"] < 1e-3
+    assert ours["gap_omega_p50"] < 1e-3
     assert ours["closed_loop_cost"] == pytest.approx(peer["closed_loop_cost"], rel=0.01)
 
 
 def test_a_subject_that_cannot_be_built_is_named_and_the_others_go_on(report):
     (missing,) = report["missing"]
-    assert missing["solver"] == "broken" and "nobody" in missing["reason"]
+    assert missing["solver"] == "broken"
+    assert "nobody" in missing["reason"]
 
 
 CONFIG, MODEL = load_config("ssm"), load_model("ssm")

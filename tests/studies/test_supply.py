@@ -44,4 +44,5 @@ def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
 def test_the_page_tells_the_licences_of_what_is_installed() -> None:
     """As the packages state them now."""
     page = PAGE.read_text(encoding="utf-8")
-    assert with_table(page) == page and "| casadi | GNU Lesser General Public License v3" in page
+    assert with_table(page) == page
+    assert "| casadi | GNU Lesser General Public License v3" in page

@@ -61,8 +61,10 @@ def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_
     rows = [row(case(seed=seed), across=bias + entry + sign * wave) for seed, sign in ((20, 1), (21, -1))]
     parts = decompose(frame(rows))
     # The variance of two opposite values, estimated without bias, is twice their square.
-    assert parts.noise == pytest.approx(2 * 0.002**2) and parts.bias == pytest.approx(0.5 * (0.003**2 - 0.002**2))
-    assert parts.transient == pytest.approx(0.5 * (0.005**2 - 0.002**2)) and parts.along == 0.0
+    assert parts.noise == pytest.approx(2 * 0.002**2)
+    assert parts.bias == pytest.approx(0.5 * (0.003**2 - 0.002**2))
+    assert parts.transient == pytest.approx(0.5 * (0.005**2 - 0.002**2))
+    assert parts.along == 0.0
 
 
 @given(st.integers(1, 6), st.integers(0, 1000))
@@ -118,7 +120,8 @@ PLAIN = {"scenario": "none", "sensors": "default"}
 def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, place):
     found = verdicts(lambda case: changes if only(model="sm", **where)(case) else {})
     verdict = found[what, place]
-    assert not verdict.met and not verdict.met_by("SM")
+    assert not verdict.met
+    assert not verdict.met_by("SM")
     assert verdict.met_by("SSM")
     others = {key for key, other in found.items() if not other.met} - {(what, place)}
     assert others <= {("position RMSE [m], the aim", "default"), ("largest overshoot [m]", place)}
@@ -153,10 +156,12 @@ def test_a_variant_is_told_by_its_values():
 
 def test_the_report_has_figures_and_every_run_once(report: Path):
     data = json.loads((report / "tracking.json").read_text())
-    assert len(data["runs"]) == made_up()["case"].nunique() and data["meta"]["revision"] == "abc"
+    assert len(data["runs"]) == made_up()["case"].nunique()
+    assert data["meta"]["revision"] == "abc"
     text = (report / "tracking.md").read_text()
     for name in ("ablation.png", "error-sources.png"):
-        assert (report / "figures" / name).stat().st_size > 20_000 and f"](figures/{name})" in text
+        assert (report / "figures" / name).stat().st_size > 20_000
+        assert f"](figures/{name})" in text
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +178,8 @@ def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Pa
     files = {"figures", "report.html", "tracking.json", "tracking.md", CONTENTS}
     assert {path.name for path in out.iterdir()} == files
     runs = json.loads((out / "tracking.json").read_text())["runs"]
-    assert len(runs) == 4 + 2 + 1 and all(run["completed"] for run in runs)
+    assert len(runs) == 4 + 2 + 1
+    assert all(run["completed"] for run in runs)
     error = {(run["controller"], run["plant"], bool(run["set"])): run["position_rmse_m"] for run in runs}
     assert error["clairvoyant", "mujoco", False] < error["mpc", "mujoco", False] < error["mpc", "mujoco", True]
     assert "Cross table" in printed

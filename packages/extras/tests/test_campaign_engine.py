@@ -80,7 +80,8 @@ def test_processes_parts_and_copied_folders_give_the_same_table(campaign: Path, 
     shutil.copytree(second / "runs", first / "runs", dirs_exist_ok=True)
     call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16")
     expected = read_table(whole / "results.parquet", times=False)
-    assert read_table(first / "results.parquet", times=False).equals(expected) and expected.num_rows == 16
+    assert read_table(first / "results.parquet", times=False).equals(expected)
+    assert expected.num_rows == 16
 
 
 def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path) -> None:
@@ -154,7 +155,8 @@ def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkey
     monkeypatch.setattr(drive_module, "simulate", refuse)
     with ProgressBar("") as bar:
         driven = drive_all([definition, definition], CampaignPlace(tmp_path, 1), bar)
-    assert len(driven) == 1 and driven[0].row["completed"] is False
+    assert len(driven) == 1
+    assert driven[0].row["completed"] is False
     assert failed(driven).endswith("ZeroDivisionError: of a test")
 
 
@@ -190,7 +192,8 @@ def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) ->
 def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
     with ProgressBar("") as bar, pytest.raises(ConfigError) as caught:
         drive_all([Definition.of({}), Definition.of(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
-    assert line in str(caught.value) and "a run with " in str(caught.value)
+    assert line in str(caught.value)
+    assert "a run with " in str(caught.value)
     assert not Store(tmp_path).keys()
 
 
@@ -250,5 +253,6 @@ def test_a_command_that_the_loop_refuses_is_counted(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(drive_module.RecordedController, "step", poisoned)
     row = drive(Definition.of({"plant": "model:ssm"}))
-    assert row["unsafe_not_finite"] == 1 and row["completed"] is False
+    assert row["unsafe_not_finite"] == 1
+    assert row["completed"] is False
     assert "two finite numbers" in str(row["error"])

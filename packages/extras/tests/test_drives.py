@@ -78,7 +78,8 @@ def test_gradients_are_those_of_finite_differences(name):
         point = np.concatenate([0.3 * rng.standard_normal(model.order), 0.5 * rng.standard_normal(window.numel())])
         found = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
         exact = jacobian(point[: model.order], point[model.order :]).full()
-        assert np.isfinite(exact).all() and np.abs(exact - found).max() < 1e-5 * max(1.0, np.abs(exact).max())
+        assert np.isfinite(exact).all()
+        assert np.abs(exact - found).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
 def test_the_physical_model_solves_the_equations_of_both_wheels():
@@ -128,7 +129,8 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     right, left = np.array(speeds).T * c.wheel_radius
     theirs = np.column_stack([(right + left) / 2, (right - left) / c.track])
     assert len(times) >= count - 1
-    assert np.abs(ours[: len(theirs)] - theirs).max() < 1e-6 and np.abs(theirs).max() > 0.2
+    assert np.abs(ours[: len(theirs)] - theirs).max() < 1e-6
+    assert np.abs(theirs).max() > 0.2
 
 
 @pytest.mark.parametrize("name", DRIVES)
@@ -187,7 +189,8 @@ def test_slope_limits_that_act_are_told_within_their_uncertainty():
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
             assert found.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
-    assert found.fit.dead_samples == DEAD and found.estimate.deviation("v.gain") < 0.02
+    assert found.fit.dead_samples == DEAD
+    assert found.estimate.deviation("v.gain") < 0.02
 
 
 def test_what_a_log_does_not_show_keeps_its_prior():
@@ -198,7 +201,8 @@ def test_what_a_log_does_not_show_keeps_its_prior():
     for values in found.fit.values:
         assert values["quicker"] == values["slower"] == NO_LIMIT
         assert values["threshold"] == values["threshold_by_slope"] == 0.0
-    assert "v.quicker" not in found.estimate.names and found.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
+    assert "v.quicker" not in found.estimate.names
+    assert found.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +218,8 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     found = identify(log, log.with_name("map.yaml"), structure)
     report = found.report
     assert report.fitted.validation.fit_percent.min() > 90.0
-    assert f"{structure}.v.gain" in report.as_json()["parameters"] and structure.upper() in report.markdown()
+    assert f"{structure}.v.gain" in report.as_json()["parameters"]
+    assert structure.upper() in report.markdown()
     assert "Parameters of the linear model beside a drive" in report.markdown()
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
     model = check_written(found, tmp_path, 1e-3)

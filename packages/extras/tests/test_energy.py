@@ -30,7 +30,8 @@ def test_power_is_work_and_heat():
 def test_a_braking_side_gives_back_or_not():
     without = BOT.model_copy(update={"regeneration": False})
     assert BOT.side_power(-1.0, 8.0) < 0
-    assert without.side_power(-1.0, 8.0) == 0.0 and without.side_power(1.0, 8.0) == BOT.side_power(1.0, 8.0)
+    assert without.side_power(-1.0, 8.0) == 0.0
+    assert without.side_power(1.0, 8.0) == BOT.side_power(1.0, 8.0)
     lossy = BOT.model_copy(update={"driver_efficiency": 0.8})
     assert lossy.side_power(-1.0, 8.0) == pytest.approx(0.8 * BOT.side_power(-1.0, 8.0))
     assert lossy.side_power(1.0, 8.0) == pytest.approx(BOT.side_power(1.0, 8.0) / 0.8)
@@ -44,7 +45,8 @@ def test_a_turn_costs_more_than_the_straight_way_and_the_sum_is_the_energy():
     straight, turning = (
         predict_energy(VEHICLE, BOT, curves(), np.tile([0.4, omega], (50, 1)), 0.02) for omega in (0.0, 0.4)
     )
-    assert turning.energy > 2 * straight.energy > 0 and turning.energy == pytest.approx(turning.power.sum() * 0.02)
+    assert turning.energy > 2 * straight.energy > 0
+    assert turning.energy == pytest.approx(turning.power.sum() * 0.02)
     assert straight.power == pytest.approx(2 * BOT.side_power(0.21, 0.4 / 0.1075), rel=0.25)
 
 
@@ -81,7 +83,8 @@ def test_constants_are_found_again(regeneration):
     found = identify_constants([record(*logged(true))], BOT.model_copy(update={"regeneration": regeneration}))
     for name in ("torque_constant", "resistance", "idle_power"):
         value, deviation = getattr(found.constants, name), found.deviation[name]
-        assert abs(value - getattr(true, name)) < 4 * deviation and deviation < 0.05 * getattr(true, name)
+        assert abs(value - getattr(true, name)) < 4 * deviation
+        assert deviation < 0.05 * getattr(true, name)
     # Of means over 15 samples.
     assert found.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
 
@@ -126,7 +129,8 @@ def driven(reference: ConstantTwist, surface: str = "default", plant: str = "muj
 def test_curve_costs_more_than_a_straight_line_and_grip_more_than_ice() -> None:
     cases = ((STRAIGHT,), (CURVE,), (CURVE, "ice"))
     straight, curve, ice = (run_energy(driven(*case)).energy_j for case in cases)
-    assert 0 < straight < 0.5 * curve and ice < 0.5 * curve
+    assert 0 < straight < 0.5 * curve
+    assert ice < 0.5 * curve
 
 
 def test_battery_gives_work_and_heat() -> None:

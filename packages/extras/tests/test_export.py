@@ -176,7 +176,8 @@ def test_hard_limits_in_double_precision(in_double):
 
 def test_soft_limits_in_double_precision(with_sanitizers):
     steps = drive_both(with_sanitizers, "s", {"limits.wheel_speed": 0.58, "failure.resume": False}, 150)
-    assert np.abs(differences(steps)).max() <= DOUBLE and sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
 
 
 def track_both(folder, trajectory, overrides, ticks, *flags, precision="double", within=DOUBLE, offset=(0, 0, 0), **of):
@@ -235,7 +236,8 @@ def test_to_the_end(in_double):
 
     steps = drive_both(in_double, "square", TIGHT, 150, change=change)
     check_same(steps, DOUBLE)
-    assert steps[0][1].mode == Mode.TRACKING and steps[-1][1].mode == Mode.FINISHED
+    assert steps[0][1].mode == Mode.TRACKING
+    assert steps[-1][1].mode == Mode.FINISHED
 
 
 def later(measurement: Measurement, shift: float) -> Measurement:
@@ -280,7 +282,8 @@ def test_every_step_of_the_ladder(in_double):
     check_same(steps, DOUBLE)
     modes = [theirs.mode for _, theirs in steps]
     assert set(modes) == {Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED}
-    assert modes[180:185] == [Mode.REUSED_PLAN] * 5 and modes[185] == Mode.BRAKING
+    assert modes[180:185] == [Mode.REUSED_PLAN] * 5
+    assert modes[185] == Mode.BRAKING
     assert modes[-1] == Mode.TRACKING
 
 
@@ -418,5 +421,6 @@ def test_name_of_a_trajectory_is_never_code_in_the_export():
         object.__setattr__(reference, "name", name)
         header = trajectory_texts(reference, 0.02)["trajectory.h"]
         (comment,) = [line for line in header.splitlines() if line.startswith("/*")]
-        assert comment.endswith(" */") and not set("*/\\?") & set(comment[2:-2])
+        assert comment.endswith(" */")
+        assert not set("*/\\?") & set(comment[2:-2])
         assert header.count("/*") == header.count("*/") == 1

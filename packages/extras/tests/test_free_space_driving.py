@@ -100,7 +100,8 @@ def past_a_post(y):
 @pytest.mark.parametrize("y", [-0.1, 0.0, 0.03, 0.2])
 def test_a_post_on_the_path_is_passed_on_one_side_without_contact(y):
     ticks = past_a_post(y)
-    assert ticks[-1]["step"].mode is Mode.FINISHED and np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+    assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
     assert column(ticks, "gap").min() > 0.03
     # On the wide side, and never back: all of the way is on one side of the path.
     beside = column(ticks, "pose")[:, 1]
@@ -132,14 +133,16 @@ def test_a_doorway_wider_than_the_robot_by_ten_centimetres_is_passed():
     cells[75:85, 36:42] = 0
     door = Surroundings(grid=OccupancyGrid(cells, 0.05, (0.0, -4.0, 0.0)))
     ticks = drive(Controller(config(margin=0.015)), Line(3.5, 0.3), once(door), 22.0)
-    assert ticks[-1]["step"].mode is Mode.FINISHED and column(ticks, "gap").min() > 0.015
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+    assert column(ticks, "gap").min() > 0.015
 
 
 def test_a_doorway_that_is_too_narrow_is_not_tried():
     door = Surroundings([box(1.5, 2.2, 0.2, 4.0), box(1.5, -2.2, 0.2, 4.0)])
     ticks = drive(Controller(config(margin=0.03)), Line(3.0, 0.3), once(door), 12.0)
     last = ticks[-1]["step"]
-    assert last.mode is Mode.STOPPED and "no way" in last.message
+    assert last.mode is Mode.STOPPED
+    assert "no way" in last.message
     assert column(ticks, "gap").min() > 0.02
 
 
@@ -153,9 +156,11 @@ def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
     before = [tick for tick in ticks if tick["t"] < 11.9]
     assert before[-1]["step"].mode is Mode.STOPPED
     assert before[-1]["step"].message.startswith("no way: blocked by polygon 0")
-    assert 0.02 < min(tick["gap"] for tick in before) < 0.2 and before[-1]["step"].command.tolist() == [0.0, 0.0]
+    assert 0.02 < min(tick["gap"] for tick in before) < 0.2
+    assert before[-1]["step"].command.tolist() == [0.0, 0.0]
     assert before[-1]["step"].progress == 0.0
-    assert ticks[-1]["step"].mode is Mode.FINISHED and np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
+    assert ticks[-1]["step"].mode is Mode.FINISHED
+    assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
 
 
 def test_what_appears_right_before_it_is_braked_for():
@@ -166,7 +171,8 @@ def test_what_appears_right_before_it_is_braked_for():
         return nothing if t < 1e-9 else wall if abs(t - 3.0) < 0.0102 else None
 
     ticks = drive(Controller(config()), Line(4.0, 0.6, 0.8), seen, 6.0)
-    assert min(tick["gap"] for tick in ticks if tick["t"] > 3.02) > 0.0 and ticks[-1]["step"].mode is Mode.STOPPED
+    assert min(tick["gap"] for tick in ticks if tick["t"] > 3.02) > 0.0
+    assert ticks[-1]["step"].mode is Mode.STOPPED
 
 
 def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
@@ -178,9 +184,11 @@ def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
     ticks = drive(blind, Line(4.0, 0.6, 0.8), once(wall), 7.0)
     words = [tick["step"].message for tick in ticks if tick["step"].mode in (Mode.BRAKING, Mode.STOPPED)]
     assert any("on its way to rest it would come within" in word for word in words)
-    assert column(ticks, "gap").min() > 0.015 and least_while_moving(ticks) > 0.015
+    assert column(ticks, "gap").min() > 0.015
+    assert least_while_moving(ticks) > 0.015
     pressed = [tick["step"].pressed_by for tick in ticks if tick["step"].pressed_by]
-    assert pressed and pressed[0][0].startswith("polygon 0 in ")
+    assert pressed
+    assert pressed[0][0].startswith("polygon 0 in ")
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -197,7 +205,8 @@ def test_who_crosses_its_way_is_never_touched_while_it_moves(seed):
         )
 
     ticks = drive(Controller(config()), Line(4.0, 0.5), seen, 25.0, seed=seed)
-    assert least_while_moving(ticks) > 0.0 and ticks[-1]["step"].mode is Mode.FINISHED
+    assert least_while_moving(ticks) > 0.0
+    assert ticks[-1]["step"].mode is Mode.FINISHED
 
 
 def test_a_corridor_keeps_it_in():
@@ -206,7 +215,8 @@ def test_a_corridor_keeps_it_in():
     around = Surroundings([post(2.0, 0.05, 0.05)], corridor=corridor)
     controller = Controller(config())
     ticks = drive(controller, Line(4.0), once(around), 22.0)
-    assert column(ticks, "gap").min() > 0.02 and column(ticks, "pose")[:, 1].max() > 0.25
+    assert column(ticks, "gap").min() > 0.02
+    assert column(ticks, "pose")[:, 1].max() > 0.25
     assert ticks[-1]["step"].mode is Mode.FINISHED
 
 
@@ -214,14 +224,16 @@ def test_what_it_says_of_the_gap_is_true():
     ticks = past_a_post(0.0)
     said = np.array([tick["step"].clearance for tick in ticks])
     near = np.isfinite(said)
-    assert near.sum() > 50 and np.abs(said - column(ticks, "gap"))[near].max() < 0.02
+    assert near.sum() > 50
+    assert np.abs(said - column(ticks, "gap"))[near].max() < 0.02
 
 
 def test_old_surroundings_brake():
     controller, reference = Controller(config()), Line(4.0)
     ticks = drive(controller, reference, once(Surroundings(time=0.0)), 4.0)
     modes = [tick["step"].mode for tick in ticks]
-    assert modes[10] is Mode.TRACKING and ticks[-1]["step"].mode is Mode.STOPPED
+    assert modes[10] is Mode.TRACKING
+    assert ticks[-1]["step"].mode is Mode.STOPPED
     assert "s old; free_space.max_age is 0.5 s" in ticks[-1]["step"].message
 
 

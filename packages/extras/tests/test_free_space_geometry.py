@@ -118,7 +118,8 @@ def test_convex_pieces_tile_a_polygon(seed):
     pieces = convex_pieces(given)
     assert sum(area(piece) for piece in pieces) == pytest.approx(abs(area(given)))
     for piece in pieces:
-        assert area(piece) >= 0.0 and len(hull(piece)) == len(piece)
+        assert area(piece) >= 0.0
+        assert len(hull(piece)) == len(piece)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
@@ -231,7 +232,8 @@ def test_planes_leave_the_free_plan_alone_and_part_it_from_everything_near(seed)
         used = planes[owners >= 0]
         for a_x, a_y, d_x, d_y, b in used:
             point = placed(np.array([[d_x, d_y]]), pose)[0]
-            assert point @ [a_x, a_y] <= b + 1e-9 and (corners @ [a_x, a_y]).max() <= b + 1e-9
+            assert point @ [a_x, a_y] <= b + 1e-9
+            assert (corners @ [a_x, a_y]).max() <= b + 1e-9
         for polygon in polygons:
             if edge_distance(corners, polygon) < 0.39:
                 beyond = [(polygon @ plane[:2]).min() >= plane[4] - 1e-5 for plane in used]

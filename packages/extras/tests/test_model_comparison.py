@@ -23,11 +23,13 @@ def no_fifth_order(monkeypatch):
 def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
     found = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
-    assert found.recommended.kind == "sm" and [one.kind for one in found.scores] == [NO_MODEL, "sm", "ssm"]
+    assert found.recommended.kind == "sm"
+    assert [one.kind for one in found.scores] == [NO_MODEL, "sm", "ssm"]
     low, high = found.gain(found.scores[2], found.recommended)
     assert low <= 0.0
     assert high < 1.0
-    assert found.gain(found.scores[0], found.recommended)[1] < -5.0 and found.sentence().startswith("sm: ssm is ")
+    assert found.gain(found.scores[0], found.recommended)[1] < -5.0
+    assert found.sentence().startswith("sm: ssm is ")
 
 
 @pytest.mark.long
@@ -47,7 +49,8 @@ def test_a_base_that_limits_slopes_is_an_sm_with_effects():
     effects = BaseEffects(twist_slew=TwistSlew(v=0.8, omega=1.5))
     records = [record_of(effects, seed, 30.0, noise=0.3) for seed in (1, 2)]
     found = compare_models(data_of(*records), ["sm", "sm+effects"], parts=2)
-    assert found.recommended.kind == "sm+effects" and "sm is worse by" in found.sentence()
+    assert found.recommended.kind == "sm+effects"
+    assert "sm is worse by" in found.sentence()
 
 
 def scored(kind, powers, failure=""):
@@ -69,7 +72,8 @@ def test_the_interval_is_that_of_the_blocks():
     assert found.gain(everywhere, base) == pytest.approx(2 * [100 * (0.2 - np.sqrt(0.03))])
     low, high = found.gain(by_one, base)
     assert low < 0.0 < high
-    assert found.recommended is everywhere and "sm+effects was not found: too few rows" in found.sentence()
+    assert found.recommended is everywhere
+    assert "sm+effects was not found: too few rows" in found.sentence()
     assert [row[0] for row in found.table().rows] == ["sm", "ssm *", "mbm", "sm+effects"]
 
 

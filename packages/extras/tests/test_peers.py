@@ -152,7 +152,8 @@ def test_the_law_is_that_of_the_paper() -> None:
 def test_commands_stay_inside_limits_and_slew() -> None:
     robot = load_robot()
     run = simulate(KanayamaController(), DisplacedUnicycle([-3.0, 2.0, 2.5]), Arc())
-    assert np.abs(run.command[:, 0]).max() <= robot.limits.v and np.abs(run.command[:, 1]).max() <= robot.limits.omega
+    assert np.abs(run.command[:, 0]).max() <= robot.limits.v
+    assert np.abs(run.command[:, 1]).max() <= robot.limits.omega
     change = np.abs(np.diff(run.command, axis=0, prepend=np.zeros((1, 2)))) / run.sample_time
     assert change[:, 0].max() <= robot.command_slew.v * (1 + 1e-9)
     assert change[:, 1].max() <= robot.command_slew.omega * (1 + 1e-9)
@@ -179,6 +180,7 @@ def test_without_a_usable_pose_the_last_error_is_kept() -> None:
         before = controller.step(0.0202 * k, start)
     lost = controller.step(0.0202 * 60, Measurement(pose=Stamped(np.array([np.nan, 0.0, 0.0]), 1.2)))
     none = controller.step(0.0202 * 61, Measurement())
-    assert lost.command == pytest.approx(before.command) and none.command == pytest.approx(before.command)
+    assert lost.command == pytest.approx(before.command)
+    assert none.command == pytest.approx(before.command)
     assert "not finite" in lost.message
     assert none.message == before.message == ""

@@ -42,7 +42,8 @@ def test_a_battery_gives_what_is_taken(power: float, voltage: float, resistance:
     volts, amperes = battery.loaded(power)
     assert volts == pytest.approx(voltage - resistance * amperes, abs=1e-6 * voltage)
     if power < voltage**2 / (4 * resistance + 1e-12):
-        assert volts * amperes == pytest.approx(power, rel=1e-6, abs=1e-6) and volts >= 0.5 * voltage
+        assert volts * amperes == pytest.approx(power, rel=1e-6, abs=1e-6)
+        assert volts >= 0.5 * voltage
 
 
 def run(sensors: str, world: str = "", **around: str) -> Run:
@@ -205,4 +206,5 @@ def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
             )
     assert len(errors) >= 12
     normalised = np.array(errors)
-    assert 0.5 < math.sqrt(np.mean(normalised**2)) < 1.6 and np.abs(normalised).max() < 5
+    assert 0.5 < math.sqrt(np.mean(normalised**2)) < 1.6
+    assert np.abs(normalised).max() < 5

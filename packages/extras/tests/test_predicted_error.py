@@ -45,10 +45,12 @@ def test_features_and_coefficients_are_not_negative(population):
     """So the width is monotone in each feature."""
     twist = np.random.default_rng(3).uniform(-1.5, 1.5, (500, 2))
     features = path_features(twist, 0.02, load_config("ssm"), np.array([0.14, 0.08]))
-    assert features.shape == (500, len(FEATURES)) and (features >= 0.0).all()
+    assert features.shape == (500, len(FEATURES))
+    assert (features >= 0.0).all()
     for direction in DIRECTIONS:
         scale = getattr(load_calibration().population(population), direction)
-        assert (scale.row >= 0.0).all() and scale.everywhere > scale.at_each_place
+        assert (scale.row >= 0.0).all()
+        assert scale.everywhere > scale.at_each_place
 
 
 def along_path(predicted, direction, places):
@@ -140,7 +142,8 @@ def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
     assert "lateral: worst after" in printed and "along: worst after" in printed
     assert (tmp_path / "predicted-error.png").read_bytes().startswith(b"\x89PNG")
     rows = np.genfromtxt(tmp_path / "predicted-error.csv", delimiter=",", names=True)
-    assert (rows["lateral_everywhere"] > rows["lateral"]).all() and rows["s"][-1] == pytest.approx(6.28, abs=0.01)
+    assert (rows["lateral_everywhere"] > rows["lateral"]).all()
+    assert rows["s"][-1] == pytest.approx(6.28, abs=0.01)
     assert f"{1e3 * rows['lateral_everywhere'].max():.1f}" in printed
 
 

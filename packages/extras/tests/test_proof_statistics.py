@@ -69,7 +69,8 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
         "sensors.pose.latency": search(holds=0.0, beyond=0.5, within=0.02),
     }
     mass, latency = find_boundaries(asked, PROBE, (1, 2), robot.drive, BAND)
-    assert mass.held <= 17.29 < mass.failed and mass.failed - mass.held <= 0.5
+    assert mass.held <= 17.29 < mass.failed
+    assert mass.failed - mass.held <= 0.5
     # The seed that holds less decides.
     assert latency.held <= 0.19 < latency.failed
     # 32 kg to 0.5 kg are six halvings after the two ends; both factors were searched in the same rounds.
@@ -90,7 +91,8 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     runs[9] = driven(PROBE.with_seed(9), completed=False, position_rmse_m=0.5, lateral_max_m=0.4)
     runs[7] = driven(PROBE.with_seed(7), completed=False, position_rmse_m=2.0, last_mode="STOPPED")
     runs[2] = driven(PROBE.with_seed(2), completed=False, error="ValueError: x", position_rmse_m=None)
-    assert [one.definition.case.seed for one in worst(runs, 3)] == [4, 2, 9] and worst(runs, 20)[-1] is runs[7]
+    assert [one.definition.case.seed for one in worst(runs, 3)] == [4, 2, 9]
+    assert worst(runs, 20)[-1] is runs[7]
     assert [is_unsafe(one) for one in runs].index(True) == 4
     of = Outcomes.of(runs, BAND)
     assert (of.unsafe.count, of.completed.count, of.stopped.count, of.in_band.count) == (1, 17, 1, 17)

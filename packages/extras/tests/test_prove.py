@@ -67,7 +67,8 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     table = read_table(out / "prove.parquet").to_pydict()
     assert (len(table["run"]), set(table["model"])) == (20, {"sm"})
     found = json.loads((out / "prove.json").read_text(encoding="utf-8"))
-    assert found["rates"]["completed"]["of"] == 20 and found["boundaries"][0]["tried"]["0.02"] == 2
+    assert found["rates"]["completed"]["of"] == 20
+    assert found["boundaries"][0]["tried"]["0.02"] == 2
     files = sorted((out / "worst").iterdir())
     assert [path.name for path in files] == ["01.yaml", "02.yaml", "03.yaml"]
     # The worst are the worst, and each drives again to the same figures, from where it lies.
@@ -95,7 +96,8 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     told["environment"]["numpy"] = "1.0"
     path.write_text(yaml.safe_dump(told), encoding="utf-8")
     said = " ".join(call("repeat", path, "--trust-terms", tmp_path, code=1).split())
-    assert "1 of " in said and "figures are other ones: position_rmse_m is" in said
+    assert "1 of " in said
+    assert "figures are other ones: position_rmse_m is" in said
     assert "other than then: numpy (1.0, now" in said
 
 

@@ -66,7 +66,8 @@ def rms(error):
 def test_a_known_error_that_repeats_is_removed():
     learning = controller()
     errors = [rms(lap(learning)[0]) for _ in range(5)]
-    assert errors[0] > 0.003 and errors[-1] < 0.35 * errors[0]
+    assert errors[0] > 0.003
+    assert errors[-1] < 0.35 * errors[0]
 
 
 def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
@@ -86,7 +87,8 @@ def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
     found = learning.feature("rehearsal").learned
     assert np.hypot(*found.correction.T[:2]).max() <= 0.002
     assert np.hypot(*np.gradient(found.correction[:, :2], found.time, axis=0).T).max() <= 0.01 * (1 + 1e-9)
-    assert np.abs(found.correction[:, 2]).max() <= 0.004 and np.abs(found.correction).max() > 0.001
+    assert np.abs(found.correction[:, 2]).max() <= 0.004
+    assert np.abs(found.correction).max() > 0.001
     assert not found.correction[0, :2].any()
 
 
@@ -218,7 +220,8 @@ def test_what_is_planned_is_where_the_floor_takes_the_robot(floor):
     found = planned(floor)
     driven = rolled_out(floor, found.times, found.wheels, found.reference.pose[0])
     # Within an interval the twist is taken for its mean.
-    assert np.abs(driven - found.pose).max() < 5e-4 and found.distance.max() > 0.003
+    assert np.abs(driven - found.pose).max() < 5e-4
+    assert found.distance.max() > 0.003
 
 
 @pytest.mark.parametrize("floor", FLOORS)
@@ -302,8 +305,10 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
     controller = Controller(load_config("ssm", SETTINGS | settings))
     floor_lap(controller, "p4_concrete", CORNER)
     rehearsal = controller.feature("rehearsal").learned
-    assert rehearsal.begin(CORNER, 0.0) is CORNER and words in rehearsal.said
-    assert "tracked as it is given" in rehearsal.said and not rehearsal.correction.any()
+    assert rehearsal.begin(CORNER, 0.0) is CORNER
+    assert words in rehearsal.said
+    assert "tracked as it is given" in rehearsal.said
+    assert not rehearsal.correction.any()
 
 
 def floor_lap(by, floor, reference, seed=0):
@@ -320,7 +325,8 @@ def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
     for controller, count in ((Controller(CONFIG), 4), (Controller(CONFIG), 2)):
         laps.append([floor_lap(controller, "p4_concrete", square, seed) for seed in range(count)])
     errors = [error for error, _, _ in laps[0]]
-    assert errors[0] > 0.020 and errors[3] < 0.010
+    assert errors[0] > 0.020
+    assert errors[3] < 0.010
     assert any("slip learned from 3 laps" in message for message in laps[0][3][1])
     assert all(np.array_equal(one[2], other[2]) for one, other in zip(*laps, strict=False))
 
@@ -342,7 +348,8 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
     controller.start(CORNER, 0.0)
     learned = controller.feature("rehearsal").learned.slip
     assert first_slip(controller) == learned
-    assert learned.yaw_gain * learned.omega_gain == pytest.approx(0.606, abs=0.05) and learned.v_offset == 0.0
+    assert learned.yaw_gain * learned.omega_gain == pytest.approx(0.606, abs=0.05)
+    assert learned.v_offset == 0.0
     controller.update(limits={"omega": 1.9})
     controller.step(0.1, make_plant("model:ssm", "p4_grass").measure())
     controller.start(CORNER, 0.0)
@@ -350,7 +357,8 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
     assert controller.feature("rehearsal").learned.config.limits.omega == 1.9
     controller.reset()
     controller.start(CORNER, 0.0)
-    assert first_slip(controller) == Slip() and controller.feature("rehearsal").learned.laps == 0
+    assert first_slip(controller) == Slip()
+    assert controller.feature("rehearsal").learned.laps == 0
 
 
 def test_what_makes_it_worse_is_forgotten():
@@ -386,7 +394,8 @@ def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     log = tmp_path / "run.mcap"
     words = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]
     result = invoke(app, *words, "--log", log)
-    assert "learned from 1 laps" in result.output and "do not: the lower bound" in " ".join(result.output.split())
+    assert "learned from 1 laps" in result.output
+    assert "do not: the lower bound" in " ".join(result.output.split())
     assert (tmp_path / "out" / "figures" / "laps.png").exists()
     written = read_drive_log(log, plans=True)
     assert written.metadata["case"]["repeat"].startswith("diffdrive-mpc rehearse --laps 2 ")

@@ -86,7 +86,8 @@ def test_predicted_and_measured_energy_stand_beside_each_other(battery):
     values = battery.values()
     measured = float(values["energy of this drive measured [J]"])
     assert measured == pytest.approx(24.0 * 99 * DT, rel=0.02)
-    assert float(values["power measured [W]"]) == 24.0 and values["battery gaps"].startswith("0,")
+    assert float(values["power measured [W]"]) == 24.0
+    assert values["battery gaps"].startswith("0,")
     commands = np.array(battery.s.base.commands)
     power = load_turn_costs(COSTS).power(commands)
     # The first tick or two may be before the drive.

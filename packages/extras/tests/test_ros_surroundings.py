@@ -54,8 +54,10 @@ def cloud(now, rows, names=("x", "y", "radius", "vx", "vy")):
 
 def test_a_costmap_is_read_as_rectangles():
     found = read_costmap(serialize_message(costmap(5, wall=1.0)), FreeSpace())
-    assert found.grid.boxes.shape == (1, 4, 2) and found.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
-    assert found.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0]) and (found.frame, found.stamp) == ("odom", 5)
+    assert found.grid.boxes.shape == (1, 4, 2)
+    assert found.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
+    assert found.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0])
+    assert (found.frame, found.stamp) == ("odom", 5)
 
 
 def test_points_are_read_as_discs():
@@ -252,7 +254,8 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
         # Nobody tells any more.
         show(None)
         base.run(60)
-        assert s.loop.last.mode == Mode.STOPPED and "s old; free_space.max_age" in s.loop.last.message
+        assert s.loop.last.mode == Mode.STOPPED
+        assert "s old; free_space.max_age" in s.loop.last.message
         assert "old" in seen.fault
 
 

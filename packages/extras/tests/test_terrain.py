@@ -23,7 +23,8 @@ def test_straight_on_costs_drag_and_rolling_alone():
     heavy = CENTRED.model_copy(update={"rolling_coefficient": 0.02})
     found = side_torques(heavy, ground(), np.inf, 0.4)
     expected = heavy.drag_torque + 0.02 * heavy.wheel_radius * heavy.weight / 2
-    assert found.outer == pytest.approx(expected, rel=1e-9) and found.inner == pytest.approx(expected, rel=1e-9)
+    assert found.outer == pytest.approx(expected, rel=1e-9)
+    assert found.inner == pytest.approx(expected, rel=1e-9)
 
 
 def test_ever_wider_turns_come_to_the_straight():
@@ -82,7 +83,8 @@ def test_a_centre_of_mass_to_the_left_loads_the_left():
     aside = BOT.model_copy(update={"centre_of_mass": (0.02, 0.05, 0.1)})
     rest = aside.loads(np.zeros((1, 2)))[0]
     x, y = aside.places.T
-    assert rest.sum() == pytest.approx(aside.weight) and rest @ x / rest.sum() == pytest.approx(0.02)
+    assert rest.sum() == pytest.approx(aside.weight)
+    assert rest @ x / rest.sum() == pytest.approx(0.02)
     assert rest @ y / rest.sum() == pytest.approx(0.05)
     # Turning left presses on the right wheels.
     turning = aside.loads(np.array([[0.0, 1.0]]))[0]

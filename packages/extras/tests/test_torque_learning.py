@@ -34,7 +34,8 @@ def test_the_first_unit_makes_up_for_the_error_that_called_it():
     found = network(window=1, distance=(0.3, 0.3))
     error = found.learn(2.0, 0.5)
     assert error == 0.5
-    assert found(2.0) == pytest.approx(0.5) and found.units.tolist() == [[0.5, 2.0, SETTINGS.network.width[1]]]
+    assert found(2.0) == pytest.approx(0.5)
+    assert found.units.tolist() == [[0.5, 2.0, SETTINGS.network.width[1]]]
 
 
 @pytest.mark.parametrize(
@@ -54,7 +55,8 @@ def test_it_learns_a_smooth_curve_from_noise():
 
     found = network()
     x = swept(found, curve, rng=np.random.default_rng(3))
-    assert np.sqrt(np.mean((found(x) - curve(x)) ** 2)) < 0.03 and len(found.units) < 20
+    assert np.sqrt(np.mean((found(x) - curve(x)) ** 2)) < 0.03
+    assert len(found.units) < 20
 
 
 def test_one_update_of_the_offset_alone_is_kalman_s():
@@ -85,7 +87,8 @@ def test_the_prior_is_learned_from_30_triplets():
     true = side_torques(BOT, VINYL, RADII, SETTINGS.curves.speed)
     assert np.sqrt(np.mean((curves.outer(RADII) - true.outer) ** 2)) < 0.03 * BOT.torque_limit
     assert np.sqrt(np.mean((curves.inner(RADII) - true.inner) ** 2)) < 0.03 * BOT.torque_limit
-    assert max(curves.units) <= SETTINGS.network.most_units and curves.least_radius() == 0.0
+    assert max(curves.units) <= SETTINGS.network.most_units
+    assert curves.least_radius() == 0.0
 
 
 def drive(terrain, hold=3.5, dt=0.02):
@@ -141,10 +144,12 @@ def test_torques_that_build_up_late_are_learned_as_they_are_in_the_end():
 def test_left_right_forward_and_backward_are_one_turn():
     curves = TorqueCurves.from_prior(BOT, ASPHALT.model_copy(update={"slip": None}))
     left, right = curves.torques([[0.4, 0.4]])[0], curves.torques([[0.4, -0.4]])[0]
-    assert left.tolist() == right[::-1].tolist() and left[1] > 0 > left[0]
+    assert left.tolist() == right[::-1].tolist()
+    assert left[1] > 0 > left[0]
     # Backward and counter-clockwise the left wheels are outside, and turn backward.
     back = curves.torques([[-0.4, 0.4]])[0]
     assert back.tolist() == [-left[1], -left[0]]
     spin = curves.torques([[0.0, 0.5]])[0]
     assert spin[1] > 0 > spin[0]
-    assert curves.torques([[0.0, 0.0]]).tolist() == [[0.0, 0.0]] and np.isfinite(curves.torques([[0.4, 0.0]])).all()
+    assert curves.torques([[0.0, 0.0]]).tolist() == [[0.0, 0.0]]
+    assert np.isfinite(curves.torques([[0.4, 0.0]])).all()

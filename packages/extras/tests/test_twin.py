@@ -135,7 +135,8 @@ def test_a_robot_of_any_size_obeys(mass, radius, track, tmp_path):
     commands = np.tile([1.0, 0.4], (60, 1))
     run = SampledExperiment("r", 0.05, commands, np.zeros((60, 3)), np.ones((60, 3), dtype=bool))
     (motion,) = drive(space.robot(space.values(np.zeros(len(space.names)))), [stretch(run, 0, 60, np.eye(2))])
-    assert motion.wheels[-1, 0] == pytest.approx(1.0, rel=0.03) and motion.twist()[-1, 2] > 0.1
+    assert motion.wheels[-1, 0] == pytest.approx(1.0, rel=0.03)
+    assert motion.twist()[-1, 2] > 0.1
 
 
 def test_sensors_of_the_log_come_late_and_smoothed():
@@ -159,7 +160,8 @@ def test_of_two_that_act_together_one_is_told():
     alone = np.array([0.0, 0.0, 1.0])
     information = np.eye(3) + 400.0 * np.outer(together, together) + 400.0 * np.outer(alone, alone)
     told = told_apart(information, 0.7)
-    assert sorted(told[:2]) == [False, True] and told[2]
+    assert sorted(told[:2]) == [False, True]
+    assert told[2]
     assert told_apart(np.eye(3), 0.7) == [False, False, False]
 
 
@@ -172,7 +174,8 @@ def test_the_true_plant_explains_its_log():
     along = most_telling([run], np.eye(2), twin_settings().window)
     (motion,) = drive(known_robot(truth), along)
     error = (readings(motion, along[0].experiment, {}) - along[0].experiment.outputs).std(axis=0)
-    assert error[0] < 0.02 * np.ptp(run.outputs[:, 0]) and error[2] < 0.03 * np.ptp(run.outputs[:, 2])
+    assert error[0] < 0.02 * np.ptp(run.outputs[:, 0])
+    assert error[2] < 0.03 * np.ptp(run.outputs[:, 2])
 
 
 def test_without_wheels_the_robot_must_be_told():
@@ -239,4 +242,5 @@ def test_a_log_becomes_a_plant(log):
     ],
 )
 def test_a_mistake_is_one_line(log, words, line):
-    assert line in refusal("twin", log, *words, "--out", log.parent / "none") and not (log.parent / "none").exists()
+    assert line in refusal("twin", log, *words, "--out", log.parent / "none")
+    assert not (log.parent / "none").exists()

@@ -51,7 +51,8 @@ def test_a_wall_ahead_is_touched_where_it_stands_with_the_speed_of_the_robot(tmp
     plant = plant_in(tmp_path, "ends_at_contact: false\nwalls: [{start: [1, -1], end: [1, 1], thickness: 0.1}]\n")
     driven = drive(plant, (0.5, 0.0), 200)
     (contact,) = plant.contacts
-    assert contact.obstacle == "wall 0" and contact.x == pytest.approx(0.95, abs=0.01)
+    assert contact.obstacle == "wall 0"
+    assert contact.x == pytest.approx(0.95, abs=0.01)
     assert contact.speed == pytest.approx(0.5, abs=0.03)
     # The front of the body stops at the wall, and the wall does not give way.
     assert driven[-1, 0] == pytest.approx(0.95 - LENGTH / 2, abs=0.01)
@@ -110,7 +111,8 @@ def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path
     assert contact.obstacle == "mover 0"
     # Edge to edge after 2 s less the time for half a width and the radius.
     assert contact.time == pytest.approx(2.0 - (WIDTH / 2 + 0.25), abs=0.02)
-    assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02) and contact.fastest < 0.005
+    assert contact.until == pytest.approx(2.0 + (WIDTH / 2 + 0.25), abs=0.02)
+    assert contact.fastest < 0.005
     assert np.abs(driven[-1]).max() < 1e-3
 
 
@@ -166,7 +168,8 @@ def test_the_velocity_of_a_person_is_found_and_the_noise_is_as_stated(tmp_path: 
         errors.append([first.x - 2.0, first.y + 2.0, last.vx, last.vy - 1.0])
         assert first.vx == first.vy == 0.0  # one place is no velocity
     errors = np.array(errors)
-    assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60) and 0.02 < errors[:, :2].std() < 0.04
+    assert np.abs(errors[:, :2].mean(axis=0)).max() < 4 * 0.03 / math.sqrt(60)
+    assert 0.02 < errors[:, :2].std() < 0.04
     assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.06 and errors[:, 2:].std() < 0.2
 
 

@@ -196,9 +196,11 @@ def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_
             page.evaluate("(link) => { location.hash = link }", link)
             page.wait_for_function("() => !document.getElementById('notice').hidden")
             line = page.locator("#notice").inner_text()
-            assert line.startswith("This link cannot be used, so the default is shown: ") and len(line) < 160
+            assert line.startswith("This link cannot be used, so the default is shown: ")
+            assert len(line) < 160
             assert "\n" not in line
-            assert choices(page) == standard and page.title() == title
+            assert choices(page) == standard
+            assert page.title() == title
             page.evaluate("laboratory.choose({ seed: 0 })")
         visit(page, page_file, "path=" + "x" * 1_000_000)
         assert choices(page) == standard
@@ -232,7 +234,8 @@ def test_pointer_finger_and_keyboard_do_what_the_page_says(page_file: Path) -> N
         page.wait_for_function("() => laboratory.report.error > 0.1")
         page.locator("#tool-ice").tap()
         page.touchscreen.tap(*middle(floor))
-        assert len(choices(page)["ice"]) == 1 and "ice=" in page.evaluate("location.hash")
+        assert len(choices(page)["ice"]) == 1
+        assert "ice=" in page.evaluate("location.hash")
         page.locator("#tool-draw").click()
         x, y = middle(floor)
         page.mouse.move(x, y)
