@@ -361,7 +361,7 @@ def bombs(door):
     files = {
         "states": (yaml.safe_dump(ssm), "64 items"),
         "aliases": (aliases, "values"),
-        "values": ("a: [" + "1, " * 100_000 + "1]", "100,000 values"),
+        "values": ("a: [" + "1, " * 200_000 + "1]", "200,000 values"),
         "name": (yaml.safe_dump({**sm, "name": 5}), "name"),
     }
     for name, (text, words) in files.items():

@@ -313,7 +313,7 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.finish_timeout = wild(2.0, seldom);
     k.max_reused_ticks = below(6);
     k.resume = !once_in(4);
-    k.resume_within = wild(1.0, seldom);
+    k.resume_within = once_in(3) ? wild(1.0, seldom) : R(100.0);
     k.reentry = once_in(2);
     k.band = wild(0.3, seldom), k.heading_band = wild(1.0, seldom);
     k.wait = wild(0.1, seldom) + R(1e-12), k.heading_wait = wild(0.5, seldom) + R(1e-12);
