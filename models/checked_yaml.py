@@ -59,6 +59,26 @@ def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
     raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
+_LONGEST_NUMBER = 1000
+"""Largest number of characters of a number; YAML 1.1 has 1:1:1 for base 60, whose time grows with their square."""
+
+
+def _add_bounded(kind: str) -> None:
+    """Let the loader refuse long numbers of this kind before it computes them."""
+    tag = f"tag:yaml.org,2002:{kind}"
+    construct = SafeLoader.yaml_constructors[tag]
+
+    def bounded(loader: _UniqueKeyLoader, node: yaml.ScalarNode) -> object:
+        if len(node.value) > _LONGEST_NUMBER:
+            problem = f"a number of {len(node.value):,} characters, at most {_LONGEST_NUMBER:,} are read"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+        return construct(loader, node)
+
+    _UniqueKeyLoader.add_constructor(tag, bounded)
+
+
+_add_bounded("int")
+_add_bounded("float")
 _UniqueKeyLoader.add_constructor(None, _refuse_tag)
 _UniqueKeyLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")

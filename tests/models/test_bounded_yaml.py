@@ -53,6 +53,8 @@ def test_a_value_that_does_not_fit_its_type_is_one_line(text, tmp_path):
         ("".join(" " * i + "a:\n" for i in range(200)), "levels"),
         ("- " * 10_000 + "1", "levels"),
         (BOMB, "values"),
+        ("a: " + "1:" * 4_000_000 + "1", "a number of 8,000,001 characters"),
+        ("a: 1" + ":10" * 400 + ".5", "a number of"),
         ("&a [*a]", "refers to what it stands in"),
         ("a: &a {b: {c: *a}}", "refers to what it stands in"),
     ],
