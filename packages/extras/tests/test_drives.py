@@ -222,7 +222,7 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     assert structure.upper() in report.markdown()
     assert "Parameters of the linear model beside a drive" in report.markdown()
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
-    model = check_written(found, tmp_path, 1e-3)
+    model = check_written(found, tmp_path, 1e-3, structure)
     assert isinstance(model, DriveModel) and model.dt == 0.04
     # The robot: lags of 0.1 s, and a gyro that sees what it does.
     # PI control with the paper's slow integral makes up for what its gain lacks only after seconds.
