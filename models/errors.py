@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from diffdrive_mpc.models.table import escaped
@@ -13,7 +14,7 @@ _LONGEST = 4000
 
 
 def _shown(message: str) -> str:
-    text = escaped(message[:_LONGEST])
+    text = escaped(re.sub(r"\s*\n\s*", " ", message[:_LONGEST]))
     return text if len(text) <= _LONGEST and len(message) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 

@@ -110,9 +110,10 @@ def named_errors(path: str | Path, scratch: Path | None = None) -> Iterator[None
     try:
         yield
     except OSError as error:
-        if error.filename is None or (scratch and Path(str(error.filename)).is_relative_to(scratch)):
-            error.filename, error.filename2 = str(path), None
-        raise
+        names_none = error.filename is None or (scratch and Path(str(error.filename)).is_relative_to(scratch))
+        if error.errno is None or not names_none:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 @contextmanager

@@ -164,7 +164,7 @@ def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decode
         raise ConfigError(mistakes(str(path), sentences))
 
 
-class Request(NamedTuple):
+class TopicRequest(NamedTuple):
     """Topic to read, the decoders of its message types, and one in how many messages is read."""
 
     topic: Topic
@@ -173,7 +173,7 @@ class Request(NamedTuple):
 
 
 def read_topics(
-    reader: Bag, path: Path, requests: Mapping[str, Request], definitions: Mapping[str, str] = MappingProxyType({})
+    reader: Bag, path: Path, requests: Mapping[str, TopicRequest], definitions: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, TopicRows]:
     """Read the requested topics in one pass over the bag; of a message no more is kept than its numbers.
 
@@ -222,7 +222,7 @@ def read_topics(
 class _Columns:
     """Numbers of the messages of one request so far."""
 
-    def __init__(self, path: Path, request: Request, connection: Connection) -> None:
+    def __init__(self, path: Path, request: TopicRequest, connection: Connection) -> None:
         self.connection = connection
         self._path, self._stride, self._messages = path, request.stride, 0
         topic = request.topic

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
     ODOMETRY,
     POSES,
     Decoders,
-    Request,
+    TopicRequest,
     TopicRows,
     motor_readers,
     opened,
@@ -81,7 +81,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         require_topics(reader, path, [(topic, readers[role]) for role, topic in requested.items()])
         findings: list[Finding] = []
         requests = {
-            role: Request(topic, readers[role], _stride(reader, path, topic, role, findings))
+            role: TopicRequest(topic, readers[role], _stride(reader, path, topic, role, findings))
             for role, topic in requested.items()
         }
         rows = read_topics(reader, path, requests, topics.definitions)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, POSES, Reading, Request, TopicRows, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, POSES, Reading, TopicRequest, TopicRows, opened, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
@@ -37,9 +37,9 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     with opened(bag) as reader:
         twist = {"geometry_msgs/msg/TwistStamped": _body_twist}
         requests = {
-            "poses": Request(Topic(topic="/ground_truth/pose"), POSES),
-            "twists": Request(Topic(topic="/ground_truth/twist"), twist),
-            "commands": Request(Topic(topic="/cmd_vel"), COMMANDS),
+            "poses": TopicRequest(Topic(topic="/ground_truth/pose"), POSES),
+            "twists": TopicRequest(Topic(topic="/ground_truth/twist"), twist),
+            "commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS),
         }
         poses, twists, commands = read_topics(reader, bag, requests).values()
     moving = np.flatnonzero(commands.value.any(axis=1))
@@ -91,6 +91,6 @@ def _body_twist(message: Any) -> Reading:
 def missed_samples(bag: Path, sample_time: float) -> int:
     """Return the number of periods between commands that are longer than one and a half sample times."""
     with opened(bag) as reader:
-        requests = {"commands": Request(Topic(topic="/cmd_vel"), COMMANDS)}
+        requests = {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}
         (commands,) = read_topics(reader, bag, requests).values()
     return int(np.count_nonzero(1e-9 * np.diff(command_times(commands)) > _MISSED * sample_time))

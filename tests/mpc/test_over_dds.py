@@ -16,7 +16,7 @@ from two_processes import DriveFailedError, drive_over_dds, own_domain, running
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, Request, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
@@ -108,7 +108,7 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
             assert base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
     with opened(bag) as reader:
-        requests = {name: Request(Topic(topic=name), COMMANDS) for name in ("/cmd_vel", "/ground_truth/twist")}
+        requests = {name: TopicRequest(Topic(topic=name), COMMANDS) for name in ("/cmd_vel", "/ground_truth/twist")}
         commands, truth = read_topics(reader, bag, requests).values()
     assert commands.value[-1, 0] > 0.2
     since = 1e-9 * (truth.stamped - commands.received[-1])
@@ -125,7 +125,7 @@ def check_record(folder, commands):
         assert time.monotonic() < end
         time.sleep(0.05)
     with opened(path) as reader:
-        said = read_topics(reader, path, {"commands": Request(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
+        said = read_topics(reader, path, {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
     decided = dict(zip(said.stamped.tolist(), said.value.tolist(), strict=True))
     # The last may have been sent in the tick in which the node was killed.
     sent = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))

@@ -8,7 +8,7 @@ from ros_parts import DT, stack
 from diffdrive_mpc.app.replay.node_log import LoggedConfigs
 from diffdrive_mpc.app.replay.own_log import read_recording
 from diffdrive_mpc.app.replay.replay import replay
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, Request, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
 from diffdrive_mpc.models.logs.mapping import Topic
@@ -33,7 +33,7 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     columns = log.columns
     commands = np.column_stack([columns["v_ref_m_s"], columns["omega_ref_rad_s"]])
     with opened(path) as reader:
-        (said,) = read_topics(reader, path, {"command": Request(Topic(topic="/cmd_vel"), COMMANDS)}).values()
+        (said,) = read_topics(reader, path, {"command": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}).values()
         there = {known.topic: known.msgcount for known in reader.connections}
     assert np.array_equal(said.value, commands)
     stamps = dict(sent)

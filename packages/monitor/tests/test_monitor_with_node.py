@@ -23,7 +23,7 @@ from two_processes import own_domain, running
 
 import diffdrive_mpc_monitor
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, Request, opened, read_topics
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings, planar, seconds
@@ -209,7 +209,7 @@ def test_base_stops_the_robot_if_the_monitor_is_killed(tmp_path, monkeypatch):
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
     with opened(bag) as reader:
         topics = ("/cmd_vel", "/ground_truth/twist")
-        requests = {name: Request(Topic(topic=name), COMMANDS) for name in topics}
+        requests = {name: TopicRequest(Topic(topic=name), COMMANDS) for name in topics}
         commands, truth = read_topics(reader, bag, requests).values()
     since = 1e-9 * (truth.stamped - commands.received[-1])
     assert commands.value[-1, 0] > 0.2
