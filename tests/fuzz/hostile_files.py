@@ -129,17 +129,17 @@ def run(seed: int, count: int, only: str = "", say: Callable[[Outcome], None] = 
 
 def examine(read: Callable[[Path], object], path: Path, folder: Path, name: str = "", index: int = 0) -> Outcome:
     """Read a file in a process of its own, and once more with Ctrl-C if that takes long."""
-    first, met = _in_child(read, path, folder), None
+    first, met, lost = _in_child(read, path, folder), None, list[Reading]()
     for share in _TRIES if first.wall > _SLOW and first.end != "hangs" else ():
         second = _in_child(read, path, folder, share * first.wall)
         if second.end == "interrupted":
             met = second if met is None or met.end != "interrupted" or second.since < met.since else met
             if met.since <= INTERRUPTED:
                 break
-        elif met is None and (second.end == "hangs" or second.end.startswith("Ctrl-C")):
-            # A signal that arrives in a destructor is lost; a reader that swallows Ctrl-C does so at each try.
-            met = second
-    return Outcome(name, index, first, met)
+        elif second.end == "hangs" or second.end.startswith("Ctrl-C"):
+            lost.append(second)
+    # A signal in a destructor or after the end is lost; a reader that swallows Ctrl-C does so at each try.
+    return Outcome(name, index, first, lost[-1] if met is None and len(lost) == len(_TRIES) else met)
 
 
 def _in_child(read: Callable[[Path], object], path: Path, folder: Path, interrupt: float = 2 * _HANGS) -> Reading:
