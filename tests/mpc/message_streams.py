@@ -73,3 +73,14 @@ def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
         messages += driver.messages(start, end, first=1 + int(draw.choice([0, 0, 5, 40])))
         start = end + draw.uniform(0.1, 2.0)
     return messages
+
+
+def delay_of(detected, seed):
+    """Return the time from the bound to the detection [s], negative within the bound; infinite without detection.
+
+    `detected` returns the time at which it detects a second publisher in a stream of messages, or None.
+    """
+    ours, theirs = twins(seed)
+    theirs.sort()
+    time = detected(ours + theirs)
+    return np.inf if time is None else time - max(theirs[0].arrival + BOUND, theirs[2].arrival)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from message_streams import BOUND, RESERVED, restarts, twins, without_numbers
+from message_streams import RESERVED, delay_of, restarts, twins, without_numbers
 
 from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
@@ -17,14 +17,6 @@ def detected(messages, series=None):
     return None
 
 
-def delay(seed):
-    """Return the time from the bound to the detection [s], negative within the bound; infinite without detection."""
-    ours, theirs = twins(seed)
-    theirs.sort()
-    time = detected(ours + theirs)
-    return np.inf if time is None else time - max(theirs[0].arrival + BOUND, theirs[2].arrival)
-
-
 def false_alarm(seed):
     """Return True if 50 restarts are taken for two publishers."""
     return detected(restarts(seed)) is not None
@@ -35,7 +27,7 @@ LONG = pytest.param(1000, marks=pytest.mark.long)
 
 @pytest.mark.parametrize("count", [60, LONG])
 def test_second_publisher_is_detected_within_the_bound(count):
-    delays = np.array([delay(seed) for seed in range(RESERVED, RESERVED + count)])
+    delays = np.array([delay_of(detected, seed) for seed in range(RESERVED, RESERVED + count)])
     assert np.isfinite(delays).all()
     assert np.mean(delays > 0.0) <= 0.01, delays[delays > 0.0]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from message_streams import BOUND, RESERVED, restarts, twins
+from message_streams import RESERVED, delay_of, restarts
 
 from diffdrive_mpc_monitor.senders import Senders
 
@@ -18,17 +18,9 @@ def detected(messages):
     return None
 
 
-def delay(seed):
-    """Return the time from the bound to the detection [s]; infinite without detection."""
-    ours, theirs = twins(seed)
-    theirs.sort()
-    time = detected(ours + theirs)
-    return np.inf if time is None else time - max(theirs[0].arrival + BOUND, theirs[2].arrival)
-
-
 @pytest.mark.parametrize("count", [60, LONG])
 def test_two_publishers_are_detected_within_the_bound(count):
-    delays = np.array([delay(seed) for seed in range(RESERVED, RESERVED + count)])
+    delays = np.array([delay_of(detected, seed) for seed in range(RESERVED, RESERVED + count)])
     assert np.mean(delays > 0.0) <= 0.01, delays[delays > 0.0]
 
 
