@@ -1,4 +1,4 @@
-"""How much of a bag is unpacked, so that a small file can fill neither memory nor disk."""
+"""Limits of the size of an unpacked bag, so that a small file can fill neither memory nor disk."""
 
 from __future__ import annotations
 

@@ -373,12 +373,15 @@ def _dead_client(attacker: Attacker, random: Random, actions: list[str]) -> None
     attacker.wait(lambda: attacker.trigger("reset"), "accepted reset")
     x, y, theta = attacker.base.pose
     poses = [[x + 0.1 * i * math.cos(theta), y + 0.1 * i * math.sin(theta), theta] for i in range(100)]
+
+    def distance() -> float:
+        return math.dist(attacker.base.pose[:2], (x, y))
+
     with subprocess.Popen([sys.executable, str(_CLIENT)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as client:
         try:
             assert client.stdin is not None
             client.stdin.write(json.dumps({"send": "goal", "frame": attacker.frame, "poses": poses}).encode() + b"\n")
             client.stdin.flush()
-            distance = lambda: math.dist(attacker.base.pose[:2], (x, y))  # noqa: E731 - read at two places
             attacker.wait(lambda: distance() > random.uniform(1.5, 3.0), "motion along the path of the goal")
         finally:
             client.kill()
