@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import resource
 import signal
@@ -180,6 +181,9 @@ def _inside(read: Callable[[Path], object], path: Path, scratch: Path, report: P
         heard.append(number)
         raise KeyboardInterrupt
 
+    # JAX and Hypothesis call Python at each garbage collection; an exception raised there is lost.
+    gc.callbacks.clear()
+    gc.freeze()  # the objects of the parent are not part of the reading
     signal.signal(signal.SIGINT, interrupt)
     resource.setrlimit(resource.RLIMIT_AS, (6_000_000_000, 6_000_000_000))
     os.environ["TMPDIR"] = os.environ["SQLITE_TMPDIR"] = tempfile.tempdir = str(scratch)

@@ -96,7 +96,7 @@ _YAML: dict[str, Content] = {
 }
 _JSON: dict[str, Content] = {
     "nesting": lambda random: random.choice(("[", '{"a":')) * random.choice((1_000, 100_000, 5_000_000)),
-    "lists": lambda random: "[" + "[]," * random.choice((5_000_000, 10_000_000)) + "[]]",
+    "lists": lambda random: "[" + "[]," * random.choice((2_500_000, 10_000_000)) + "[]]",
     "odd": lambda random: json.dumps({"format": odd_name(random), odd_name(random): 1}),
 }
 
