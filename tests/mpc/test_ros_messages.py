@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import time
 from contextlib import suppress
 from types import SimpleNamespace
@@ -263,15 +264,16 @@ def test_control_loop_runs_while_a_reference_is_read():
         path.header.frame_id = "odom"
         x, y, theta = s.base.plant.true_pose
         for index in range(1000):
-            along = 0.3 * 0.02 * index
-            pose = x + along * math.cos(theta), y + along * math.sin(theta), theta
+            pose = x + 0.006 * index * math.cos(theta), y + 0.006 * index * math.sin(theta), theta
             path.poses.append(stamped_pose_message(pose, 10**9 + index * 20_000_000, "odom"))
         publisher = s.publisher(Path, "set_path")
         publisher.publish(path)
-        s.base.until(lambda: s.node._aside._thread is not None, "the path to arrive")
-        # Between its arrival and its acceptance ticks are answered: a process cannot be quicker than to begin.
+        s.base.until(lambda: s.node._aside._process is not None, "the path to arrive")
+        # While the process that reads is halted, ticks are answered.
+        os.kill(s.node._aside._process.pid, signal.SIGSTOP)
         s.base.run(3)
         assert s.loop.begun is before
+        os.kill(s.node._aside._process.pid, signal.SIGCONT)
         s.base.until(lambda: s.loop.begun is not before, "the path to be begun")
         s.base.run(2)
         assert s.loop.begun.reference.name == "path"
