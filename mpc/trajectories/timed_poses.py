@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 from array import array
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import replace
-from operator import le
 from pathlib import Path
 from typing import BinaryIO
 
@@ -134,22 +132,20 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
     """Parse the four numbers of one row."""
     if len(cells) <= max(columns):
         raise ConfigError(f"{path}, line {line}: {len(cells)} values are fewer than the header names; complete the row")
-    with suppress(ValueError):  # checks of one number each, below, take most of the time of a large file
-        numbers = [float(cells[column]) for column in columns]
-        if all(map(le, map(abs, numbers), _MOST.values())):
-            return numbers
+    numbers = []
     for name, column in zip(_COLUMNS, columns, strict=True):
         try:
             number = float(cells[column])
         except ValueError:
             number = np.nan
-        if not np.isfinite(number):
-            raise ConfigError(
-                f"{path}, line {line}: {name} = '{plain_line(cells[column], 40)}' is not a finite number; correct it"
-            )
-        if abs(number) > _MOST[name]:
-            break
-    raise ConfigError(f"{path}, line {line}: {name} = {number:g} is beyond {_MOST[name]:g}; is it in m, s, rad?")
+        if not abs(number) <= _MOST[name]:  # true for NaN, too; one check of each number of a large file
+            if np.isfinite(number):
+                fault = f"{name} = {number:g} is beyond {_MOST[name]:g}; is it in m, s, rad?"
+            else:
+                fault = f"{name} = '{plain_line(cells[column], 40)}' is not a finite number; correct it"
+            raise ConfigError(f"{path}, line {line}: {fault}")
+        numbers.append(number)
+    return numbers
 
 
 def _check_speeds(
