@@ -11,10 +11,9 @@ from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.solve import OutputErrorFit
+from diffdrive_mpc.models.output_error.solve import AT_BOUND, OutputErrorFit
 from diffdrive_mpc.models.velocity_model import mean_delay
 
-_AT_BOUND = 1e-3
 _CERTAIN = 2.0
 # Poles that differ by more than this factor are distinct: the fast one is only badly known, which is reported, too.
 _FAR_APART = 4.0
@@ -93,10 +92,10 @@ def at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, str] | None =
     low, high = fit.layout.bounds
     verdicts = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
-        if name.startswith("dead_time") and value - lower < _AT_BOUND:
+        if name.startswith("dead_time") and value - lower < AT_BOUND:
             words = "no dead time is seen beside the lag; has the mapping taken off too much delay?"
             verdicts.append(Doubt("no dead time", words).of(label))
-        elif min(value - lower, upper - value) < _AT_BOUND:
+        elif min(value - lower, upper - value) < AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
             shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
             words = f"{shown} lies at the {side} bound of the search, {bound:.3g}: the data do not determine it"

@@ -226,12 +226,22 @@ def _weights(
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
+AT_BOUND = 1e-3
+"""A parameter that is nearer to an end of its range lies at it."""
+
+
 def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich:
     problem, rows = data.problem(layout, parameters), sum(map(np.size, data.weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
+    # A time constant at the end of its range counts as known: the data say nothing of it.
+    at_end = np.minimum(parameters - layout.bounds[0], layout.bounds[1] - parameters) < AT_BOUND
+    free = np.flatnonzero(~(at_end & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
-    return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))
+    estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))
+    covariance = np.zeros((len(parameters),) * 2)
+    covariance[np.ix_(free, free)] = estimate.covariance
+    return estimate._replace(covariance=covariance)
 
 
 def find_limits(
