@@ -29,7 +29,7 @@ from diffdrive_mpc.models.identification.deliver.trust import refusals
 from diffdrive_mpc.models.identification.fit.fitting import fit, with_predictor
 from diffdrive_mpc.models.identification.fit.poses import from_poses
 from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders
-from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surface, surface_text
+from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surface, slip_prior, surface_text
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log
@@ -287,12 +287,15 @@ def identify_data(
     if predictor:
         announce(f"{predictor} (a minute or more)")
         fitted = with_predictor(data, fitted, finders()[predictor]())
-    report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today(), robot)
+    poses = from_poses(data, fitted)
+    slip = slip_prior(poses.centred([*data.train, *data.validation]))
+    report = IdentificationReport(name, data, fitted, poses, slip, date.today(), robot)
     configuration = configure(
         name,
         fitted.identified,
         data.train,
         fitted.geometry,
+        report.slip,
         stated=data.stated_track,
         every_sample=predictor is not None,
     )
@@ -306,7 +309,7 @@ def identify_data(
     else:
         content = fitted.predictor.content(_fields(report, fitted.predictor))
         model = fitted.predictor.model(content)
-    surface = log_surface(data.train)
+    surface = log_surface(data.train, report.slip)
     identification = Identification(model, configuration.mapping(), surface, report, content, configuration)
     _lock(identification)
     return identification

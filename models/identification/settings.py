@@ -46,6 +46,13 @@ class StackSettings(StrictModel):
     slow_speed: Positive = Field(description="speed of the least look-ahead [m/s]")
 
 
+class SlipSettings(StrictModel):
+    """Mean of a slip, its standard deviation, and that between surfaces."""
+
+    side_slip: tuple[Positive, Positive, Positive] = Field(description="lateral speed, outward, over v omega [s]")
+    load_shift: tuple[Positive, Positive, Positive] = Field(description="turning point over acceleration [s^2]")
+
+
 class IdentificationSettings(StrictModel):
     """Sizes and thresholds of the way from logs to a model."""
 
@@ -70,6 +77,7 @@ class IdentificationSettings(StrictModel):
     lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
     expert: tuple[str, ...] = Field(description="groups and keys of a configuration that stand under `expert:` in it")
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
+    slip: SlipSettings = Field(description="prior of what the filter of a configuration begins with")
     stack: StackSettings = Field(description="parameters for other packages")
     warn: JudgementSettings
     advice: AdviceSettings = Field(description="when a change of the mapping is advised")

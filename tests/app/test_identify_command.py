@@ -13,8 +13,10 @@ from commands import invoke
 from diffdrive_mpc import identify, load_config
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.report_folder import CONTENTS
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.load import read_model_file
 from diffdrive_mpc.mpc.trajectories.load import load_segments
+from diffdrive_mpc.sim.plants.surface import load_surface
 
 ROOT = Path(__file__).parents[2]
 NO_POSE = MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", "")
@@ -104,6 +106,8 @@ def test_the_configuration_drives_the_plant(mine, logs):
     # The square turns on the spot with 1.0 rad/s and drives with 0.5 m/s; corrections go a little beyond.
     assert 0.5 <= loaded.limits.v < 0.7
     assert 1.0 <= loaded.limits.omega < 1.5
+    start, truth = loaded.estimator, load_surface("default").slip.side_slip
+    assert abs(start.side_slip - truth) < 2 * start.side_slip_uncertainty < 0.08
     bench = logs / "bench"
     words = f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1 --models"
     run(*words.split(), f"sm,{mine[0] / 'model.yaml'}")
@@ -141,5 +145,7 @@ def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_pa
     assert limits.v is None
     assert limits.omega == pytest.approx(0.9, rel=0.02)
     config = load_config(out / "config.yaml")
+    assert config.estimator.side_slip_uncertainty == identification_settings().slip.side_slip[1]
+    assert "s^2: a wide prior, as the log has too few" in (out / "report.md").read_text()
     assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
     assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)

@@ -11,6 +11,7 @@ from limit_population import drawn_case, judged
 from diffdrive_mpc import VelocityModel, load_model
 from diffdrive_mpc.models.identification.deliver.configuration import choose_pace, configure, settling_time
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
+from diffdrive_mpc.models.identification.fit.slip import slip_prior
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.logs.record import Record
@@ -44,7 +45,7 @@ def identified(slew=None, deviation=0.1, limits=None, effects=None):
 
 
 def limits(found, geometry=GEOMETRY):
-    return configure("robot", found, TRAIN, geometry).mapping()["limits"]
+    return configure("robot", found, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
 
 
 def test_the_slew_stays_two_deviations_inside_that_of_the_base():
@@ -80,7 +81,9 @@ def test_motors_that_saturate_bind_before_what_the_log_asked():
 @pytest.mark.parametrize("geometry", [GEOMETRY, None])
 @pytest.mark.parametrize("slew", [(1.5, 3.0), None])
 def test_the_file_says_what_the_mapping_says(slew, geometry):
-    found = configure("robot", identified(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry)
+    found = configure(
+        "robot", identified(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
+    )
     text = found.text()
     assert side_by_side(yaml.safe_load(text)) == found.mapping()
     assert found.mapping()["sample_time"] == 0.05
@@ -91,13 +94,13 @@ def test_the_file_says_what_the_mapping_says(slew, geometry):
 
 
 def test_a_larger_robot_has_more_room_and_a_small_one_no_less_than_usual():
-    large = configure("robot", identified(), TRAIN, WheelGeometry(0.2, 0.99)).mapping()
+    large = configure("robot", identified(), TRAIN, WheelGeometry(0.2, 0.99), slip_prior(TRAIN)).mapping()
     assert large["reentry"]["band"] == pytest.approx(3 * 0.08)
     assert large["failure"]["max_position_error"] == pytest.approx(3.0)
-    small = configure("robot", identified(), TRAIN, WheelGeometry(0.02, 0.1)).mapping()
+    small = configure("robot", identified(), TRAIN, WheelGeometry(0.02, 0.1), slip_prior(TRAIN)).mapping()
     assert "reentry" not in small
     fast = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
-    assert configure("robot", identified(), fast, None).mapping()["reentry"]["wait"] == pytest.approx(
+    assert configure("robot", identified(), fast, None, slip_prior(fast)).mapping()["reentry"]["wait"] == pytest.approx(
         0.9 * 3 / 1.5 * 0.1
     )
 
@@ -146,12 +149,6 @@ def test_settling_is_that_of_the_step_response(name):
         (off,) = np.nonzero(np.abs(answer - answer[-1]) > SETTINGS.settled * abs(answer[-1]))
         late = max(late, time[off[-1]] + model.dead_time[row])
     assert settling_time(model) == pytest.approx(late, abs=0.02)
-
-
-@given(st.floats(0.02, 3.0), st.floats(0.0, 0.5))
-def test_a_lag_is_answered_after_three_time_constants(lag, dead_time):
-    found = settling_time(lag_of(lag, quick=lag / 2, dead_time=(dead_time, 0.0)))
-    assert found == pytest.approx(dead_time - lag * np.log(SETTINGS.settled), rel=0.03)
 
 
 @settings(max_examples=50)

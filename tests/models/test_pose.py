@@ -1,5 +1,7 @@
 """Poses: arcs, angles, and the calibration of where a pose is measured."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -14,11 +16,11 @@ from diffdrive_mpc.models.identification.fit.pose_calibration import (
     GrowingTrack,
     SlipPolynomial,
     calibrate_gyro,
+    calibrate_lags,
     calibrate_wheels,
-    displacement,
 )
 from diffdrive_mpc.models.identification.fit.poses import rotation_centre
-from diffdrive_mpc.models.identification.fit.slip import lateral_slip
+from diffdrive_mpc.models.identification.fit.slip import lateral_slip, slip_prior
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.pose import arc_displacement, wrap_angle
 from diffdrive_mpc.models.slip_laws import virtual_track_yaw_rate
@@ -170,12 +172,13 @@ def test_the_gyro_scale_is_found_behind_a_late_pose():
     assert found.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
 
 
-def test_the_moved_point_goes_once_around_its_centre():
-    """A full turn on the spot brings the point back; half a turn to the other side."""
-    half = displacement(np.tile([0.0, 0.0, np.pi], (1, 50, 1)), DT, np.array([0.2, 0.1]))[0]
-    assert half == pytest.approx([-0.4, -0.2, np.pi])
-    whole = displacement(np.tile([0.0, 0.0, 2 * np.pi], (1, 50, 1)), DT, np.array([0.2, 0.1]))[0]
-    assert whole == pytest.approx([0.0, 0.0, 2 * np.pi], abs=1e-12)
+def test_lags_and_scale_are_estimate_beside_poses():
+    """Wheels read 4 % too much, three samples late; poses are one sample late, so that the gyro leads them."""
+    plain = drive(*LAWS[0], noise=(0.005, 0.005), lag=1)
+    read = 1.04 * LAWS[0][0].twist(np.array(LAWS[0][1]), np.roll(plain.wheels, 3, axis=0))[:, [0, 2]]
+    estimate = calibrate_lags([replace(plain, twist=read)])
+    assert np.all(np.abs(estimate.values - [2 * DT, 1.04, -DT]) < 4 * estimate.standard_deviation)
+    assert np.all(estimate.standard_deviation < [0.3 * DT, 0.006, 0.3 * DT])
 
 
 @given(x=st.floats(-5, 5), theta=st.floats(-4, 4), ahead=st.floats(-1, 1), left=st.floats(-1, 1))
@@ -232,7 +235,22 @@ def test_deviation_of_lateral_slip_covers_its_error():
     assert (size < 2.0).all(), size
 
 
-def test_record_without_poses_has_no_lateral_slip():
-    whole = slipping(0.1, 0.0, 0.0)
-    assert lateral_slip([Record("drive", 0.0, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)]) is None
-    assert lateral_slip([]) is None
+@pytest.mark.parametrize(("gyro", "left_out"), [(True, 1), (False, 1), (True, 10)])
+def test_slip_prior_holds_the_truth_with_and_without_gyro_and_with_few_poses(gyro, left_out):
+    whole = slipping(0.15, 0.02, 0.005)
+    yaw_rate, fresh = whole.yaw_rate if gyro else None, np.arange(SAMPLES) % left_out == 0
+    twist = whole.twist * [1.0, 1.2]  # a skid-steer's wheels turn faster than its body
+    record = Record("drive", 0.0, DT, twist, twist=twist, yaw_rate=yaw_rate, pose=whole.pose, fresh_pose=fresh)
+    prior = slip_prior([record])
+    assert prior.is_regressed
+    assert (np.abs(prior.estimate.values - [0.15, 0.02]) < 2 * prior.estimate.standard_deviation).all()
+
+
+def test_slip_prior_is_wide_without_poses_with_noisy_poses_and_without_turns():
+    whole, none = slipping(0.1, 0.0, 0.0), np.zeros((SAMPLES, 3))
+    mute = Record("mute", 0.0, DT, whole.twist, twist=whole.twist, yaw_rate=whole.yaw_rate)
+    still = replace(whole, twist=none[:, :2], yaw_rate=none[:, 0], pose=none)
+    assert lateral_slip([]) is lateral_slip([mute]) is lateral_slip([still]) is None
+    assert slip_prior([mute]).estimate.values.tolist() == [0.06, 0.05]
+    noisy = replace(whole, pose=whole.pose + np.random.default_rng(1).normal(size=none.shape))
+    assert not any(slip_prior([record]).is_regressed for record in (mute, still, noisy))

@@ -17,6 +17,7 @@ import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
+from diffdrive_mpc.models.identification.fit.slip import SlipPrior
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
@@ -285,6 +286,7 @@ def configure(
     identified: IdentifiedModel,
     train: Sequence[Record],
     geometry: WheelGeometry | None,
+    slip: SlipPrior,
     *,
     stated: float | None = None,
     every_sample: bool = False,
@@ -301,6 +303,8 @@ def configure(
         The records it was identified from.
     geometry
         Wheel radius and track of the log; None without wheel speeds.
+    slip
+        Values that the filter begins with.
     stated
         Track that the mapping states [m]; it counts where the log has no wheel speeds that tell it.
     every_sample
@@ -335,7 +339,7 @@ def configure(
         _general(identified, train[0].dt, every_sample=every_sample),
         (*limits, *lengths.get("limits", ())),
         tuple(wheels),
-        _noises(train),
+        (*_noises(train), *_slip(slip)),
         tuple(lengths.get("reentry", ())),
         tuple(lengths.get("failure", ())),
     )
@@ -408,6 +412,16 @@ def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
         for name in least
         if deviations.get(name, 0.0) > least[name]
     )
+
+
+def _slip(prior: SlipPrior) -> list[Setting]:
+    """Return where the filter begins."""
+    side_slip, load_shift = prior.estimate.values
+    return [
+        _setting("side_slip", side_slip, f"s, lateral speed, outward, over v omega: {prior.source()}"),
+        _setting("side_slip_uncertainty", prior.estimate.deviation("side_slip"), "s, on this and other surfaces"),
+        _setting("load_shift", load_shift, f"s^2, lateral speed, inward, over a omega: {prior.source()}"),
+    ]
 
 
 def _slew(identified: IdentifiedModel) -> list[Setting]:

@@ -27,6 +27,7 @@ from diffdrive_mpc.models.identification.deliver.tables import (
 from diffdrive_mpc.models.identification.deliver.trust import Trust, judge
 from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.fit.poses import PoseResults
+from diffdrive_mpc.models.identification.fit.slip import SlipPrior
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
@@ -45,8 +46,8 @@ class IdentificationReport:
     ----------
     name
         Of the model.
-    data, fitted, poses
-        What it was made from, the model with its scores, and what poses added.
+    data, fitted, poses, slip
+        What it was made from, the model with its scores, what poses added, and how the filter begins.
     day
         Of the identification.
     robot
@@ -57,6 +58,7 @@ class IdentificationReport:
     data: LogData
     fitted: Fitted
     poses: PoseResults
+    slip: SlipPrior
     day: date
     robot: MakersRobot | None = None
 
@@ -218,6 +220,7 @@ class IdentificationReport:
                 f"Identified from {spans[0]:.0f} s, tried on {spans[1]:.0f} s, {data.held_out}; "
                 f"one sample every {data.train[0].dt:.6g} s.",
                 f"omega is that of the {data.yaw}.",
+                str(self.slip),
                 f"Estimation took {fitted.seconds:.1f} s.",
                 f"diffdrive-mpc {_version()}, {self.day.isoformat()}.",
             ]
@@ -252,11 +255,11 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
 
 def mount_doubts(poses: PoseResults) -> list[Doubt]:
     """A doubt if poses are those of a point that the robot does not turn about."""
-    place = {name.rpartition("_")[2].rpartition(".")[2]: poses.parameters.value(name) for name in poses.mount}
-    if not place or np.hypot(place["ahead"], place["left"]) < identification_settings().warn.lever_arm:
+    ahead, left = poses.place
+    if not ahead and not left:
         return []
     words = (
-        f"poses: their point sits {place['ahead']:.3f} m ahead and {place['left']:.3f} m to the left of the centre of "
+        f"poses: their point sits {ahead:.3f} m ahead and {left:.3f} m to the left of the centre of "
         "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
     )
     return [Doubt("pose point", words)]

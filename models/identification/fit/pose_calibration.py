@@ -18,13 +18,15 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.doubts import badly_known
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
 
 _FEWEST_WINDOWS = 20
 _ROUNDS = 6
+# Share of the settings' window in which a lag is found: it shows at the ends of a window, by how the speed changed.
+_LAG_WINDOW = 0.4
 
 
 class SlipLaw(Protocol):
@@ -170,12 +172,17 @@ class PoseWindows(NamedTuple):
     """Sample time [s]."""
     signal: FloatArray
     """(n, W, c) mean of the signal over each step."""
+    change: FloatArray
+    """(n, c) by how much the signal is larger at the end than at the beginning."""
     displacement: FloatArray
     """(n, 3) motion of the pose point seen from the window's first pose: ahead [m], to the left [m], turned [rad]."""
 
 
+_Signal = Literal["wheels", "twist", "yaw_rate"]
+
+
 def pose_windows(
-    records: Sequence[Record], signal: Literal["wheels", "yaw_rate"], pose_lag: float = 0.0
+    records: Sequence[Record], signal: _Signal, pose_lag: float = 0.0, share: float = 1.0
 ) -> list[PoseWindows]:
     """Windows of the settings' length, none overlapping, in which the signal is known throughout.
 
@@ -187,26 +194,29 @@ def pose_windows(
         What to cut out beside the poses.
     pose_lag
         By how much poses describe the robot earlier than their stamp says, against the signal [s].
+    share
+        Of the settings' length [-].
 
     Raises
     ------
     ValueError
         If a record has no pose or no such signal, or there are too few windows in all.
     """
-    of_records = [_of_record(record, signal, pose_lag) for record in records]
+    length = share * identification_settings().pose_window
+    of_records = [_of_record(record, signal, pose_lag, length) for record in records]
     count = sum(len(windows.displacement) for windows in of_records)
     if count < _FEWEST_WINDOWS:
         raise ValueError(f"{count} windows with a pose at both ends; a calibration needs {_FEWEST_WINDOWS}: longer log")
     return [windows for windows in of_records if len(windows.displacement)]
 
 
-def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: float) -> PoseWindows:
+def _of_record(record: Record, name: _Signal, pose_lag: float, length: float) -> PoseWindows:
     value, pose = getattr(record, name), record.pose
     if value is None or pose is None:
         raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
     signal = np.asarray(value).reshape(len(value), -1)
     mean = 0.5 * (signal[1:] + signal[:-1])
-    steps, lag = round(identification_settings().pose_window / record.dt), round(pose_lag / record.dt)
+    steps, lag = max(2, round(length / record.dt)), round(pose_lag / record.dt)
     step = np.arange(len(pose)) - lag
     known = (step >= 0) & (step < len(mean))
     known[known] = np.isfinite(mean[step[known]]).all(axis=1)
@@ -215,7 +225,7 @@ def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: fl
     first, last = pose[rows], pose[rows + steps]
     moved = last - first
     displacement = np.column_stack([*ahead_and_left(moved, first[:, 2]), wrap_angle(moved[:, 2])])
-    return PoseWindows(record.dt, cut, displacement)
+    return PoseWindows(record.dt, cut, signal[rows - lag + steps] - signal[rows - lag], displacement)
 
 
 @dataclass(frozen=True)
@@ -298,6 +308,52 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
         return np.asarray(measured - parameters[0] * true - parameters[1])[:, None]
 
     return _solve(errors, np.array([1.0, 0.0]), ("gyro_scale", "gyro_offset"))
+
+
+def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
+    """Find by how much wheels and gyro lag poses, `wheels.lag` and `gyro.lag` [s], and their `wheels.scale` [-].
+
+    A reading r that lags by L has the motion s ahead of it: over a window s = (integral of r + L (r_end - r_start)) /
+    scale, plus what a pose point beside the centre adds in turning, or a gyro's bias. The wheels' yaw rate is left out:
+    on a skid-steered robot the body follows it late, by its tyres. Without a gyro there is no `gyro.lag`.
+
+    Raises
+    ------
+    ValueError
+        If wheels or poses are missing, or there are too few windows.
+    """
+    wheels = pose_windows(records, "twist", share=_LAG_WINDOW)
+    half = [0.5 * part.displacement[:, 2] for part in wheels]
+    ahead = [
+        (np.cos(h) * part.displacement[:, 0] + np.sin(h) * part.displacement[:, 1]) / np.sinc(h / np.pi)
+        for h, part in zip(half, wheels, strict=True)
+    ]
+    encoders = (
+        _lag(wheels, ahead, [2.0 * np.sin(h) for h in half]).renamed("wheels").part(["wheels.lag", "wheels.scale"])
+    )
+    if any(record.yaw_rate is None for record in records):
+        return encoders
+    gyro = pose_windows(records, "yaw_rate", share=_LAG_WINDOW)
+    turned = [part.displacement[:, 2] for part in gyro]
+    return joined(
+        [encoders, _lag(gyro, turned, [np.ones_like(turn) for turn in turned]).renamed("gyro").part(["gyro.lag"])]
+    )
+
+
+def _lag(
+    windows: Sequence[PoseWindows], motion: Sequence[FloatArray], beside: Sequence[FloatArray]
+) -> ParameterEstimate:
+    """Find lag, scale and factor of `beside` of a signal's first column against a motion (n,) in each window."""
+    signals = [part.signal[..., 0] for part in windows]
+    whole = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
+    change = np.concatenate([part.change[:, 0] for part in windows])
+    moved, turning = np.concatenate(motion), np.concatenate(beside)
+
+    def errors(parameters: FloatArray) -> FloatArray:
+        lag, scale, factor = parameters
+        return np.asarray(moved - (whole + lag * change) / scale - factor * turning)[:, None]
+
+    return _solve(errors, np.array([0.0, 1.0, 0.0]), ("lag", "scale", "beside")).parameters
 
 
 def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatArray:

@@ -169,6 +169,17 @@ class PoseResults:
         pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
         return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
 
+    @property
+    def place(self) -> tuple[float, float]:
+        """Pose point ahead and to the left of the rotation centre [m]; zeros if they agree or nothing is known."""
+        ahead, left = [self.parameters.value(name) for name in self.mount] or (0.0, 0.0)
+        far = np.hypot(ahead, left) >= identification_settings().warn.lever_arm
+        return (ahead, left) if far else (0.0, 0.0)
+
+    def centred(self, records: Sequence[Record]) -> list[Record]:
+        """Return the records with a pose, with poses of the rotation centre."""
+        return [replace(r, pose=rotation_centre(np.asarray(r.pose), self.place)) for r in _with_pose(records)]
+
 
 class PosePoint(NamedTuple):
     """What lies between the body's rotation centre and a measured pose."""
