@@ -1,6 +1,6 @@
 """Identify a robot from logs of its drives, and drive it with the model that was found.
 
-The robot here is a simulated one that no shipped model fits: as over a slow radio link it answers 0.2 s later. Of your
+The robot here is a simulated one that no shipped model fits: as over a slow radio link it answers 0.3 s later. Of your
 own robot take logs with commands, wheel speeds, gyro and poses, as CSV or ROS 2 bag; `mapping="mine.yaml"` says which
 column is what.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 from diffdrive_mpc import Controller, identify, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_log
 
-ROBOT = "model:sm+0.2"
+ROBOT = "model:sm+0.3"
 OUT = Path("identified")
 
 # 1. Drive with a controller that ships. It need not track well: it has to speed up, brake and turn.

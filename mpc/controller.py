@@ -37,6 +37,7 @@ from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
@@ -107,11 +108,12 @@ class Controller:
         terms: Sequence[Term] = (),
     ) -> None:
         config, terms = prepared(load_config(config)), checked_terms(terms)
-        self._config, self._given = config, (model, terms)
+        self._given = model, terms
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))
         dt, chosen = config.sample_time, chosen_model(config, model)
         self._predicted = _Predicted.by(chosen, dt)
+        self._config = config = with_increments(config, self._predicted.sampled)
         self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in features_of(config).items()}
         self._window, room = 0, {}
         for longest in filter(None, (feature.longest() for feature in self._features.values())):
@@ -205,7 +207,7 @@ class Controller:
 
     @property
     def config(self) -> ControllerConfig:
-        """The configuration in force."""
+        """The configuration in force, with numbers for the weights that follow from the margin."""
         return self._config
 
     @property
@@ -487,6 +489,7 @@ class Controller:
             for key, value in (values or {}).items()
         }
         config = replace_values(self._pending.config if self._pending else self._config, changes)
+        config = with_increments(config, self._predicted.sampled)
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(

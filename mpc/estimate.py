@@ -38,12 +38,12 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 14 or 19,) mean of the filter's state: states, slip, gyro bias and pose."""
+        """(n + 16 or 21,) mean of the filter's state: states, slip, gyro bias, delays and pose."""
         return self._layout.take(self._block, "mean")
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 14 or 19,) standard deviations of the same."""
+        """(n + 16 or 21,) standard deviations of the same."""
         return self._layout.take(self._block, "deviation")
 
     @property
@@ -81,12 +81,17 @@ class Estimate:
     @property
     def gyro_bias(self) -> float:
         """Bias of the gyro [rad/s]."""
-        return float(self.mean[-4])
+        return float(self.mean[-6])
 
     @property
     def gyro_bias_deviation(self) -> float:
         """Its standard deviation."""
-        return float(self.deviation[-4])
+        return float(self.deviation[-6])
+
+    @property
+    def delays(self) -> FloatArray:
+        """(2,) delays of v and omega that the model lacks [s]."""
+        return self.mean[-5:-3]
 
     @property
     def state(self) -> FloatArray:
@@ -110,7 +115,7 @@ class Belief:
     Attributes
     ----------
     mean
-        (Z,) in the units of `Estimate.mean`, Z = n + 14 or n + 19.
+        (Z,) in the units of `Estimate.mean`, Z = n + 16 or n + 21.
     covariance
         (Z, Z).
     sent
@@ -127,7 +132,7 @@ class Belief:
     @property
     def slips(self) -> slice:
         """Slice of the slip in the state: the first 10 of `SLIPS`, or all 15 if the configuration uses curved slip."""
-        return slice(self.states, len(self.mean) - 4)
+        return slice(self.states, len(self.mean) - 6)
 
     @property
     def pose(self) -> FloatArray:

@@ -48,7 +48,7 @@ def tracking(
     out: Annotated[Path, out_option("report.html, tracking.json, tracking.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    only: Annotated[str | None, _parts_option("targets, ablation, cross, surfaces, scenarios, bound")] = None,
+    only: Annotated[str | None, _parts_option("targets, ablation, cross, surfaces, scenarios, floor, bound")] = None,
     jobs: Jobs = None,
 ) -> None:
     """Run the tracking study and write its tables and figures: about ten minutes on two cores."""

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.rooms import plain_key
+from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -66,7 +67,8 @@ class ConfigurationSearch:
         self._plan = plan
         start = load_config(config)
         self._named = {"model": config} if is_shipped(config) else {"config": config, "model": start.model}
-        self.start: Values = {key: _value(start, key) for key in plan.parameters}
+        settled = build_problem(start, chosen_model(start, None)).config
+        self.start: Values = {key: _value(settled, key) for key in plan.parameters}
         ends = {key: searched.ends(key, self.start[key]) for key, searched in plan.parameters.items()}
         for side in range(2):
             load_config(config, {key: type(self.start[key])(pair[side]) for key, pair in ends.items()})

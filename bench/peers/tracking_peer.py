@@ -196,10 +196,12 @@ class TrackingPeer:
         return twist, ""
 
     def _sight(self, reference: Reference, since_start: float, motion: PredictedMotion, slip: Slip) -> LawInput:
-        sample = reference.sample(since_start + np.array([self._lead, *self._lag]))
+        dt = self._config.sample_time
+        sample = reference.sample(since_start + np.array([self._lead, *self._lag, self._lag[0] + dt]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
+        acceleration = (sample.twist[3, 0] - feed_forward[0]) / dt
         # Turning on the spot, there is no direction of travel.
-        crab = float(self._aim(np.zeros(3), feed_forward, slip.flat)[3])
+        crab = float(self._aim(np.zeros(3), feed_forward, slip.flat, acceleration)[3])
         crab = crab if abs(feed_forward[0]) > STANDING else 0.0
         travel = motion.pose - np.array([0.0, 0.0, crab])
         pose = sample.pose[0].copy()

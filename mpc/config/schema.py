@@ -39,18 +39,30 @@ class ExtraDeadTime(Group):
 class Weights(Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
-    along: NotNegative = Field(250.0, description="squared position error along the path [1/m^2]")
+    along: NotNegative = Field(350.0, description="squared position error along the path [1/m^2]")
     across: NotNegative = Field(700.0, description="squared position error across the path [1/m^2]")
     heading: NotNegative = Field(30.0, description="squared heading error, side-slip allowed for [1/rad^2]")
     v: NotNegative = Field(8.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
     omega: NotNegative = Field(0.1, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
-    v_increment: Positive = Field(40.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
-    omega_increment: Positive = Field(35.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
+    v_increment: Positive | None = Field(
+        None, description="squared increment of v_ref from tick to tick; null: from margin.v [s^2/m^2]"
+    )
+    omega_increment: Positive | None = Field(
+        None, description="squared increment of omega_ref from tick to tick; null: from margin.omega [s^2/rad^2]"
+    )
     terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
     soft: Positive = Field(
         50.0, description="exact penalty on each unit by which a soft limit is exceeded [1/(m/s), 1/(rad/s), 1/m]"
     )
     soft_quadratic: Positive = Field(50.0, description="quadratic penalty beside it [1/(m/s)^2, 1/(rad/s)^2, 1/m^2]")
+
+
+class Margin(Group):
+    """Delay beyond the model's that the closed loop tolerates; see docs/tuning.md."""
+
+    # With these SM has the weights that were tuned for it, 20 and 15, and MBM 30 and 24, SSM 114 and 27.
+    v: Annotated[float, Field(ge=0, le=1)] = Field(0.275, description="unknown delay of v_ref [s]")
+    omega: Annotated[float, Field(ge=0, le=1)] = Field(0.145, description="unknown delay of omega_ref [s]")
 
 
 class Limits(Group):
@@ -111,10 +123,39 @@ class Wheels(Group):
     )
 
 
+class PoseResponse(Group):
+    """Properties of poses."""
+
+    delay: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="a reading is so much older than its stamp [s]")
+
+
+class SpeedResponse(PoseResponse):
+    """Properties of a sensor of speed."""
+
+    lag: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0, description="by which its own filter trails what it measures: time constants, all added [s]"
+    )
+    scale: Annotated[float, Field(ge=0.5, le=2)] = Field(1.0, description="reading over what is [-]")
+
+    @property
+    def late(self) -> float:
+        """Return delay and lag together [s]: a lag shows as so much delay where motion changes slowly beside it."""
+        return self.delay + self.lag
+
+
+class SensorResponses(Group):
+    """Differences between the readings of sensors and the motion at their stamps."""
+
+    wheels: SpeedResponse = SpeedResponse()
+    yaw_rate: SpeedResponse = SpeedResponse()
+    pose: PoseResponse = PoseResponse()
+
+
 class Compensation(Group):
     """What the controller makes up for. All of it in practice; one at a time left out shows what it is worth."""
 
     dead_time: bool = Field(True, description="predict over the dead time of model file and extra_dead_time [-]")
+    delay: bool = Field(True, description="estimate delays of the commands that the model lacks [-]")
     v_offset: bool = Field(True, description="estimate forward speed that the model does not explain [-]")
     yaw_gain: bool = Field(True, description="estimate how much the robot turns for what is commanded [-]")
     side_slip: bool = Field(True, description="estimate side-slip and turning point [-]")
@@ -150,6 +191,14 @@ class Estimator(Group):
     slide_uncertainty: ClassVar[float] = fixed_values()["estimator.slide_uncertainty"]
     gyro_bias_uncertainty: ClassVar[float] = fixed_values()["estimator.gyro_bias_uncertainty"]
     gyro_bias_drift: ClassVar[float] = fixed_values()["estimator.gyro_bias_drift"]
+    delay_uncertainty: ClassVar[float] = fixed_values()["estimator.delay_uncertainty"]
+    delay_drift: ClassVar[float] = fixed_values()["estimator.delay_drift"]
+    max_delay: ClassVar[float] = fixed_values()["estimator.max_delay"]
+    slide_evidence: ClassVar[float] = fixed_values()["estimator.slide_evidence"]
+    gain_evidence: ClassVar[float] = fixed_values()["estimator.gain_evidence"]
+    gain_doubt: ClassVar[float] = fixed_values()["estimator.gain_doubt"]
+    delay_doubt: ClassVar[float] = fixed_values()["estimator.delay_doubt"]
+    delay_evidence: ClassVar[float] = fixed_values()["estimator.delay_evidence"]
     position_drift: ClassVar[float] = fixed_values()["estimator.position_drift"]
     heading_drift: ClassVar[float] = fixed_values()["estimator.heading_drift"]
     min_yaw_rate: ClassVar[float] = fixed_values()["estimator.min_yaw_rate"]
@@ -166,7 +215,7 @@ class Estimator(Group):
     position_noise: Positive = Field(0.005, description="position, where the pose states no covariance [m]")
     heading_noise: Positive = Field(0.0052, description="heading, where the pose states no covariance [rad]")
     v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
-    omega_input_noise: Positive = Field(0.15, description="what the model gets wrong, as noise on omega_ref [rad/s]")
+    omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
     v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
     omega_gain_drift: Positive = Field(0.0003, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
@@ -235,6 +284,9 @@ class Monitor(Group):
     )
     trust_after: Positive = Field(
         1.0, description="a sensor that has agreed again for so long, while the robot moved, is believed again [s]"
+    )
+    wheel_limits: bool = Field(
+        True, description="learn the speed at which wheels fall short, and slow the reference down to it [-]"
     )
 
 
@@ -402,8 +454,10 @@ class ControllerConfig(Group):
     horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")
     extra_dead_time: ExtraDeadTime = ExtraDeadTime()
     weights: Weights = Weights()
+    margin: Margin = Margin()
     limits: Limits = Limits()
     wheels: Wheels = Wheels()
+    sensors: SensorResponses = SensorResponses()
     solver: Solver = Solver()
     compensation: Compensation = Compensation()
     estimator: Estimator = Estimator()

@@ -45,8 +45,9 @@ static int possible_covariance(const ddmpc_constants *constants, const real *ent
     return 1;
 }
 
-/* What is wrong with a stamp at tick `t`, after one at `last`; `number` gets what belongs to it. */
-static int stamp_fault(const ddmpc_constants *constants, ddmpc_time stamp, ddmpc_time t, ddmpc_time last, real *number)
+/* What is wrong with a stamp of `subject` at tick `t`, after one at `last`; `number` gets what belongs to it. */
+static int stamp_fault(const ddmpc_constants *constants, int subject, ddmpc_time stamp, ddmpc_time t, ddmpc_time last,
+                       real *number)
 {
     const ddmpc_time age = t - stamp;
     if (!isfinite(stamp))
@@ -58,7 +59,8 @@ static int stamp_fault(const ddmpc_constants *constants, ddmpc_time stamp, ddmpc
     }
     if (stamp <= last)
         return DDMPC_NOT_NEWER;
-    if (age > (ddmpc_time)constants->stamp_history)
+    *number += (real)constants->sensor_delay[subject];
+    if (age + constants->sensor_delay[subject] > (ddmpc_time)constants->stamp_history)
         return DDMPC_TOO_OLD;
     return DDMPC_NO_FAULT;
 }
@@ -70,7 +72,7 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     real number = R(0.0);
     if (!pose->present)
         return 0;
-    int fault = stamp_fault(constants, pose->stamp, t, estimator->pose_stamp, &number);
+    int fault = stamp_fault(constants, DDMPC_OF_POSE, pose->stamp, t, estimator->pose_stamp, &number);
     if (!all_finite(pose->value, 3))
         fault = DDMPC_NOT_NUMBERS;
     else if (pose->has_covariance && !possible_covariance(constants, pose->covariance, 3))
@@ -81,7 +83,8 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
         ddmpc_reject(&c->result, DDMPC_OF_POSE, fault, number, R(0.0));
         return 0;
     }
-    estimator->pose_stamp = checked->stamp = checked->stated = pose->stamp;
+    estimator->pose_stamp = checked->stated = pose->stamp;
+    checked->stamp = pose->stamp - constants->sensor_delay[DDMPC_OF_POSE];
     memcpy(checked->value, pose->value, sizeof checked->value);
     checked->doubt[0] = checked->doubt[1] = R(1.0);
     for (int i = 0; i < 3; i++)
@@ -100,7 +103,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     real a = R(0.0), b = R(0.0);
     if (!stamped->present)
         return 0;
-    int fault = stamp_fault(constants, stamped->stamp, t, *last_stamp, &a);
+    int fault = stamp_fault(constants, subject, stamped->stamp, t, *last_stamp, &a);
     if (!all_finite(stamped->value, count)) {
         fault = DDMPC_NOT_NUMBERS;
     } else {
@@ -133,7 +136,8 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     }
     for (int i = 0; i < count; i++) {
         checked[i].sensor = first + i;
-        checked[i].value = stamped->value[i];
+        checked[i].stamp = stamped->stamp - constants->sensor_delay[subject];
+        checked[i].value = stamped->value[i] / constants->sensor_scale[subject];
         checked[i].variance = stamped->has_covariance ? stamped->covariance[i * (count + 1)]
                                                       : constants->twist_variance[first + i];
     }

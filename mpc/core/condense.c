@@ -179,7 +179,7 @@ static void fill_hessian(ddmpc_controller *c)
     for (int i = 0; i < inputs; i++) {
         real *row = p->H + i * inputs;
         for (int j = 0; !ROWS(c) && j <= i; j++)
-            row[j] += scale * k->heading_hessian[i * inputs + j];
+            row[j] += scale * ddmpc_rows(c).heading_hessian[i * inputs + j];
         const real increment = k->increment_weight[i % 2];
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
         if (i >= 2)
@@ -193,14 +193,36 @@ static void fill_gradient(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_problem *p = &c->problem;
-    for (int i = 0; i < INPUTS(c); i++)
-        p->g[i] = p->gradient[i] - k->command_weight[i % 2] * p->feed_forward[i];
+    const real *fed = p->feed_forward;
+    const int inputs = INPUTS(c);
+    for (int i = 0; i < inputs; i++) {
+        const int channel = i % 2;
+        /* Increments count relative to those of the feed-forward: a reference that ramps costs nothing. */
+        const real into = fed[i] - (i < 2 ? p->fed_before[channel] : fed[i - 2]);
+        const real out = i < inputs - 2 ? fed[i + 2] - fed[i] : R(0.0);
+        p->g[i] = p->gradient[i] - k->command_weight[channel] * fed[i] - k->increment_weight[channel] * (into - out);
+    }
     for (int channel = 0; channel < 2; channel++)
         p->g[channel] -= k->increment_weight[channel] * p->last[channel];
 }
 
+/* The Hessian of the headings for other delays. */
+static void square_headings(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c), width = WIDTH(c);
+    memset(p->stack, 0, (size_t)(N * width) * sizeof(real));
+    for (int k = 1; k <= N; k++)
+        for (int j = 0; j < 2 * k; j++)
+            p->stack[(k - 1) * width + j] = ddmpc_sqrt(c->constants->heading[k - 1]) * ddmpc_heading_row(c, k)[j];
+    square_stack(p->stack, N, 1, width, INPUTS(c), p->late_hessian);
+    p->is_stale = 0;
+}
+
 void ddmpc_problem_condense(ddmpc_controller *c)
 {
+    if (c->problem.is_stale && !ROWS(c) && ddmpc_rows(c).heading_hessian == c->problem.late_hessian)
+        square_headings(c);
     fill_rows(c);
     fill_hessian(c);
     fill_gradient(c);

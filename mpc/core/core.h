@@ -30,6 +30,7 @@ typedef struct {
     int model_parameters;    /* Q, numbers that it is given */
     int work;                /* reals of memory that it needs */
     int command_turns;       /* kinds of soft limit that keep the least commanded radius: 2, or 0 without one */
+    int spare;               /* samples of unknown delay that a linear model makes up for */
     int pressing;            /* limits that may press at once: as many as there are commands, and soft ones that give way */
 } ddmpc_sizes;
 
@@ -59,7 +60,9 @@ typedef struct {
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
     real pose_noise[3];
-    real prior[16], uncertainty[16], drift[16]; /* of 15 slips and gyro bias: start, its deviation, variance per sample */
+    real prior[18], uncertainty[18], drift[18]; /* of 15 slips, gyro bias and delays: start, its deviation, variance per sample */
+    real evidence[4]; /* squared deviations up to which slides, omega gain, delay of v, delay of omega count as noise */
+    real doubt[2]; /* variances of the model's own omega gain, and of its lags [s^2] */
     real least_slip[15], most_slip[15];         /* they are never believed beyond */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit [-], and how long it may last [samples] */
@@ -67,6 +70,8 @@ typedef struct {
     real stamp_history;              /* oldest stamp that is taken [s] */
     real pose_variance[3];           /* where a pose states no covariance */
     real twist_variance[3];          /* wheel speed, wheel yaw rate, yaw rate */
+    ddmpc_time sensor_delay[3];      /* by subject: by how much older than its stamp a reading is [s] */
+    real sensor_scale[2];            /* by subject: reading over what is */
     real largest_twist[3], largest_twist_jump[3];
     real largest_position_jump, largest_heading_jump;
     /* see mpc/config/core_thresholds.yaml, by these names */
@@ -82,7 +87,9 @@ typedef struct {
     real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, sliding[2], frozen[2], odds[2];
     real doubtful[2], margin, plausible, memory, gains[4], held, scatter[5], late[2], far;
     /* of wheels at the end of their speed, and of what is no reason to leave the path */
-    real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, stuck, steady, trial[2], smoothed, regain;
+    real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, stuck, steady, trial[2], smoothed, slowed, retry, regain[2];
+    real on_spot, far_below;
+    int wheel_limits;                /* whether the speed at the end of the wheels is learned */
     real monitor_turn_ratio;         /* factor of turning beyond which the tracks are doubted [-] */
     real monitor_trust;              /* how long one has to agree before it is believed again [s] */
 
@@ -264,10 +271,10 @@ enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };
 
 /* The newest estimate; the filter's state is the states, slip (v_offset, omega_gain, longitudinal_gain, yaw_gain,
    side_slip, turn_ahead, turn_left, load_shift, slide_x, slide_y; where it is curved crab, veer, forward_coupling, yaw_coupling,
-   track_growth), gyro bias and pose. */
+   track_growth), gyro bias, delays of v and omega and pose. */
 typedef struct {
-    real *mean;            /* [n+S+4] */
-    real *deviation;       /* [n+S+4] */
+    real *mean;            /* [n+S+6] */
+    real *deviation;       /* [n+S+6] */
     real *twist;           /* [2] of the body, slip included [m/s, rad/s] */
     real *twist_deviation; /* [2] */
     real *innovations;     /* [4] newest squared innovation over its variance; NaN: none yet */
@@ -291,7 +298,7 @@ typedef struct {
     ddmpc_report solver;
     ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */
-    real reach;      /* speed of the faster wheels at which they fall short of what is asked; infinity: none [m/s] */
+    real reach;      /* rim speed beyond which the wheels fall short of what is demanded; infinity: none [m/s] */
     ddmpc_time gap;  /* since the last tick [s] */
     ddmpc_estimate estimate;
     /* The plan that the command comes from. */
@@ -416,6 +423,8 @@ typedef struct {
     const real *feed_forward; /* [N][2] */
     const real *ahead;        /* [N] how far ahead of its origin the robot turns on each arc along the guess [m] */
     const real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero: bounds are less this */
+    const real *fed_before;   /* [2] feed-forward of the last tick */
+    const real *late;         /* [2] delays that the plan reckons with [samples] */
 } ddmpc_program;
 /* Operations of the active set that no tick exceeds: multiplications of its loops, blocks as whole ones; for a horizon, kinds
    of limit, four of them hard, and limits that may press at once. */

@@ -137,7 +137,8 @@ static void filter_from(ddmpc_controller *c, int first)
         ddmpc_copy_belief(c, &node->posterior, &node->prior);
         for (int i = 0; i < node->twists; i++) {
             const ddmpc_checked_twist *twist = &node->twist[i];
-            estimator->innovations[twist->sensor] = ddmpc_filter_correct_twist(c, &node->posterior, twist);
+            const real ahead = (real)(twist->stamp - node->time);
+            estimator->innovations[twist->sensor] = ddmpc_filter_correct_twist(c, &node->posterior, twist, ahead);
         }
         for (int i = 0; i < node->poses; i++) {
             const real ahead = (real)(node->pose[i].stamp - node->time);
@@ -179,11 +180,12 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
                         sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
     }
     for (int ticks_ago = HISTORY(c); ticks_ago >= 0; ticks_ago--) {
-        ddmpc_velocity_step(c, state, sent(c, ticks_ago), next, 0, 0);
+        ddmpc_velocity_step(c, state, sent(c, ticks_ago), 0, next, 0, 0);
         memcpy(state, next, (size_t)n * sizeof(real));
     }
     memset(belief->mean, 0, (size_t)Z * sizeof(real));
     memset(belief->covariance, 0, (size_t)(Z * Z) * sizeof(real));
+    memset(belief->rate, 0, sizeof belief->rate);
     memset(belief->surprised, 0, sizeof belief->surprised);
     memcpy(belief->mean, state, (size_t)n * sizeof(real));
     memcpy(belief->mean + n, constants->prior, (size_t)SLIPS(c) * sizeof(real));
@@ -194,8 +196,8 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
             for (int channel = 0; channel < 2; channel++)
                 belief->covariance[i * Z + j] += constants->settled[2 * i + channel] * output[channel] *
                                                  output[channel] * constants->settled[2 * j + channel];
-    for (int i = 0; i <= SLIPS(c); i++) {
-        const real uncertainty = constants->uncertainty[i == GYRO_BIAS(c) ? CURVED_SLIPS : i];
+    for (int i = 0; i < POSE(c); i++) {
+        const real uncertainty = constants->uncertainty[i < SLIPS(c) ? i : CURVED_SLIPS + i - SLIPS(c)];
         belief->covariance[(n + i) * (Z + 1)] = uncertainty * uncertainty;
     }
 }
@@ -244,10 +246,12 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
     for (int i = 0; i < twists; i++) {
         if (unused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;
-        /* At the nearest tick: within half a sample a twist changes little. */
-        const ddmpc_time stamp = i < wheels ? input->wheels.stamp : input->yaw_rate.stamp;
-        const int index = node_before(c, stamp + 0.5 * c->constants->sample_time);
+        const ddmpc_time half = 0.5 * c->constants->sample_time;
+        const int index = node_before(c, twist[i].stamp + half);
         ddmpc_node *node = node_at(c, index);
+        /* Skip what tells of a time before the history. */
+        if (twist[i].stamp < node->time - half - 1e-9)
+            continue;
         if (node->twists == MOST_TWISTS) {
             ddmpc_reject(&c->result, i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE, DDMPC_TOO_MANY, R(0.0), R(0.0));
             continue;
@@ -281,6 +285,54 @@ int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c)
     return 1;
 }
 
+/* Reduce `mean` by a share of what it owes to the difference of the states `group` from their prior: all of it while the
+   difference is no larger than `noise` squared deviations, less with more evidence. `doubt` is a variance of a single
+   state that the filter does not know of. The filter itself learns as before. */
+static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, const int *group, int count, real noise,
+                     real doubt, real *mean)
+{
+    const int n = STATES(c), Z = BELIEF(c);
+    const real *P = belief->covariance;
+    real L[4][4], solved[4], squared = R(0.0);
+    for (int i = 0; i < count; i++) {
+        const int row = n + group[i];
+        real rest = belief->mean[row] - (group[i] < SLIPS(c) ? c->constants->prior[group[i]] : R(0.0));
+        for (int j = 0; j <= i; j++) {
+            real sum = P[row * Z + n + group[j]];
+            for (int k = 0; k < j; k++)
+                sum -= L[i][k] * L[j][k];
+            /* A state that is not estimated has no variance. */
+            L[i][j] = i == j ? ddmpc_sqrt(ddmpc_max(sum, R(0.0))) : L[j][j] > R(0.0) ? sum / L[j][j] : R(0.0);
+        }
+        for (int j = 0; j < i; j++)
+            rest -= L[i][j] * solved[j];
+        solved[i] = L[i][i] > R(0.0) ? rest / L[i][i] : R(0.0);
+        squared += solved[i] * solved[i];
+    }
+    for (int i = count - 1; i >= 0; i--) {
+        for (int j = i + 1; j < count; j++)
+            solved[i] -= L[j][i] * solved[j];
+        solved[i] = L[i][i] > R(0.0) ? solved[i] / L[i][i] : R(0.0);
+    }
+    if (count == 1)
+        squared *= L[0][0] * L[0][0] / ddmpc_max(L[0][0] * L[0][0] + doubt, R(1e-12));
+    const real share = squared > noise ? noise / squared : R(1.0);
+    for (int j = 0; j < count; j++)
+        for (int i = 0; i < Z; i++)
+            mean[i] -= share * solved[j] * P[i * Z + n + group[j]];
+}
+
+/* The mean that the controller uses: adapted to slip and delay as far as there is evidence for them. */
+static void weigh(const ddmpc_controller *c, const ddmpc_belief *belief, real *mean)
+{
+    const int groups[4][4] = {
+        {TURN_AHEAD, TURN_LEFT, SLIDE_X, SLIDE_Y}, {OMEGA_GAIN}, {DELAYS(c)}, {DELAYS(c) + 1}};
+    for (int i = 0; i < 4; i++)
+        discount(c, belief, groups[i], i == 0 ? 4 : 1, c->constants->evidence[i],
+                 i == 0 ? R(0.0) : c->constants->doubt[i > 1], mean);
+    ddmpc_filter_bound(c, mean);
+}
+
 void ddmpc_estimator_estimate(ddmpc_controller *c)
 {
     const ddmpc_node *node = newest(c);
@@ -290,6 +342,7 @@ void ddmpc_estimator_estimate(ddmpc_controller *c)
     estimate->time = node->time;
     *estimate->pose_age = (real)(node->time - c->estimator.accepted_stamp);
     memcpy(estimate->mean, belief->mean, (size_t)Z * sizeof(real));
+    weigh(c, belief, estimate->mean);
     for (int i = 0; i < Z; i++)
         estimate->deviation[i] = ddmpc_sqrt(ddmpc_max(belief->covariance[i * (Z + 1)], R(0.0)));
     ddmpc_filter_twist(c, belief->mean, estimate->twist);
@@ -312,7 +365,7 @@ int ddmpc_believed(const ddmpc_controller *c, real *mean, real *covariance, real
 void ddmpc_foresee(const ddmpc_controller *c, const real *commands, real *mean, real *covariance, real *mean_after,
                    real *covariance_after)
 {
-    const ddmpc_belief before = {mean, covariance, {0}};
-    ddmpc_belief after = {mean_after, covariance_after, {0}};
+    const ddmpc_belief before = {mean, covariance, {R(0.0)}, {0}};
+    ddmpc_belief after = {mean_after, covariance_after, {R(0.0)}, {0}};
     ddmpc_filter_predict(c, &before, commands + 2 * WINDOW(c), &after);
 }

@@ -23,6 +23,7 @@ void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_
     const int Z = BELIEF(c);
     memmove(to->mean, from->mean, (size_t)Z * sizeof(real));
     memmove(to->covariance, from->covariance, (size_t)(Z * Z) * sizeof(real));
+    memcpy(to->rate, from->rate, sizeof to->rate);
     memcpy(to->surprised, from->surprised, sizeof to->surprised);
 }
 
@@ -78,10 +79,10 @@ typedef struct {
     real pose[3], twist[2], by[3][MOST_BELIEF];
 } moved_pose;
 
-/* Where the body is after `dt` with the model's output `y`, whose gradient by the states is (2, n), and the forward
-   `acceleration`. */
-static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, real acceleration, real dt,
-                 moved_pose *moved)
+/* Where the body is after `dt` with the model's output `y`, whose gradient by the states is (2, n) and by the delays (2, 2),
+   and the forward `acceleration`. */
+static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, const real *by_delay,
+                 real acceleration, real dt, moved_pose *moved)
 {
     const int n = STATES(c), S = SLIPS(c), pose = n + POSE(c);
     const real *at = z + pose;
@@ -95,6 +96,8 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
             moved->by[i][j] = J[i] * rows[j] + J[i + 3] * rows[n + j];
         for (int j = 0; j < S; j++)
             moved->by[i][n + j] = J[i + 3 * (2 + j)];
+        for (int j = 0; by_delay && j < 2; j++)
+            moved->by[i][n + DELAYS(c) + j] = J[i] * by_delay[j] + J[i + 3] * by_delay[2 + j];
         moved->by[i][pose + 2] = J[i + 3 * (2 + S)];
         moved->by[i][pose + i] += R(1.0);
         moved->pose[i] = at[i] + displacement[i];
@@ -105,7 +108,7 @@ static void move_from(const ddmpc_controller *c, const real *z, real dt, moved_p
 {
     real y[2], rows[2 * DDMPC_MOST_STATES];
     ddmpc_velocity_output(c, z, y, rows);
-    move(c, z, y, rows, R(0.0), dt, moved);
+    move(c, z, y, rows, 0, R(0.0), dt, moved);
 }
 
 void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3])
@@ -115,16 +118,20 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
     memcpy(pose, moved.pose, sizeof moved.pose);
 }
 
-/* F P F' for F = (A 0 0; 0 1 0; G), of which only the blocks that change are computed. */
-static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *before, real *out)
+/* F P F' for F = (A D 0; 0 1 0; G), of which only the blocks that change are computed; D (n, 2) is by the delays. */
+static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *D, const real *before,
+                      real *out)
 {
-    const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c);
+    const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c), delays = n + DELAYS(c);
     real top[DDMPC_MOST_STATES][MOST_BELIEF], bottom[3][MOST_BELIEF];
     for (int i = 0; i < n; i++) {
         memset(top[i], 0, (size_t)Z * sizeof(real));
         for (int k = 0; k < n; k++)
             for (int j = 0; j < Z; j++)
                 top[i][j] += A[i * n + k] * before[k * Z + j];
+        for (int k = 0; k < 2; k++)
+            for (int j = 0; j < Z; j++)
+                top[i][j] += D[2 * i + k] * before[(delays + k) * Z + j];
     }
     for (int i = 0; i < 3; i++) {
         memset(bottom[i], 0, (size_t)Z * sizeof(real));
@@ -135,14 +142,14 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     memcpy(out, before, (size_t)(Z * Z) * sizeof(real));
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++)
-            out[i * Z + j] = out[j * Z + i] = dot(A + j * n, top[i], n);
+            out[i * Z + j] = out[j * Z + i] = dot(A + j * n, top[i], n) + dot(D + 2 * j, top[i] + delays, 2);
         for (int j = n; j < pose; j++)
             out[i * Z + j] = out[j * Z + i] = top[i][j];
     }
     for (int i = 0; i < 3; i++) {
         const int row = pose + i;
         for (int j = 0; j < n; j++)
-            out[row * Z + j] = out[j * Z + row] = dot(A + j * n, bottom[i], n);
+            out[row * Z + j] = out[j * Z + row] = dot(A + j * n, bottom[i], n) + dot(D + 2 * j, bottom[i] + delays, 2);
         for (int j = n; j < pose; j++)
             out[row * Z + j] = out[j * Z + row] = bottom[i][j];
         for (int j = 0; j <= i; j++)
@@ -150,10 +157,11 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     }
 }
 
-/* The model's output over the sample from z to the states x+: its mean, with its gradient by the states (2, n), and the
-   body's mean twist. Returns the body's forward acceleration; nothing is differentiated by that, as it does little. */
+/* The model's output over the sample from z to the states x+: its mean, with its gradient by the states (2, n), its rate,
+   and the body's mean twist. Returns the body's forward acceleration; nothing is differentiated by that, nor by the rate,
+   as they do little. */
 static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
-                        real *rows, real twist[2])
+                        real *rows, real rate[2], real twist[2])
 {
     const int n = STATES(c);
     real next[2], next_rows[2 * DDMPC_MOST_STATES], begin[2], end[2];
@@ -164,6 +172,7 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
     for (int i = 0; i < 2; i++)
         WITH_SLIP(c, twist)(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
+        rate[i] = (next[i] - y[i]) / (real)c->constants->sample_time;
         y[i] = R(0.5) * (y[i] + next[i]);
         twist[i] = R(0.5) * (begin[i] + end[i]);
         for (int j = 0; j < n; j++) {
@@ -180,14 +189,14 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
 void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after)
 {
     const int n = STATES(c), pose = n + POSE(c);
-    real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], twist[2];
+    real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], rate[2], twist[2];
     real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
     moved_pose moved;
-    ddmpc_velocity_step(c, mean, newest, state, NONLINEAR(c) ? by_state : 0, 0);
-    const real acceleration = mean_output(c, mean, state, by_state, y, rows, twist);
-    move(c, mean, y, rows, acceleration, (real)c->constants->sample_time, &moved);
+    ddmpc_velocity_step(c, mean, newest, mean + n + DELAYS(c), state, NONLINEAR(c) ? by_state : 0, 0);
+    const real acceleration = mean_output(c, mean, state, by_state, y, rows, rate, twist);
+    move(c, mean, y, rows, 0, acceleration, (real)c->constants->sample_time, &moved);
     memcpy(after, state, (size_t)n * sizeof(real));
-    memcpy(after + n, mean + n, (size_t)(SLIPS(c) + 1) * sizeof(real));
+    memcpy(after + n, mean + n, (size_t)POSE(c) * sizeof(real));
     memcpy(after + pose, moved.pose, sizeof moved.pose);
 }
 
@@ -196,15 +205,22 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
 {
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), Z = BELIEF(c), S = SLIPS(c), pose = n + POSE(c);
-    const real *z = before->mean;
+    const real *z = before->mean, *late = z + n + DELAYS(c);
     real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], twist[2];
-    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES], D[2 * DDMPC_MOST_STATES] = {R(0.0)}, by_delay[4] = {R(0.0)};
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
-    ddmpc_velocity_step(c, z, newest, state, NONLINEAR(c) ? by_state : 0, 0);
-    const real acceleration = mean_output(c, z, state, A, y, rows, twist);
-    move(c, z, y, rows, acceleration, (real)k->sample_time, &moved);
-    propagate(c, &moved, A, before->covariance, after->covariance);
+    ddmpc_velocity_step(c, z, newest, late, state, NONLINEAR(c) ? by_state : 0, 0);
+    const real acceleration = mean_output(c, z, state, A, y, rows, after->rate, twist);
+    if (SPARE(c) > 0) {
+        ddmpc_velocity_by_delay(c, newest, late, D);
+        /* Half of it: y is the mean of the outputs at both ends. */
+        for (int i = 0; i < 4; i++)
+            for (int j = 0; j < n; j++)
+                by_delay[i] += R(0.5) * k->C[i / 2 * n + j] * D[2 * j + i % 2];
+    }
+    move(c, z, y, rows, by_delay, acceleration, (real)k->sample_time, &moved);
+    propagate(c, &moved, A, D, before->covariance, after->covariance);
 
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
@@ -222,8 +238,11 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
         if (observable[i])
             after->covariance[(n + i) * (Z + 1)] += k->drift[i];
     after->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
+    for (int i = 0; i < 2; i++)
+        if (i ? turning : driving)
+            after->covariance[(n + DELAYS(c) + i) * (Z + 1)] += k->drift[CURVED_SLIPS + 1 + i];
 
-    memcpy(after->mean + n, z + n, (size_t)(S + 1) * sizeof(real));
+    memcpy(after->mean + n, z + n, (size_t)POSE(c) * sizeof(real));
     memcpy(after->mean, state, (size_t)n * sizeof(real));
     memcpy(after->mean + pose, moved.pose, sizeof moved.pose);
     for (int i = 0; i < DDMPC_SENSORS; i++)
@@ -249,7 +268,7 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
     real twist[2];
     if (pushed) {
         /* The robot does not do as told, for a reason that is none of slip: velocity and pose take it all. */
-        memset(gain + n * columns, 0, (size_t)((SLIPS(c) + 1) * columns) * sizeof(real));
+        memset(gain + n * columns, 0, (size_t)(POSE(c) * columns) * sizeof(real));
         return;
     }
     ddmpc_filter_twist(c, z, twist);
@@ -261,7 +280,7 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
     }
 }
 
-static void bound(const ddmpc_controller *c, real *z)
+void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
 {
     const real *least = c->constants->least_slip, *most = c->constants->most_slip;
     real *slip = z + STATES(c);
@@ -271,6 +290,13 @@ static void bound(const ddmpc_controller *c, real *z)
             slip[i] = least[i];
         if (slip[i] > most[i])
             slip[i] = most[i];
+    }
+    for (int i = 0; i < 2; i++) {
+        real *late = slip + DELAYS(c) + i;
+        if (*late < R(0.0))
+            *late = R(0.0);
+        if (*late > (real)SPARE(c) * (real)c->constants->sample_time)
+            *late = (real)SPARE(c) * (real)c->constants->sample_time;
     }
 }
 
@@ -287,19 +313,22 @@ static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, cons
         belief->mean[i] += gain[i] * innovation;
         half[i] = PHt[i] - R(0.5) * S * gain[i];
     }
-    bound(c, belief->mean);
+    ddmpc_filter_bound(c, belief->mean);
     /* Joseph's form: right for any gain, optimal or not. */
     for (int i = 0; i < Z; i++, row += Z)
         for (int j = 0; j < Z; j++)
             row[j] -= gain[i] * half[j] + half[i] * gain[j];
 }
 
-/* What the wheels and the gyro should read, and its gradient by the filter's state. */
-static real expected_reading(const ddmpc_controller *c, const real *z, int sensor, real *h)
+/* What the wheels and the gyro should read of the motion `ahead` [s], and its gradient by the filter's state. */
+static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *belief, int sensor, real ahead, real *h)
 {
     const int n = STATES(c), S = SLIPS(c);
+    const real *z = belief->mean;
     real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * (3 + DDMPC_MOST_SLIPS)];
     ddmpc_velocity_output(c, z, y, rows);
+    for (int i = 0; i < 2; i++)
+        y[i] += ahead * belief->rate[i];
     const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS(c), &c->constants->wheel_yaw_ratio};
     real *results[2] = {reading, J};
     WITH_SLIP(c, sensors)(arguments, results, 0, 0, 0);
@@ -311,12 +340,13 @@ static real expected_reading(const ddmpc_controller *c, const real *z, int senso
     return reading[sensor];
 }
 
-real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *measured)
+real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *measured,
+                                real ahead)
 {
     const int n = STATES(c), Z = BELIEF(c);
     const real *settled = c->constants->settled;
     real h[MOST_BELIEF], PHt[MOST_BELIEF];
-    const real innovation = measured->value - expected_reading(c, belief->mean, measured->sensor, h);
+    const real innovation = measured->value - expected_reading(c, belief, measured->sensor, ahead, h);
     times(c, belief, h, PHt);
     const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
     const int pushed = count_surprise(c, belief, measured->sensor, normalised);
@@ -418,7 +448,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
             belief->mean[i] += gain[i][k] * innovation[k];
             half[i][k] = f.PHt[i][k] - R(0.5) * dot(gain[i], f.S[k], 3);
         }
-    bound(c, belief->mean);
+    ddmpc_filter_bound(c, belief->mean);
     for (int i = 0; i < Z; i++)
         for (int j = 0; j <= i; j++)
             belief->covariance[i * Z + j] = belief->covariance[j * Z + i] =

@@ -30,6 +30,7 @@
 #define DDMPC_MOST_SLIPS DDMPC_SLIPS
 #define SLIPS(c) DDMPC_SLIPS
 #define WORK(c) DDMPC_WORK
+#define SPARE(c) DDMPC_SPARE
 #else
 /* The most that is held: for local memory, and for bounds on what is given. */
 #define DDMPC_MOST_STEPS 200
@@ -53,6 +54,7 @@
 #define PRESSING(c) ((c)->sizes.pressing)
 #define SLIPS(c) ((c)->sizes.slips)
 #define WORK(c) ((c)->sizes.work)
+#define SPARE(c) ((c)->sizes.spare)
 #endif
 
 /* The filter's state: n velocity states, slip, the gyro's bias and the pose; slips are counted from n, in the order of the
@@ -82,9 +84,11 @@ enum {
 /* A formula for the slip that this controller has. */
 #define WITH_SLIP(c, name) (CURVED(c) ? ddmpc_f_##name##_curved : ddmpc_f_##name)
 #define GYRO_BIAS(c) SLIPS(c)
-#define POSE(c) (SLIPS(c) + 1)
-#define BELIEF(c) (STATES(c) + SLIPS(c) + 4)
-#define MOST_BELIEF (DDMPC_MOST_STATES + DDMPC_MOST_SLIPS + 4)
+/* Delays of v and omega that the model lacks, and the pose. */
+#define DELAYS(c) (SLIPS(c) + 1)
+#define POSE(c) (SLIPS(c) + 3)
+#define BELIEF(c) (STATES(c) + SLIPS(c) + 6)
+#define MOST_BELIEF (DDMPC_MOST_STATES + DDMPC_MOST_SLIPS + 6)
 #define INPUTS(c) (2 * STEPS(c))
 /* Rows of commands are padded with zeros, to whole lanes on every machine. */
 enum { PADDING = 8 };
@@ -92,7 +96,7 @@ enum { PADDING = 8 };
 /* Rows of residuals in the stack at each sample: along, across, the user's, and with rows of its own the heading. */
 #define STACKED(c) (2 + RESIDUALS(c) + ROWS(c))
 #define LONGEST_LAG(c) (LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1))
-#define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c))
+#define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c) + SPARE(c))
 /* Commands that are remembered. */
 #define COMMANDS(c) (WINDOW(c) + HISTORY(c) + 2)
 enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
@@ -106,12 +110,14 @@ enum {
 };
 
 typedef struct {
-    real *mean;        /* [n+14] */
-    real *covariance;  /* [n+14][n+14] */
+    real *mean;        /* [Z] */
+    real *covariance;  /* [Z][Z] */
+    real rate[2];      /* change of the model's output over the sample before, by time [m/s^2, rad/s^2] */
     int surprised[DDMPC_SENSORS]; /* samples since the sensor's innovations have been too large; 0: they are not */
 } ddmpc_belief;
 
 typedef struct {
+    ddmpc_time stamp; /* instant of the motion that it tells [s] */
     real value, variance;
     int sensor;
 } ddmpc_checked_twist;
@@ -195,14 +201,23 @@ typedef struct {
     int accused, repeating;         /* bits 1 << subject */
 } ddmpc_monitor;
 
+/* Response of a linear model to a plan; see the fields of ddmpc_constants with these names. */
+typedef struct {
+    const real *response, *twist, *mean, *heading, *heading_hessian;
+} ddmpc_response;
+
 /* The tick's problem, linearised along the guess. */
 typedef struct {
     real pose[3], slip[DDMPC_MOST_SLIPS], last[2];
+    real late[2]; /* delays that the plan reckons with [samples] */
+    real *late_response, *late_twist, *late_mean, *late_heading, *late_hessian; /* response with these delays */
+    int is_stale; /* 1 if `late_hessian` belongs to other delays */
     real gains[2], turn_gain; /* of the body's v and omega by the model's; of its v by the model's omega */
     real *free_twist;   /* [N+1][2] of the body, if the plan were zero */
     real *ahead;        /* [N] turning point of each arc along the guess [m] */
     real *aim;          /* [N+1][4] */
     real *feed_forward; /* [N][2] */
+    real fed_before[2]; /* feed-forward of the last tick, by the slip of this one */
     real *free_output;  /* [N+1][2] of the model, if the plan were zero */
     real *by_plan;      /* [2][N+1] what a plan adds to that */
     /* Of a nonlinear model or curved slip: rows of twist, mean twist and heading at each sample, and its states and Jacobians. */
@@ -271,7 +286,9 @@ struct ddmpc_controller {
     real tried, tried_speed; /* what it was asked when that began, and its speed then [m/s] */
     real carried;          /* by which it may be off its path, or late, after turns on the spot [m] */
     real known, doubt;     /* variance of the position by the last fresh pose [m^2]; what is lost of it since, in bands [-] */
-    real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
+    int on_spot;           /* 1 while the reference turns on the spot */
+    real reach, rim_reach; /* rim speed of the wheels that may be demanded, and that they attained [m/s] */
+    real slowed;           /* time that the reference has been slowed since they attained it [s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */
     real *reference_twist; /* [SAMPLES][2] */
@@ -290,10 +307,15 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
 void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
 
 /* velocity.c: the velocity model over one sample. */
-/* x+ under the command window that ends with the commands at `newest` (2), and their predecessors before it in memory.
+/* x+ under the command window that ends with the commands at `newest` (2), and their predecessors before it in memory. A
+   linear model gets them `late` (2) [s] later; NULL: at once.
    Its Jacobian where asked for: by x (n, n), row by row; and of a nonlinear model by the window, column by column. */
-void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
-                         real *by_window);
+void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, const real *late, real *after,
+                         real *by_state, real *by_window);
+/* Gradient (n, 2) of x+ by `late`. */
+void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, const real *late, real *by_delay);
+/* The command that acts `samples` after it was sent; `sent` is the newest, of one channel. */
+real ddmpc_delayed(const real *sent, real samples);
 /* Where a nonlinear model settles: at this output, in this state, under this command, and what these two owe to the output;
    all zero at first, or where there was none. */
 typedef struct {
@@ -313,9 +335,13 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
 void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after);
 void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
                           ddmpc_belief *after);
-real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *twist);
+/* A number of wheels or gyro, or a pose, that was true `ahead` [s] of the belief. */
+real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *twist,
+                                real ahead);
 real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose,
                                real ahead);
+/* Gains, curved slip and delays of the state `z` within what is possible. */
+void ddmpc_filter_bound(const ddmpc_controller *c, real *z);
 void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose);
 void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_belief *from);
 

@@ -97,7 +97,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
             continue;
         }
         const int wheel = !group->term && (r == 2 || r == 3);
-        const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->rim_reach) : c->constants->soft_upper[kind];
+        const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->reach) : c->constants->soft_upper[kind];
         const real down = wheel ? -up : c->constants->soft_lower[kind];
         const real now = ddmpc_fabs(p->term[r]);
         p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, now);

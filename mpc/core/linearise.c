@@ -10,6 +10,8 @@
 
 #include "problem.h"
 
+static int least(int a, int b) { return a < b ? a : b; }
+
 /* Replace `command`, which follows from the gain at rest, by the one at which a nonlinear model settles at the body's
    twist `wanted`, if there is one. The search starts from `last`, the solution at the previous sample, which is usually
    the same. */
@@ -25,7 +27,7 @@ static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settle
         memcpy(command, last->command, sizeof last->command);
 }
 
-/* What to aim at, and the commands that would keep the reference's twist, one lag ahead. */
+/* What to aim at, and the commands that would keep the reference's twist, one lag ahead, from the last tick on. */
 static void look_ahead(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -34,25 +36,31 @@ static void look_ahead(ddmpc_controller *c)
     /* The estimated heading is unwrapped: shift the reference's heading to the same turn. */
     const real turns = two_pi * ddmpc_rint((p->pose[2] - c->reference_pose[2]) / two_pi);
     for (int i = 0; i <= STEPS(c); i++) {
-        const real *pose = c->reference_pose + 3 * i;
+        const real *pose = c->reference_pose + 3 * i, *twist = c->reference_twist + 2 * i;
         const real turned[3] = {pose[0], pose[1], pose[2] + turns};
-        const real *arguments[3] = {turned, c->reference_twist + 2 * i, p->slip};
+        /* The last sample accelerates as the one before it. */
+        const real *from = i < SAMPLES(c) - 1 ? twist : twist - 2;
+        const real acceleration = (from[2] - from[0]) / (real)k->sample_time;
+        const real *arguments[4] = {turned, twist, p->slip, &acceleration};
         real *results[1] = {p->aim + 4 * i};
         WITH_SLIP(c, aim)(arguments, results, 0, 0, 0);
     }
     ddmpc_settled last;
     last.exists = 0;
-    for (int i = 0; i < STEPS(c); i++) {
-        real wanted[2];
+    for (int i = -1; i < STEPS(c); i++) {
+        real wanted[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
         for (int channel = 0; channel < 2; channel++) {
-            const real *now = c->reference_twist + 2 * (i + LAG(c, channel)) + channel;
-            wanted[channel] = now[0] + k->lag_rest[channel] * (now[2] - now[0]);
+            const real ahead = (real)(i + LAG(c, channel)) + k->lag_rest[channel] + p->late[channel];
+            const real place = ddmpc_max(ahead, R(0.0));
+            const int whole = least((int)place, SAMPLES(c) - 2);
+            const real *now = c->reference_twist + 2 * whole + channel;
+            wanted[channel] = now[0] + (place - (real)whole) * (now[2] - now[0]);
         }
         const real *arguments[3] = {wanted, p->slip, k->inverse_gain};
-        real *results[1] = {p->feed_forward + 2 * i};
+        real *results[1] = {command};
         WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
-            settle(c, wanted, &last, p->feed_forward + 2 * i);
+            settle(c, wanted, &last, command);
     }
 }
 
@@ -92,12 +100,89 @@ static void find_turning_points(ddmpc_controller *c)
     }
 }
 
+/* What the first `count` commands of a plan add to the twists of a linear model at the samples: a convolution. */
+static void convolve(const real *response, const real *plan, int count, int N, real *by_plan)
+{
+    memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
+    for (int channel = 0; channel < 2; channel++) {
+        const real *to_v = response + 2 * channel * (N + 1), *to_omega = to_v + N + 1;
+        real *sum = by_plan + channel * (N + 1);
+        for (int j = 0; j < count; j++) {
+            const real v = plan[2 * j], omega = plan[2 * j + 1];
+            for (int m = 1; m <= N - j; m++)
+                sum[j + m] += to_v[m] * v + to_omega[m] * omega;
+        }
+    }
+}
+
+/* Entries of the rows of a plan, `late` samples later: `step` entries further on in a row that looks back, further back in
+   one that looks ahead. */
+static void delay(const real *row, int count, int stride, int step, real late, real *out)
+{
+    const int whole = (int)late;
+    const real rest = late - (real)whole;
+    for (int j = 0; j < count; j++) {
+        const int near = j + step * whole, far = near + step;
+        const real now = near >= 0 && near < count ? row[stride * near] : R(0.0);
+        const real next = far >= 0 && far < count ? row[stride * far] : R(0.0);
+        out[stride * j] = now + rest * (next - now);
+    }
+}
+
+/* The model's response to plans whose commands act later by the estimated delays, in whole milliseconds: so it seldom
+   changes. */
+static void respond_late(ddmpc_controller *c, const real *delays)
+{
+    ddmpc_problem *p = &c->problem;
+    const ddmpc_constants *k = c->constants;
+    const int N = STEPS(c), row = 2 * WIDTH(c);
+    real late[2];
+    for (int i = 0; i < 2; i++)
+        late[i] = R(1e-3) * ddmpc_rint(R(1e3) * delays[i]) / (real)k->sample_time;
+    if (late[0] == p->late[0] && late[1] == p->late[1])
+        return;
+    memcpy(p->late, late, sizeof late);
+    p->is_stale = 1;
+    for (int i = 0; i < 2; i++) {
+        for (int output = 0; output < 2; output++) {
+            const int response = (2 * output + i) * (N + 1), first = output * row + i;
+            delay(k->response + response, N + 1, 1, -1, late[i], p->late_response + response);
+            delay(k->twist_row + first, N, 2, 1, late[i], p->late_twist + first);
+            delay(k->mean_row + first, N, 2, 1, late[i], p->late_mean + first);
+        }
+        delay(k->heading_row + i, N, 2, 1, late[i], p->late_heading + i);
+    }
+}
+
+/* The commands of the past as they act later, from the first of the window to the last that acts on the plan: (W + N, 2).
+   Returns how many of them act on the plan. */
+static int line_up(const ddmpc_controller *c, real *line)
+{
+    const int W = WINDOW(c), beyond = least(STEPS(c), 1 + (int)ddmpc_max(c->problem.late[0], c->problem.late[1]));
+    const int count = W + beyond;
+    const real *commands = ddmpc_commands(c), *late = c->problem.late;
+    for (int i = 0; i < 2; i++) {
+        const int whole = (int)late[i];
+        const real rest = late[i] - (real)whole;
+        for (int j = 0; j < count; j++) {
+            const int near = j - whole, far = near - 1;
+            const real now = near >= 0 && near < W ? commands[2 * near + i] : R(0.0);
+            const real before = far >= 0 && far < W ? commands[2 * far + i] : R(0.0);
+            line[2 * j + i] = now + rest * (before - now);
+        }
+    }
+    return beyond;
+}
+
 void ddmpc_problem_begin(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    const int n = STATES(c), past = 2 * WINDOW(c);
-    const real *z = c->result.estimate.mean, *commands = ddmpc_commands(c);
+    const int n = STATES(c), past = 2 * WINDOW(c), N = STEPS(c);
+    const real *z = c->result.estimate.mean;
+    real line[2 * (DDMPC_MOST_WINDOW + DDMPC_MOST_STEPS)], arriving[2 * (DDMPC_MOST_STEPS + 1)];
     ddmpc_problem *p = &c->problem;
+    if (SPARE(c))
+        respond_late(c, z + n + DELAYS(c));
     memcpy(p->pose, z + n + POSE(c), sizeof p->pose);
     memcpy(p->slip, z + n, (size_t)SLIPS(c) * sizeof(real));
     memcpy(p->last, c->last, sizeof p->last);
@@ -105,14 +190,16 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     if (NONLINEAR(c))
         return;
     real *said = CURVED(c) ? p->said : p->free_output;
+    const int beyond = line_up(c, line);
+    convolve(k->response, line + past, beyond, N, arriving);
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
         const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
         real free = R(0.0);
         for (int j = 0; j < n; j++)
             free += from_state[j] * z[j];
         for (int j = 0; j < past; j++)
-            free += from_past[j] * commands[j];
-        said[i] = free;
+            free += from_past[j] * line[j];
+        said[i] = free + arriving[(i % 2) * (N + 1) + i / 2];
     }
     if (!CURVED(c))
         free_twists(c);
@@ -126,21 +213,6 @@ void ddmpc_problem_guess(ddmpc_controller *c)
         p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], -most), most);
     }
     p->has_guess = 1;
-}
-
-/* What a plan adds to the twists of a linear model at the samples: a convolution. */
-static void convolve(const real *response, const real *plan, int N, real *by_plan)
-{
-    memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
-    for (int channel = 0; channel < 2; channel++) {
-        const real *to_v = response + 2 * channel * (N + 1), *to_omega = to_v + N + 1;
-        real *sum = by_plan + channel * (N + 1);
-        for (int j = 0; j < N; j++) {
-            const real v = plan[2 * j], omega = plan[2 * j + 1];
-            for (int m = 1; m <= N - j; m++)
-                sum[j + m] += to_v[m] * v + to_omega[m] * omega;
-        }
-    }
 }
 
 /* The same from rows. */
@@ -162,7 +234,7 @@ void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan)
     if (ROWS(c))
         add_rows(c, plan, by_plan);
     else
-        convolve(c->constants->response, plan, STEPS(c), by_plan);
+        convolve(ddmpc_rows(c).response, plan, STEPS(c), STEPS(c), by_plan);
 }
 
 /* The outputs (2) of a nonlinear model at the samples under `plan`; `rows` says whether to keep its rows, too. */
@@ -188,7 +260,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
         }
         if (k == N)
             break;
-        ddmpc_velocity_step(c, state, line + 2 * (W + k), next, rows ? by_state : 0, rows ? p->by_window : 0);
+        ddmpc_velocity_step(c, state, line + 2 * (W + k), 0, next, rows ? by_state : 0, rows ? p->by_window : 0);
         memcpy(state, next, (size_t)n * sizeof(real));
         if (!rows)
             continue;
@@ -214,7 +286,7 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
     real added[2 * (DDMPC_MOST_STEPS + 1)];
-    convolve(c->constants->response, plan, N, added);
+    convolve(ddmpc_rows(c).response, plan, N, N, added);
     for (int i = 0; i < 2 * (N + 1); i++)
         outputs[i] = p->said[i] + added[(i % 2) * (N + 1) + i / 2];
     for (int k = 0; rows && k <= N; k++)

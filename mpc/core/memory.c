@@ -56,6 +56,13 @@ static void lay_problem(ddmpc_controller *c, memory *m)
     const long N = STEPS(c), n = STATES(c), inputs = INPUTS(c), width = WIDTH(c), soft = SOFT(c), kinds = KINDS(c);
     const long own = soft > RESIDUALS(c) ? soft : RESIDUALS(c);
     p->ahead = reals(m, N);
+    if (SPARE(c)) {
+        p->late_response = reals(m, 4 * (N + 1));
+        p->late_twist = reals(m, 4 * width);
+        p->late_mean = reals(m, 4 * width);
+        p->late_heading = reals(m, 2 * width);
+        p->late_hessian = reals(m, inputs * inputs);
+    }
     p->free_twist = reals(m, 2 * (N + 1));
     p->aim = reals(m, 4 * (N + 1));
     p->feed_forward = reals(m, 2 * N);

@@ -4,10 +4,20 @@
 
 #include "internal.h"
 
+/* Response of a linear model to a plan: later, if its commands act later than configured. */
+static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const ddmpc_problem *p = &c->problem;
+    const ddmpc_response configured = {k->response, k->twist_row, k->mean_row, k->heading_row, k->heading_hessian};
+    const ddmpc_response late = {p->late_response, p->late_twist, p->late_mean, p->late_heading, p->late_hessian};
+    return p->late[0] > R(0.0) || p->late[1] > R(0.0) ? late : configured;
+}
+
 /* The model's own row, where it is linear. */
 static inline const real *ddmpc_model_row(const ddmpc_controller *c, int k, int channel)
 {
-    return c->constants->twist_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
+    return ddmpc_rows(c).twist + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
 }
 
 /* Rows by the commands: twist of the model at the sample k, its mean over the arc k, heading at the sample k. */
@@ -22,14 +32,14 @@ static inline const real *ddmpc_mean_row(const ddmpc_controller *c, int k, int c
 {
     if (ROWS(c))
         return c->problem.mean_rows + (2 * k + channel) * WIDTH(c);
-    return c->constants->mean_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k - 1);
+    return ddmpc_rows(c).mean + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k - 1);
 }
 
 static inline const real *ddmpc_heading_row(const ddmpc_controller *c, int k)
 {
     if (ROWS(c))
         return c->problem.heading_rows + k * WIDTH(c);
-    return c->constants->heading_row + 2 * (STEPS(c) - k);
+    return ddmpc_rows(c).heading + 2 * (STEPS(c) - k);
 }
 
 /* Forward speed of the body at the sample k under a plan that adds `by_plan`. */

@@ -43,7 +43,7 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
     if (!c->constants->monitor)
         return;
     ddmpc_velocity_output(c, m->state, before, 0);
-    ddmpc_velocity_step(c, m->state, newest, state, 0, 0);
+    ddmpc_velocity_step(c, m->state, newest, 0, state, 0, 0);
     memcpy(m->state, state, (size_t)STATES(c) * sizeof(real));
     ddmpc_velocity_output(c, state, after, 0);
     m->now.sum[MODEL_DISTANCE] += half * (before[0] + after[0]);
@@ -140,7 +140,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     real *sum = m->now.sum;
     if (dt > R(0.0)) {
         /* The floor's slide has a direction among the poses: there the motion is found, and turned to where sums began. */
-        const real theta = newest[SLIPS(c) + 3], rest = R(0.0), turned = sum[HEADING] - theta;
+        const real theta = newest[POSE(c) + 2], rest = R(0.0), turned = sum[HEADING] - theta;
         const real model[2] = {speed - slip[V_OFFSET], turn / (dt * slip[OMEGA_GAIN] * slip[YAW_GAIN])};
         const real cosine = ddmpc_cos(turned), sine = ddmpc_sin(turned), *arguments[5] = {model, slip, &theta, &rest, &dt};
         real moved[3], *results[2] = {moved, 0};

@@ -137,7 +137,8 @@ ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
 {
     const ddmpc_problem *p = &c->problem;
     const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->pressing,
-                                   p->last, p->aim, p->feed_forward, p->ahead, p->soft_value};
+                                   p->last, p->aim, p->feed_forward, p->ahead, p->soft_value,
+                                   p->fed_before, p->late};
     return program;
 }
 

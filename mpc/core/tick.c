@@ -16,9 +16,9 @@ static void forget(ddmpc_controller *c)
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = c->is_outage = c->missed = 0;
-    c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = R(0.0);
+    c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = c->slowed = R(0.0);
     c->reference_twist[0] = c->reference_twist[1] = R(0.0);
-    c->short_one = 0;
+    c->short_one = c->on_spot = 0;
     c->tried = (real)HUGE_VAL;
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
@@ -37,13 +37,16 @@ int ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants, const
 {
     const int delay[2] = {sizes->delay_v, sizes->delay_omega}, lag[2] = {sizes->lag_v, sizes->lag_omega};
     for (int i = 0; i < 2; i++)
-        if (delay[i] < 0 || delay[i] >= WINDOW(c) || lag[i] < 0 || lag[i] > c->most_lag)
+        if (delay[i] < 0 || delay[i] + SPARE(c) + (SPARE(c) > 0) >= WINDOW(c) || lag[i] < 0 || lag[i] > c->most_lag)
             return 0;
     c->constants = constants;
     c->sizes.delay_v = delay[0];
     c->sizes.delay_omega = delay[1];
     c->sizes.lag_v = lag[0];
     c->sizes.lag_omega = lag[1];
+    /* The delayed response is that of the former constants. */
+    c->problem.late[0] = c->problem.late[1] = R(0.0);
+    c->problem.is_stale = 1;
     return 1;
 }
 
@@ -137,8 +140,9 @@ static real distance_to(const ddmpc_controller *c, const real pose[3])
  * distance between the two estimates [m]; negative while it cannot restart. */
 static real restart_elsewhere(ddmpc_controller *c)
 {
+    /* Those that act by the model; delays beyond it are not waited for. */
     const real *commands = ddmpc_commands(c);
-    for (int i = 0; i < 2 * WINDOW(c); i++)
+    for (int i = SPARE(c) ? 2 * (SPARE(c) + 1) : 0; i < 2 * WINDOW(c); i++)
         if (commands[i] != R(0.0))
             return R(-1.0);
     take_estimate(c);
@@ -209,8 +213,12 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
 
 static void sample_reference(ddmpc_controller *c, ddmpc_time time)
 {
+    const real *delays = c->result.estimate.mean + STATES(c) + DELAYS(c);
+    const real late = ddmpc_max(delays[0], delays[1]) / (real)c->constants->sample_time;
+    /* Further samples are looked at with larger delays only. */
+    const int count = STEPS(c) + 3 + LONGEST_LAG(c) + (int)late;
     real arc_length;
-    for (int i = 0; i < SAMPLES(c); i++)
+    for (int i = 0; i < SAMPLES(c) && i < count; i++)
         c->reference.sample(c->reference.context, time + i * c->constants->sample_time, c->reference_pose + 3 * i,
                             c->reference_twist + 2 * i, &arc_length);
 }
@@ -234,7 +242,8 @@ static int track(ddmpc_controller *c)
 static void carry(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    const real *slip = c->result.estimate.mean + STATES(c), *twist = c->reference_twist;
+    /* By the filter: what may be there is allowed for before there is evidence for it. */
+    const real *slip = ddmpc_estimator_slip(c), *twist = c->reference_twist;
     const real turned_about = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]), slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
     c->carried *= R(1.0) - ddmpc_min((real)k->sample_time / k->carried[1], R(1.0));
     if (ddmpc_fabs(twist[0]) <= k->standing && ddmpc_fabs(twist[1]) > k->turning)

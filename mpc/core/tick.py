@@ -147,7 +147,7 @@ class Tick:
 
     def believed(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """The filter's belief at the newest tick: mean (Z,), covariance (Z, Z), commands (W, 2) sent before; copies."""
-        size = self._sizes["states"] + self._sizes["slips"] + 4
+        size = self._sizes["states"] + self._sizes["slips"] + 6
         mean, covariance, sent = np.zeros(size), np.zeros((size, size)), np.zeros((self._sizes["window"], 2))
         arrays = (mean, covariance, sent)
         is_known = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))

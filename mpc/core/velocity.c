@@ -10,15 +10,24 @@
 static const real SMALL_STEP = R(1e-4);
 enum { NEWTON_STEPS = 8 };
 
-static void linear_step(const ddmpc_controller *c, const real *x, const real *newest, real *after)
+real ddmpc_delayed(const real *sent, real samples)
+{
+    const int whole = (int)samples;
+    const real rest = samples - (real)whole, now = sent[-2 * whole];
+    /* The command before may not be remembered where it is not needed. */
+    return rest > R(0.0) ? now + rest * (sent[-2 * whole - 2] - now) : now;
+}
+
+static void linear_step(const ddmpc_controller *c, const real *x, const real *newest, const real *late, real *after)
 {
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c);
     real recent[2], older[2];
     for (int channel = 0; channel < 2; channel++) {
         const real *acting = newest - 2 * DELAY(c, channel) + channel;
-        recent[channel] = acting[0];
-        older[channel] = acting[-2];
+        const real samples = late ? late[channel] / (real)k->sample_time : R(0.0);
+        recent[channel] = ddmpc_delayed(acting, samples);
+        older[channel] = ddmpc_delayed(acting - 2, samples);
     }
     for (int i = 0; i < n; i++) {
         real sum = R(0.0);
@@ -30,12 +39,24 @@ static void linear_step(const ddmpc_controller *c, const real *x, const real *ne
     }
 }
 
-void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
-                         real *by_window)
+void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, const real *late, real *by_delay)
+{
+    const ddmpc_constants *k = c->constants;
+    const real dt = (real)k->sample_time;
+    for (int channel = 0; channel < 2; channel++) {
+        const real *acting = newest - 2 * (DELAY(c, channel) + (int)(late[channel] / dt)) + channel;
+        const real recent = (acting[-2] - acting[0]) / dt, older = (acting[-4] - acting[-2]) / dt;
+        for (int i = 0; i < STATES(c); i++)
+            by_delay[2 * i + channel] = k->B0[2 * i + channel] * recent + k->B1[2 * i + channel] * older;
+    }
+}
+
+void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, const real *late, real *after,
+                         real *by_state, real *by_window)
 {
     const int n = STATES(c);
     if (!NONLINEAR(c)) {
-        linear_step(c, x, newest, after);
+        linear_step(c, x, newest, late, after);
         if (by_state)
             memcpy(by_state, c->constants->A, (size_t)(n * n) * sizeof(real));
         return;
@@ -61,7 +82,7 @@ static void settling_equations(const ddmpc_controller *c, const real wanted[2], 
     real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
     for (int i = 0; i < 2 * (WINDOW(c) + 1); i++)
         held[i] = command[i % 2];
-    ddmpc_velocity_step(c, state, held + 2 * WINDOW(c), after, by_state, by_window);
+    ddmpc_velocity_step(c, state, held + 2 * WINDOW(c), 0, after, by_state, by_window);
     ddmpc_velocity_output(c, state, y, by_output);
     memset(rows, 0, (size_t)((n + 2) * columns) * sizeof(real));
     for (int i = 0; i < n; i++) {

@@ -20,30 +20,36 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
 }
 
 /* The smallest and largest speeds that commands have demanded of each wheel over the last lag plus short_for, in the
- * directions `sign`. Returns 0 if the stored commands do not reach back that far. */
+ * directions `sign`. Returns 0 if the stored commands do not reach back that far. Wheels turn as the model states: the
+ * body slips, not they. In a turn on the spot they may also turn with the estimated gain; elsewhere a saturated wheel has
+ * the same effect on the estimate as a smaller gain. */
 static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
 {
-    const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
+    const real *G = c->constants->inverse_gain, *slip = c->result.estimate.mean + STATES(c);
+    const real determinant = G[0] * G[3] - G[1] * G[2], gain = c->on_spot ? slip[OMEGA_GAIN] * slip[YAW_GAIN] : R(1.0);
     const int newest = COMMANDS(c) - 1;
     const int since = LONGEST_LAG(c) + (int)(c->constants->short_for / (real)c->constants->sample_time);
     if (since > newest)
         return 0;
+    least[0] = least[1] = (real)HUGE_VAL;
+    most[0] = most[1] = -(real)HUGE_VAL;
     for (int ago = 0; ago <= since; ago++) {
         const real *u = c->estimator.commands + 2 * (newest - ago);
         const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
         const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
-        /* Wheels turn as the model says: the body slips, not they. */
-        const real rim[2] = {sign[0] * (forward + turning), sign[1] * (forward - turning)};
         for (int i = 0; i < 2; i++) {
-            least[i] = ago == 0 ? rim[i] : ddmpc_min(least[i], rim[i]);
-            most[i] = ago == 0 ? rim[i] : ddmpc_max(most[i], rim[i]);
+            const real plain = i ? -turning : turning;
+            const real rim = sign[i] * (forward + plain), learned = sign[i] * (forward + gain * plain);
+            least[i] = ddmpc_min(least[i], ddmpc_min(rim, learned));
+            most[i] = ddmpc_max(most[i], ddmpc_max(rim, learned));
         }
     }
     return 1;
 }
 
 /* The wheel that falls furthest short of what reference and commands demand (`demanded`, in its direction); -1: none. A
-   wheel that hardly turns is blocked or dead, and one being stopped passes through all speeds: neither counts. */
+   wheel that hardly turns is blocked or dead, and one being stopped passes through all speeds: neither counts. Of two
+   that fall short alike it is the one that did before. */
 static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *demanded)
 {
     const ddmpc_constants *k = c->constants;
@@ -54,13 +60,13 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
         return -1;
     for (int i = 0; i < 2; i++) {
         const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], least[i]);
-        const real lacks = wanted - along;
+        const real lacks = wanted - along, rank = lacks + (i == c->short_one ? k->short_by[0] : R(0.0));
         /* Wheels that turn faster than demanded follow somebody else's commands. */
         if (along > most[i] + k->short_by[0])
             return -1;
-        if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && lacks > worst &&
+        if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && rank > worst &&
             ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
-            worst = lacks;
+            worst = rank;
             wheel = i;
             *demanded = least[i];
         }
@@ -82,36 +88,61 @@ static int gains_nothing(ddmpc_controller *c, int wheel, real demanded)
     return more > k->trial[0] * demanded;
 }
 
-/* Wheels at their speed or force limit slow the reference down. The speed they attain is learned from their encoders
- * (on slippery floors the estimate trusts the gyro more) and slowly forgotten. */
+static void drop_limit(ddmpc_controller *c) { c->reach = c->rim_reach = (real)HUGE_VAL; }
+
+/* The largest rim speed of the wheels that the reference needs over the horizon. */
+static real needed_speed(const ddmpc_controller *c)
+{
+    const real lever = c->constants->half_track / c->result.estimate.mean[STATES(c) + YAW_GAIN];
+    real most = R(0.0);
+    for (int i = 0; i <= STEPS(c); i++) {
+        const real *twist = c->reference_twist + 2 * i;
+        most = ddmpc_max(most, ddmpc_fabs(twist[0]) + lever * ddmpc_fabs(twist[1]));
+    }
+    return most;
+}
+
+/* Wheels at their speed or force limit slow the reference down. The speed that they attain is learned from their encoders
+ * (on slippery floors the estimate trusts the gyro more). A reference that is slowed for longer than `retry` may demand
+ * more and more: a wheel that follows ends the limit, for one that does not it is learned again. */
 void ddmpc_watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
+    const real *wanted = c->reference_twist + 2;
     const real *wheels = c->estimator.last_wheels, turning = k->half_track * wheels[1] / k->wheel_yaw_ratio;
-    const real read[2] = {wheels[0] + turning, wheels[0] - turning};
+    const real read[2] = {wheels[0] + turning, wheels[0] - turning}, needed = needed_speed(c);
+    const int on_spot = ddmpc_fabs(wanted[0]) < k->on_spot * k->half_track * ddmpc_fabs(wanted[1]);
     real by_reference[2], demanded = R(0.0);
     int wheel = -1;
     for (int i = 0; i < 2; i++)
         c->rim[i] += k->smoothed * (read[i] - c->rim[i]);
+    /* A limit of a turn on the spot does not apply elsewhere, and the other way round. */
+    if (c->on_spot != on_spot) {
+        drop_limit(c);
+        c->tried = (real)HUGE_VAL;
+    }
+    c->on_spot = on_spot;
     /* Wheels that answer with another gain fall short of the model, too, but the robot keeps up with its reference. */
     const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose + 3, wanted);
     const int behind = stray.late > k->astray[0] || ddmpc_fabs(stray.across) > k->astray[1] * k->band || stray.outside;
-    if (behind && c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < (ddmpc_time)k->short_for) {
+    if (k->wheel_limits && (behind || isfinite(c->rim_reach)) && c->plan_age == 0 &&
+        c->last_tick - c->estimator.wheels_stamp < (ddmpc_time)k->short_for) {
         rims(c, wanted, by_reference);
         wheel = short_wheel(c, by_reference, read, &demanded);
     }
     if (wheel >= 0 && gains_nothing(c, wheel, demanded)) {
         c->rim_reach = ddmpc_fabs(c->rim[wheel]);
-        c->reach = ddmpc_fabs(c->rim[wheel] / by_reference[wheel]) *
-                   (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
-    } else {
-        c->rim_reach *= R(1.0) + k->regain * dt;
-        c->reach *= R(1.0) + k->regain * dt;
+        c->slowed = R(0.0);
+    } else if (needed > k->slowed * c->reach) {
+        c->slowed += (real)k->sample_time;
     }
-    /* Drop the learned limit if the wheel turns faster after all, or while the encoders count as faulty. */
+    const real growth = k->regain[0] * c->rim_reach + k->regain[1];
+    c->reach = c->rim_reach + (c->slowed > k->retry ? growth * (c->slowed - k->retry) : R(0.0));
+    /* Drop the limit if the wheel turns faster after all, if the path needs much less, or while the encoders count as
+     * faulty. */
     const int faster = ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
-    if (faster || !(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
-        c->reach = c->rim_reach = (real)HUGE_VAL;
+    if (!k->wheel_limits || faster || needed < k->far_below * c->rim_reach || !(c->rim_reach < k->soft_upper[2]) ||
+        c->result.reasons & DDMPC_WHEELS_ACCUSED)
+        drop_limit(c);
     c->result.reach = c->reach;
 }

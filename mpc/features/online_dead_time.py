@@ -79,7 +79,7 @@ class DeadTimeEstimator:
 
     def __init__(self, config: ControllerConfig, model: VelocityModel) -> None:
         settings, dt = config.online_dead_time, config.sample_time
-        self._settings, self._dt = settings, dt
+        self._settings, self._dt, self._sensors = settings, dt, config.sensors
         self.used = self._configured = model.dead_time
         self._model = replace(model, dead_time=np.zeros(2)).discretise(dt)
         self._drive = self._model.drive
@@ -148,12 +148,12 @@ class DeadTimeEstimator:
     def _learn(self, t: float, measurement: Measurement, unused: tuple[str, ...]) -> None:
         wheels, gyro = measurement.wheel_twist, measurement.yaw_rate
         if wheels is not None and "wheel speed" not in unused:
-            self._add(t, wheels, slice(0, 1) if self._gyro else slice(0, 2))
+            self._add(t + self._sensors.wheels.late, wheels, slice(0, 1) if self._gyro else slice(0, 2))
         elif gyro is not None and "yaw rate" not in unused and not self._sums[0, 0, 1] > 0.0:
             # A robot without wheel odometry. Its gain is another one: it is never mixed with that of wheels.
             self._gyro = True
         if self._gyro and gyro is not None and "yaw rate" not in unused:
-            self._add(t, gyro, slice(1, 2))
+            self._add(t + self._sensors.yaw_rate.late, gyro, slice(1, 2))
 
     def _add(self, t: float, reading: Stamped, channels: slice) -> None:
         """Add what was read at its stamp to the sums of the channels that change."""

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.terms import Term
 
 
@@ -70,6 +71,7 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
 def build_problem(
     config: ControllerConfig, model: VelocityModel | NonlinearModel, terms: Sequence[Term] = ()
 ) -> Problem:
-    """Build the problem for `model`; raises like `sampled_model` and `Problem`."""
+    """Build the problem for `model`; raises like `sampled_model`, `with_increments` and `Problem`."""
     dt = config.sample_time
-    return Problem(config, sampled_model(model, dt), FeedForward.of(model, dt), tuple(terms))
+    sampled = sampled_model(model, dt)
+    return Problem(with_increments(config, sampled), sampled, FeedForward.of(model, dt), tuple(terms))

@@ -77,6 +77,15 @@ class Problem:
         return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
 
     @property
+    def _spare(self) -> int:
+        """Samples of unknown delay that the filter estimates at most; none of a nonlinear model."""
+        config = self.config
+        # Without dead time the samples before a command are not remembered.
+        is_estimated = config.compensation.delay and config.compensation.dead_time and self.prediction is not None
+        is_learned = config.online_dead_time.enabled and config.online_dead_time.apply
+        return int(np.ceil(config.estimator.max_delay / self.model.dt)) if is_estimated and not is_learned else 0
+
+    @property
     def _turns(self) -> int:
         """Kinds of soft limit that keep the least turn radius: to the left and to the right, if there is one."""
         return 0 if self.config.limits.min_turn_radius is None else 2
@@ -107,7 +116,7 @@ class Problem:
             "states": model.order,
             "delay_v": v,
             "delay_omega": omega,
-            "window": max(self.window, model.memory),
+            "window": max(self.window, model.memory) + (self._spare + 1 if self._spare else 0),
             "history": self.history,
             "lag_v": lag_v,
             "lag_omega": lag_omega,
@@ -121,6 +130,7 @@ class Problem:
             "model_parameters": len(self.compiled_step.parameters) if self.compiled_step else 0,
             "work": self.compiled_step.work if self.compiled_step else 0,
             "command_turns": self._command_turns,
+            "spare": self._spare,
             # Soft limits that are exceeded take room, too, and there may be several at each sample.
             "pressing": 6 * self.config.horizon + 32,
         }
@@ -165,14 +175,18 @@ class Problem:
 
     def _estimation(self) -> Constants:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
-        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, *[True] * 6])
-        kinds = (*PRIORS, "gyro_bias")
+        known = self.config.sensors
+        delays = [self._spare > 0] * 2
+        estimated = np.array(
+            [on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, *[True] * 6, *delays]
+        )
+        kinds = (*PRIORS, "gyro_bias", "delay", "delay")
         uncertainty = estimated * np.array([s.uncertainty(kind) for kind in kinds])
         drift = estimated * np.array([s.drift(kind) for kind in kinds])
         prior = configured_slip(self.config)
         # Gains have their own bounds; curved slip is bounded by its initial uncertainty.
         far = np.full(len(SLIPS), np.inf)
-        far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : -1]
+        far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
         least, most = np.array(astuple(prior)) - far, np.array(astuple(prior)) + far
         least[1:4], most[1:4] = s.min_gain, s.max_gain
         drive = model.drive
@@ -181,7 +195,9 @@ class Problem:
         return {
             "noise": (drive * inputs**2) @ drive.T,
             "pose_noise": pose_drift * model.dt,
-            "prior": [*astuple(prior), 0.0],
+            "prior": [*astuple(prior), 0.0, 0.0, 0.0],
+            "evidence": np.square([s.slide_evidence, s.gain_evidence, s.delay_evidence, s.delay_evidence]),
+            "doubt": np.square([s.gain_doubt, s.delay_doubt]),
             "uncertainty": uncertainty,
             "drift": model.dt * np.square(drift),
             # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
@@ -195,6 +211,8 @@ class Problem:
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
+            "sensor_delay": [known.wheels.late, known.yaw_rate.late, known.pose.delay],
+            "sensor_scale": [known.wheels.scale, known.yaw_rate.scale],
             "largest_twist": [s.max_wheel_speed, s.max_yaw_rate, s.max_yaw_rate],
             "largest_twist_jump": [s.max_wheel_speed_jump, s.max_yaw_rate_jump, s.max_yaw_rate_jump],
             "largest_position_jump": s.max_position_jump,
@@ -210,6 +228,7 @@ class Problem:
             **test,
             "monitor_turn_ratio": monitor.turn_ratio,
             "monitor_trust": monitor.trust_after,
+            "wheel_limits": monitor.wheel_limits,
         }
 
     def _prediction(self) -> Constants:

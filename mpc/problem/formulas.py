@@ -176,15 +176,16 @@ def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> c
     return ca.vertcat(y[0] + s.v_offset, wheel_yaw_ratio * s.omega_gain * y[1], omega + gyro_bias)
 
 
-def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX) -> ca.SX:
-    """What the robot should aim at (4) for the reference's `pose` and `twist`: see `reference` above.
+def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
+    """Return what the robot should aim at (4) for the reference's `pose` and `twist`: see `reference` above.
 
-    To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed.
+    To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed, which
+    depends on the reference's forward `acceleration` [m/s^2].
     """
     s = _named(slip)
     v, omega = twist[0], _flat_of(twist, slip)[1]
     _, slide = sliding(pose[2], twist[1], s.slide_x, s.slide_y)
-    outward = s.side_slip * omega + (s.turn_ahead * omega - slide) * v / (v**2 + SLOW**2)
+    outward = s.side_slip * omega + (turning_point(slip, acceleration) * omega - slide) * v / (v**2 + SLOW**2)
     return ca.vertcat(pose, pose[2] + ca.atan(outward - s.crab))
 
 

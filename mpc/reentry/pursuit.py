@@ -27,6 +27,8 @@ _NOW = np.zeros(1)
 # Share of the attainable wheel speed that the reference may use, the rest being for path corrections [-]; and how far
 # ahead the reference is checked for it [s].
 _USABLE, _LOOK = 0.85, 0.6
+# As in mpc/config/sensor_test.yaml.
+_ON_SPOT = 0.5
 # Share of a speed limit that the reference may use, the rest being for path corrections [-].
 _KEPT = 0.95
 # The band is no narrower than the deviation of the position times this.
@@ -186,7 +188,7 @@ class Pursuit:
         """Return what to track at `since_start` [s], where `time` [s] is the value that `advance` returned.
 
         `ahead` are the times from now, 0 first, at which the target will be sampled, so that the reference is sampled
-        only once. `reach` is the attainable wheel speed at the rim [m/s].
+        only once. `reach` is the rim speed that may be demanded of the wheels [m/s].
         """
         reference = self._reference
         assert reference is not None
@@ -215,7 +217,7 @@ class Pursuit:
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / v)))
         self._driving = True
         late = float(off.late)
-        within = self._within_reach(reach, sample.twist[ahead <= _LOOK])
+        within = self._within_reach(reach, sample.twist[ahead <= _LOOK], estimate.slip.yaw_gain)
         most = min(self._fastest * min(1.0, max(0.0, 2.0 - late)), within)
         chosen = self.pace
         if math.isfinite(self._speed_limit):
@@ -234,12 +236,18 @@ class Pursuit:
             words += f"; the wheels get no faster than {reach:.2f} m/s"
         return Target(self._clock.clocked(followed), since_start, words, still)
 
-    def _within_reach(self, reach: float, twist: FloatArray) -> float:
-        """Progress rate at which the upcoming twists (n, 2) need no more than the attainable wheel speed."""
+    def _within_reach(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
+        """Progress rate at which the upcoming twists (n, 2) need no more than the rim speed `reach` [m/s].
+
+        The body turns `yaw_gain` times as fast as its wheels, which counts in turns on the spot only. A limit learned
+        in such a turn does not apply to the path after it, and the other way round.
+        """
         if not math.isfinite(reach):
             return math.inf
-        needed = float((np.abs(twist) @ [1.0, 0.5 * self._config.wheels.track]).max())
-        return _USABLE * reach / max(needed, STANDING)
+        v, turning = np.abs(twist * [1.0, 0.5 * self._config.wheels.track]).T
+        on_spot = v < _ON_SPOT * turning
+        needed = (v + turning / yaw_gain)[on_spot == on_spot[0]]
+        return _USABLE * reach / max(float(needed.max()), STANDING)
 
     def _within_limit(self, fastest: float) -> float:
         """Progress rate for a reference that soon reaches `fastest` [m/s]; slows it by `v_acceleration` at most."""

@@ -44,9 +44,11 @@ class Program:
         (2 N,) a plan near the solution.
     multipliers
         (kinds, N) of the limits near the solution: positive at upper bounds, negative at lower ones, else zero.
-    last_command, aim, feed_forward
+    last_command, aim, feed_forward, fed_before
         (2,) the command that the first increment counts from; (N + 1, 4) poses to aim at and headings to hold; (N, 2)
-        commands from which deviations are penalised.
+        commands from which deviations are penalised; (2,) that of the last tick.
+    late
+        (2,) delays that the plan reckons with [samples].
     ahead
         (N,) how far ahead of its origin the robot turns on each arc [m], along the guess.
     kinds
@@ -61,6 +63,7 @@ class Program:
         self.guess, self.multipliers = tick.view(c.guess, (n,)), tick.view(c.multipliers, (kinds, steps))
         self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
         self.feed_forward, self.ahead = tick.view(c.feed_forward, (steps, 2)), tick.view(c.ahead, (steps,))
+        self.fed_before, self.late = tick.view(c.fed_before, (2,)), tick.view(c.late, (2,))
         self._soft_value, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
         self._missed = tick.ffi.new("int[]", kinds)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import datetime
 import itertools
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from functools import cache
 from pathlib import Path
@@ -22,14 +22,17 @@ from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.function_structure import function_structures
+from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_lags
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
+from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.named_file import kept_editor_line
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
 from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
-from diffdrive_mpc.models.structures.model_file import Motors
+from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, build_model
 from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -74,8 +77,10 @@ _SOURCE = (
 )
 _METHOD = (
     "output error (simulation from commands alone), two poles, no zeros, all experiments at once, dead time, scipy "
-    "least_squares from several starts"
+    "least_squares from several starts; wheel speeds over {scale:g} and dead time of v less "
+    "{lag:g} s, which the driver's observer reads too much and too late beside true poses"
 )
+_DEAD_TIMES = "; dead times by the steps of SM, since the firmware shapes v and omega differently"
 
 
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
@@ -89,6 +94,7 @@ class FittingSettings(StrictModel):
     """How the experiments are identified; the reasons stand in `model_fitting.yaml`."""
 
     first_seed: int
+    reading_seeds: tuple[int, ...]
     validation_seeds: tuple[int, ...]
     settling_time: Positive
     shortest: Positive
@@ -109,12 +115,41 @@ class PaperExperiments:
     omega: list[OpenLoopDrive]
 
 
+@cache
+def wheel_reading() -> ParameterEstimate:
+    """Find by how much wheel speeds lag the body [s], and how large they read [-], on smoothed random drives."""
+    drives = [
+        drive_open_loop(make_plant("mujoco", seed=s), random_commands(s)) for s in fitting_settings().reading_seeds
+    ]
+    dt = load_robot().sample_time
+    return calibrate_lags(
+        [Record("", 0.0, dt, drive.command, twist=drive.wheel_twist, pose=drive.true_pose) for drive in drives]
+    )
+
+
+def _lag_and_scale() -> tuple[float, float]:
+    """Round the same as a configuration states it."""
+    lag, scale = wheel_reading().values
+    return round(float(lag), 4), round(float(scale), 4)
+
+
+def _late() -> tuple[float, float]:
+    """Return by how much the outputs of a drive lag the body [s], v of the encoders and omega of the gyro."""
+    return _lag_and_scale()[0], 0.0
+
+
+def _over_ground(log: OpenLoopDrive) -> OpenLoopDrive:
+    """Return the drive with wheel speeds over ground, as late as they were read."""
+    _, scale = _lag_and_scale()
+    return replace(log, wheel_speeds=log.wheel_speeds / scale, wheel_twist=log.wheel_twist / scale)
+
+
 def run_experiments() -> PaperExperiments:
-    """Drive the simulated robot through the steps of the paper."""
+    """Drive the simulated robot through the steps of the paper; wheel speeds are those over ground."""
     seed = itertools.count(fitting_settings().first_seed)
 
     def logs(commands: Iterable[FloatArray]) -> list[OpenLoopDrive]:
-        return [drive_open_loop(make_plant("mujoco", seed=next(seed)), rows) for rows in commands]
+        return [_over_ground(drive_open_loop(make_plant("mujoco", seed=next(seed)), rows)) for rows in commands]
 
     return PaperExperiments(logs(step_commands("wheels")), logs(step_commands("v")), logs(step_commands("omega")))
 
@@ -155,16 +190,22 @@ def fit_models(
         announce(0, IDENTIFICATIONS)
         logs = run_experiments()
         sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
-        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), day, folder)
-        _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), day, folder)
+        lag, scale = _lag_and_scale()
+        method = _METHOD.format(lag=lag, scale=scale)
+        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), (day, method), folder)
+        _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), (day, method + _DEAD_TIMES), folder)
     warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
     return validation_table(folder), warnings
 
 
 def _write(
-    path: Path, data: dict[str, Any], used: tuple[list[OpenLoopDrive], list[OpenLoopDrive]], day: str, replaced: Path
+    path: Path,
+    data: dict[str, Any],
+    used: tuple[list[OpenLoopDrive], list[OpenLoopDrive]],
+    origin: tuple[str, str],
+    replaced: Path,
 ) -> None:
-    """Write a parameter file, load it as a user would, and add the FIT of what was loaded.
+    """Write a parameter file, load it as a user would, and add the FIT of what was loaded; `origin` is day and method.
 
     A file of the same name in the folder `replaced` keeps its line for editors.
     """
@@ -172,9 +213,9 @@ def _write(
     data["provenance"] = {
         "origin": "identified",
         "source": _SOURCE,
-        "method": _METHOD,
+        "method": origin[1],
         "experiments": [_describe(logs, row) for row, logs in enumerate(used)],
-        "date": day,
+        "date": origin[0],
     }
     path.write_text(line + _yaml(name, data), encoding="utf-8")
     model = load_linear_model(path)
@@ -186,37 +227,42 @@ def _write(
 
 
 def validation_table(folder: Path = PARAMETERS) -> Table:
-    """FIT of the three models on drives that none was identified from."""
+    """FIT of the three models on drives that none was identified from, and by how much they trail the body."""
     rows = []
     seeds = fitting_settings().validation_seeds
     for smooth in (True, False):
-        drives = [drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth)) for seed in seeds]
+        drives = [
+            _over_ground(drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth)))
+            for seed in seeds
+        ]
         for name in ("mbm", "sm", "ssm"):
             model = load_linear_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
-            extra = best_extra_dead_time(model, drives)
+            late = [lateness(model, drives, [log.true_twist[:, 2 * row] for log in drives], row) for row in (0, 1)]
             kind = "smoothed" if smooth else "in steps"
-            rows.append((model.name, kind, *(f"{x:.2f}" for x in fits), *(f"{x:.4f}" for x in extra)))
+            rows.append((model.name, kind, *(f"{x:.2f}" for x in fits), *(f"{x:.4f}" for x in late)))
+    (_, lag, lag_sd), (_, scale, scale_sd) = wheel_reading().rows
     return Table(
         title="Simulation FIT on random drives that no model was identified from",
-        columns=("model", "set-points", "FIT v [%]", "FIT omega [%]", "extra dead time v [s]", "omega [s]"),
+        columns=("model", "set-points", "FIT v [%]", "FIT omega [%]", "late in v [s]", "omega [s]"),
         rows=tuple(rows),
         text_columns=2,
-        note="Extra dead time: what each model's file lacks to explain these drives best.",
+        note=f"Late: behind the body's true twist. Wheel speeds lag its poses by {lag:.4f} +- {lag_sd:.4f} s and read "
+        f"{scale:.4f} +- {scale_sd:.4f} times as much.",
     )
 
 
-def best_extra_dead_time(model: VelocityModel, logs: list[OpenLoopDrive]) -> FloatArray:
-    """(2,) dead time [s] that the model's file does not carry and that would make it explain the logs best."""
-    dt, extra = load_robot().sample_time, np.zeros(2)
-    for row in (0, 1):
+def lateness(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[FloatArray], row: int) -> float:
+    """Find by how much a channel of the model trails the `motion` (K,) of each drive [s], whatever its gain."""
+    simulated = [model.discretise(load_robot().sample_time).simulate(log.command)[:, row] for log in logs]
+    true = np.concatenate(motion)
 
-        def misfit(delay: float, row: int = row) -> float:
-            candidate = model.with_extra_dead_time(np.eye(2)[row] * delay).discretise(dt)
-            return float(sum(np.sum((log.output - candidate.simulate(log.command))[:, row] ** 2) for log in logs))
+    def misfit(late: float) -> float:
+        pairs = zip(logs, simulated, strict=True)
+        prompt = np.concatenate([np.interp(log.time + late, log.time, predicted) for log, predicted in pairs])
+        return float(np.sum((true - prompt * (true @ prompt) / (prompt @ prompt)) ** 2))
 
-        extra[row] = minimize_scalar(misfit, bounds=(0.0, 0.1), method="bounded", options={"xatol": 1e-4}).x
-    return extra
+    return float(minimize_scalar(misfit, bounds=(-0.1, 0.1), method="bounded", options={"xatol": 1e-5}).x)
 
 
 def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
@@ -226,7 +272,10 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
         fits[channel] = identify(channel, experiments, None)
     return {
         "warnings": [str(warning) for fit in fits.values() for warning in fit.warnings],
-        "dead_time": {channel: round(fit.parameters.value("dead_time"), 5) for channel, fit in fits.items()},
+        "dead_time": {
+            channel: round(max(fit.parameters.value("dead_time") - late, 0.0), 5)
+            for late, (channel, fit) in zip(_late(), fits.items(), strict=True)
+        },
         "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
     }
 
@@ -249,14 +298,21 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
     settled = np.concatenate([_settled(log) for log in logs.omega])
     gain = np.mean([channel.content["gain"] for channel in channels])
-    return {
+    content = {
         "warnings": [str(warning) for channel in channels for warning in channel.warnings],
-        "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
+        "dead_time": dict.fromkeys(CHANNELS, 0.0),
         "motors": {name: _rounded(channel) for name, channel in zip(names, channels, strict=True)},
         "wheel_radius": robot.wheel_radius,
         "firmware_track": round(identify_track(difference[settled], commanded[settled]) / float(gain), 5),
         "effective_track": round(identify_track(difference[settled], gyro[settled]), 5),
     }
+    named = {"name": "MBM", "structure": "mbm", "provenance": {"origin": "identified", "source": _SOURCE}}
+    prompt = build_model(MbmFile.model_validate(content | named))
+    early = [
+        -lateness(prompt, used, [log.output[:, row] for log in used], row) - late
+        for row, (used, late) in enumerate(zip((logs.v, logs.omega), _late(), strict=True))
+    ]
+    return content | {"dead_time": {name: round(max(time, 0.0), 5) for name, time in zip(CHANNELS, early, strict=True)}}
 
 
 def _experiment(log: OpenLoopDrive, command: FloatArray, output: FloatArray) -> SampledExperiment:
@@ -276,7 +332,8 @@ def _settled(log: OpenLoopDrive) -> FloatArray:
 
 def _model_fit(model: VelocityModel, logs: list[OpenLoopDrive], row: int) -> float:
     discrete = model.discretise(load_robot().sample_time)
-    simulated = [discrete.simulate(log.command)[:, row] for log in logs]
+    late = _late()[row]
+    simulated = [np.interp(log.time - late, log.time, discrete.simulate(log.command)[:, row]) for log in logs]
     return pooled_fit_percent([log.output[:, row] for log in logs], simulated)
 
 

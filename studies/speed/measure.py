@@ -24,6 +24,7 @@ from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.formulas import formula
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import make_plant
 from studies.speed.process.environment import PeerEnvironment
@@ -133,7 +134,8 @@ def closed_loop_cost(
     """Mean over the ticks of the stage cost of `mpc.problem`, taken where the robot really was.
 
     Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
-    deviation from its feed-forward and of its increments, plus the penalties on soft limits that were exceeded. The
+    deviation from its feed-forward and of its increments less those of the feed-forward, plus the penalties on soft
+    limits that were exceeded. The
     terminal weight has no part in it, nor has slip: the feed-forward is that of the model, and no lead is asked for.
 
     Parameters
@@ -170,10 +172,11 @@ def closed_loop_cost(
         raise ValueError("pose, twist and command must be finite: a drive that failed has no cost")
     ahead = FeedForward.of(model, config.sample_time)
     sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
-    w = config.weights
+    w = with_increments(config, model.discretise(config.sample_time)).weights
     in_path = _in_path(pose, sample.pose[:n])
-    deviation = command - _fed_forward(ahead, sample.twist, n)
-    increment = np.diff(command, axis=0, prepend=np.zeros((1, 2)))
+    fed = _fed_forward(ahead, sample.twist, n)
+    deviation = command - fed
+    increment = np.diff(deviation, axis=0, prepend=-fed[:1])
     squares = in_path**2 @ [w.along, w.across, w.heading]
     squares += deviation**2 @ [w.v, w.omega] + increment**2 @ [w.v_increment, w.omega_increment]
     excess = np.maximum(_soft_values(twist, in_path[:, 1], config) - _soft_limits(config), 0.0)

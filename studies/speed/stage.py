@@ -18,6 +18,7 @@ from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import sliding
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.solver.backend import Program
 
 ROWS = (
@@ -25,6 +26,7 @@ ROWS = (
     *("v_feed_forward", "omega_feed_forward"),
     *("v_gain", "omega_gain", "v_offset", "omega_offset", "turn_left"),
     *("side_slip", "ahead", "slide_x", "slide_y"),
+    *("v_ramp", "omega_ramp"),
     *("v_limit", "omega_limit", "right_limit", "left_limit", "corridor"),
 )
 """What changes from tick to tick, in the order of a stage's parameters."""
@@ -49,7 +51,8 @@ class StageProblem:
         (3,), (4,) and scalars; see `mpc.config.schema.Weights`.
     step, tracking, effort, soft_values
         CasADi functions, serialised: (z, u, p) to z; (z, p) to the errors along, across, in heading; (z, u, p) to
-        the deviation from the feed-forward and the increment; (z, p) to the five values with soft limits.
+        the deviation from the feed-forward and the increment less that of the feed-forward; (z, p) to the five values
+        with soft limits.
     """
 
     horizon: int
@@ -91,7 +94,7 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
     half = 0.5 * config.wheels.track
     rim = point / gains
     soft = ca.vertcat(_body(turn_left, point), rim[0] + half * rim[1], rim[0] - half * rim[1], across)
-    w, limits = config.weights, config.limits
+    w, limits = with_increments(config, model).weights, config.limits
     return StageProblem(
         horizon=config.horizon,
         states=size,
@@ -105,7 +108,7 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
         soft_quadratic=w.soft_quadratic,
         step=_serialised("step", [z, u, p], ca.vertcat(after, moved, line[2:])),
         tracking=_serialised("tracking", [z, p], ca.vertcat(c * error[0] + s * error[1], across, pose[2] - heading)),
-        effort=_serialised("effort", [z, u, p], ca.vertcat(u - feed_forward, u - line[-4:-2])),
+        effort=_serialised("effort", [z, u, p], ca.vertcat(u - feed_forward, u - line[-4:-2] - p[15:17])),
         soft_values=_serialised("soft_values", [z, p], soft),
     )
 
@@ -136,7 +139,8 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
     parameters[:, 10:12] = slip.turn_left, slip.side_slip
     parameters[:N, 12] = program.ahead
     parameters[:, 13:15] = slip.slide_x, slip.slide_y
-    parameters[:, 15:] = program.soft_limits
+    parameters[:N, 15:17] = np.diff(program.feed_forward, axis=0, prepend=program.fed_before[None])
+    parameters[:, 17:] = program.soft_limits
     return np.concatenate([estimate.state, estimate.pose, past.ravel()]), parameters
 
 

@@ -23,6 +23,7 @@ from diffdrive_mpc.bench.peers.tracking_peer import nearest_command, slew_step
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from studies.tracking.known_plant import KnownPlant
 
@@ -76,8 +77,9 @@ class ClairvoyantProgram:
     """
 
     def __init__(self, known: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings) -> None:
-        self._known, self._config, self._steps = known, config, settings.horizon
+        self._known, self._steps = known, settings.horizon
         self._model = known.model.discretise(config.sample_time)
+        self._config = with_increments(config, self._model)
         options: dict[str, Any] = {
             "print_time": 0,
             "ipopt.print_level": 0,

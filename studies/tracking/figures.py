@@ -1,4 +1,4 @@
-"""The figures of the tracking study: what each part of the estimator is worth, and where the error comes from."""
+"""Figures of the tracking study: what each part of the estimator is worth, what errors come from, and the margin."""
 
 from __future__ import annotations
 
@@ -42,6 +42,29 @@ def draw_ablation(rows: DataFrame, path: Path) -> None:
         series.append(Series(name, list(surfaces), errors, i, "bars", *ends))
     axes = Axis("", "category"), Axis("position RMSE [mm]")
     draw_charts([Chart("What each part of the estimator is worth", *axes, series)], path, width=10.0)
+
+
+def draw_margin(rows: DataFrame, path: Path) -> None:
+    """Draw the position error against the margin of omega, which peers lack, and against the change of omega_ref."""
+    driven = rows[rows["part"] == "margin"]
+    has_margin = driven["margin"] != "-"
+    ends = [float(driven["margin"][has_margin].min()), float(driven["margin"][has_margin].max())]
+    by_margin, by_change = [], []
+    for i, (name, runs) in enumerate(by(driven, "driver").items()):
+        points = by(runs, "margin")
+        errors, changes = (
+            [1e3 * mean(point, column) for point in points.values()] for column in ("position_rmse_m", "omega_change")
+        )
+        is_peer = "-" in points
+        line = (ends, 2 * errors, i, "line") if is_peer else ([float(margin) for margin in points], errors, i)
+        by_margin.append(Series(name, *line))
+        by_change.append(Series(name, changes, errors, i, "points" if is_peer else "both"))
+    error = Axis("position RMSE [mm]")
+    charts = [
+        Chart("Error against margin", Axis("margin of omega [s]"), error, by_margin),
+        Chart("Error against smoothness", Axis("RMS change of omega_ref per tick [mrad/s]"), error, by_change),
+    ]
+    draw_charts(charts, path)
 
 
 def draw_error_sources(rows: DataFrame, path: Path) -> None:

@@ -62,7 +62,7 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     """
     if plant.startswith(_MODEL_PREFIX):
         return _exact(load_linear_model(plant.removeprefix(_MODEL_PREFIX)), surface)
-    logs = [_drive(plant, surface, trajectory) for trajectory in trajectories]
+    logs = [reference_drive(plant, surface, trajectory) for trajectory in trajectories]
     # The truth has no outliers, and no reference is beyond a limit of the robot.
     fits = [
         identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False)
@@ -82,7 +82,8 @@ def _exact(model: VelocityModel, surface: str) -> KnownPlant:
     return KnownPlant(known, slip.side_slip, 0.0)
 
 
-def _drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
+def reference_drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
+    """Drive a plant with perfect sensors open loop, the twists of the reference as commands."""
     robot, reference = make_plant(plant, surface, _PERFECT), load_trajectory(trajectory)
     return drive_open_loop(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 

@@ -60,6 +60,8 @@ BOUND = "clairvoyant"
 """Name of the controller that is the bound; it is no peer to choose on the command line."""
 BOUND_NAME = "clairvoyant bound"
 """What tables and figures call it."""
+MARGIN = "margin.omega"
+"""Key that the part "margin" varies."""
 _POINTS = 400
 """Ticks of a run that the page holds at most."""
 
@@ -91,9 +93,10 @@ def measured(case: Case, run: Run) -> dict[str, object]:
     """Columns of a run.
 
     `arcs` (arcs,) are the mean lateral errors of every steady arc [m], `late_lateral_m` is the largest |lateral| after
-    the first seconds of `targets.yaml`. Over the counted ticks: `time` [s], `along` and `across` [m], the position
-    error ahead of the reference and to its left, and `steady`, whether the tick belongs to a steady arc. `series` is
-    what the page shows of a run as shipped with the usual floor and sensors.
+    the first seconds of `targets.yaml`, `omega_change` the RMS change of omega_ref from tick to tick [rad/s], and
+    `margin` that of omega where the case states it [s]. Over the counted ticks: `time` [s], `along` and `across` [m],
+    the position error ahead of the reference and to its left, and `steady`, whether the tick belongs to a steady arc.
+    `series` is what the page shows of a run as shipped with the usual floor and sensors.
     """
     counted = np.flatnonzero(run.counted)
     along, across = ahead_and_left((run.true_pose - run.reference_pose)[counted], run.reference_pose[counted, 2])
@@ -106,6 +109,8 @@ def measured(case: Case, run: Run) -> dict[str, object]:
         "plain": is_plain(case),
         "arcs": np.array(steady_arc_lateral(run), dtype=float),
         "late_lateral_m": float(np.max(np.abs(run.errors.lateral[late]), initial=0.0)),
+        "omega_change": float(np.sqrt(np.mean(np.diff(run.command[counted, 1]) ** 2))),
+        "margin": dict(case.overrides).get(MARGIN, "-"),
         "time": run.time[counted],
         "along": along,
         "across": across,
@@ -117,7 +122,7 @@ def measured(case: Case, run: Run) -> dict[str, object]:
 def is_plain(case: Case) -> bool:
     """Whether it is our controller as shipped, on the physics, with the default sensors and without disturbance."""
     usual = ("mujoco", "default", NO_SCENARIO, ())
-    return case.controller != BOUND and (case.plant, case.sensors, case.scenario, case.overrides) == usual
+    return case.controller == Case().controller and (case.plant, case.sensors, case.scenario, case.overrides) == usual
 
 
 def _series(case: Case, run: Run) -> RunSeries:

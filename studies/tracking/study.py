@@ -123,17 +123,21 @@ class TrackingStudy(SpecStudy):
         return [*([target_table(judge(targets))] if len(targets) else []), *self.stated_tables(shown, _cells(rows))]
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Tables of every part that was run; figures only where there was an ablation."""
-        from studies.tracking.figures import draw_ablation, draw_error_sources  # noqa: PLC0415
+        """Tables of every part that was run, and figures where their part was."""
+        from studies.tracking.figures import draw_ablation, draw_error_sources, draw_margin  # noqa: PLC0415
 
         plain = super().report(results, seconds)
         seeds = ", ".join(by(results[results["controller"] != BOUND], "seed"))
-        drawn = {"ablation.png": draw_ablation, "error-sources.png": draw_error_sources}
-        ablated = (results["part"] == "ablation").any()
+        drawn = {
+            "ablation.png": ("ablation", draw_ablation),
+            "error-sources.png": ("ablation", draw_error_sources),
+            "margin.png": ("margin", draw_margin),
+        }
+        driven = set(results["part"])
         return replace(
             plain,
             facts=[f"{plain.facts[0][:-1]}; seeds {seeds}."],
-            figures={name: partial(draw, results) for name, draw in drawn.items() if ablated},
+            figures={name: partial(draw, results) for name, (part, draw) in drawn.items() if part in driven},
             shown=shown(results),
         )
 
@@ -150,10 +154,20 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
         same = own["plant"].iloc[0] == f"model:{own['model'].iloc[0]}"
         return millis(mean(own, "position_rmse_m")) + ("*" if same else "")
 
+    def on_floor(group: DataFrame, *, error: str = "total", assumed: bool = False) -> str:
+        from studies.tracking.floor import position_floor  # noqa: PLC0415 - loads slowly
+
+        places = group[["model", "trajectory", "sensors"]].drop_duplicates().itertuples(index=False, name=None)
+        floors = [getattr(position_floor(*place, assumed=assumed), error) for place in places]
+        return number(1e3 * float(np.mean(floors)), 2)
+
     return {
         "worst_arc": lambda own: millis(worst_arc(own)),
         "error_on_plant": on_plant,
         "ours": lambda own: millis(ours_there(own)),
+        "floor_total": on_floor,
+        "floor_estimate": partial(on_floor, error="estimate"),
+        "floor_assumed": partial(on_floor, assumed=True),
         "left": lambda own: millis(ours_there(own) - mean(own, "position_rmse_m")),
     }
 

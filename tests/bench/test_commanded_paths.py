@@ -91,7 +91,8 @@ def test_limits_bind_on_tight_for_a_third_of_the_time(overrides: tuple[tuple[str
 
 
 PATHS = ["circle", "square", "s", "cane"]
-MINUTE = Path(__file__).parents[2] / "studies" / "ros" / "minute.yaml"
+MINUTE = "segments:\n- {v: 0.5, omega: 0.5, duration: 62.83185307179586}\n"
+"""Five circles, as the shipped one."""
 SETTLED = 10
 """Ticks after which the first poses have been weighed."""
 
@@ -133,18 +134,20 @@ def test_on_the_physics_innovations_and_errors_are_about_as_large_as_the_estimat
     innovations, (x, y, heading) = normalised(model)
     assert 0.75 < innovations["pose"] < 1.2  # 0.83 to 0.97
     assert 0.35 < innovations["wheel_speed"] < 1.5  # 0.38 to 0.99
-    assert 0.75 < innovations["yaw_rate"] < 2.0  # 0.89 to 1.84
-    assert 0.05 < innovations["wheel_yaw_rate"] < 1.0  # means over trajectories at seed 20: 0.10 (SM), 0.51 (SSM)
+    # The gyro's is the first after a prediction; the wheels, which lag by more than half a sample, meet what it left.
+    assert 0.05 < innovations["yaw_rate"] < 1.0  # 0.12 (SM), 0.71 (SSM): means over trajectories at seed 20
+    assert 0.75 < innovations["wheel_yaw_rate"] < 2.0  # 1.36 (SSM), 1.47 (SM)
     assert 0.3 < x < 1.0  # means over seeds: 0.43 to 0.47
     assert 0.3 < y < 1.0  # 0.45 to 0.49
     assert 0.5 < heading < 2.0  # 0.75 to 1.66
 
 
 @pytest.mark.long
-def test_on_a_circle_of_a_minute_the_estimate_does_not_wander() -> None:
+def test_on_a_circle_of_a_minute_the_estimate_does_not_wander(tmp_path: Path) -> None:
     """A gain that the filter takes for better known than it is would drift by the lap, and the robot off its path."""
     controller = Recorder(Controller(load_config("ssm")))
-    reference = load_trajectory(str(MINUTE))
+    (tmp_path / "minute.yaml").write_text(MINUTE)
+    reference = load_trajectory(tmp_path / "minute.yaml")
     run = simulate(controller, make_plant("mujoco", seed=20), reference)
     lap = len(run.time) // 5
     gains = [step.estimate.slip.omega_gain for step in controller.steps[lap:] if step.estimate is not None]

@@ -235,14 +235,20 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
         k.drift[i] = wild(1e-5, seldom);
         k.uncertainty[i] = wild(0.1, seldom);
     }
+    for (int i = 0; i < 2 && s->spare > 0; i++)
+        k.uncertainty[CURVED_SLIPS + 1 + i] = wild(0.05, seldom);
+    for (int i = 0; i < 4; i++)
+        k.evidence[i] = wild(9.0, seldom);
+    k.doubt[0] = k.doubt[1] = wild(1e-4, seldom);
     k.prior[4] = k.prior[7] = R(0.05);
     for (int i = 0; i < 3; i++) {
         k.pose_noise[i] = wild(1e-6, seldom);
         k.pose_variance[i] = k.twist_variance[i] = wild(1e-4, seldom) + R(1e-12);
         k.largest_twist[i] = wild(4.0, seldom);
         k.largest_twist_jump[i] = wild(2.0, seldom);
+        k.sensor_delay[i] = uniform(0.0, 0.02);
     }
-    k.wheel_yaw_ratio = R(1.2);
+    k.wheel_yaw_ratio = k.sensor_scale[0] = k.sensor_scale[1] = R(1.2);
     k.min_turn_radius = s->turns ? R(0.7) : R(0.0);
     k.min_commanded_radius = s->command_turns ? R(0.9) : R(0.0);
     k.surprise = R(9.0);
@@ -273,7 +279,12 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.short_for = k.steady = k.smoothed = R(0.2);
     k.stuck = k.trial[1] = R(0.3);
     k.trial[0] = R(0.01);
-    k.regain = R(0.05);
+    k.slowed = R(0.75);
+    k.retry = R(0.7);
+    k.regain[0] = R(0.6);
+    k.regain[1] = R(0.2);
+    k.on_spot = k.far_below = R(0.5);
+    k.wheel_limits = 1;
     k.late[0] = R(16.0);
     k.late[1] = R(0.99);
     const real gains[4] = {R(0.2), R(6.0), R(8.0), R(0.5)}, scatter[5] = {R(0.04), R(25.0), R(9.0), R(6.25), R(400.0)};
@@ -492,8 +503,10 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
         other.delay_omega = below(s->window);
         other.lag_v = below(lag + 2);
         other.lag_omega = below(lag + 1);
+        /* Commands as late as they may be, and the one before, have to be in the window. */
+        const int most = s->window - 1 - s->spare - (s->spare > 0);
         if (ddmpc_configure(c, constants + below(2), &other) !=
-            (other.delay_v >= 0 && other.delay_v < s->window && other.lag_v <= lag))
+            (other.delay_v >= 0 && other.delay_v <= most && other.delay_omega <= most && other.lag_v <= lag))
             abort();
         break;
     }
@@ -599,7 +612,7 @@ static void drive(const subject *one)
 
 static void check_bounds(void)
 {
-    const ddmpc_sizes good = {3, 2, 0, 1, 2, 4, 1, 0, 0, SHIPPED_SOFT, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 38};
+    const ddmpc_sizes good = {3, 2, 0, 1, 2, 4, 1, 0, 0, SHIPPED_SOFT, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 0, 38};
     ddmpc_controller *c = malloc(ddmpc_controller_bytes());
     for (int field = 0; field < 11; field++)
         for (int bad = 0; bad < 3; bad++) {
@@ -617,17 +630,17 @@ static void check_bounds(void)
 int main(int count, char **words)
 {
     const subject subjects[] = {
-        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
-        {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, CURVED_SLIPS, 0, 0, 0, 42}, {{0, 0, 0, 0}}, 3000},
-        {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0, 13}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
-        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, FLAT_SLIPS, 0, 0, 0, 34}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
-        {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 62}, {{0, 0, 0, 0}}, 3000},
-        {"eight states, terms", {9, 8, 3, 2, 5, 16, 0, 9, 3, 8, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0, 20}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
-        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1, 0, FLAT_SLIPS, 0, 7, 0, 56}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
-        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 40}, {{0, 0, 0, 0}}, 1000},
-        {"largest", {200, 64, 500, 510, 512, 16, 60, 3, 3, 29, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0, 432}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
-        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0, 432}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
-        {"turns, commanded", {8, 2, 1, 2, 4, 8, 1, 1, 0, 9, 0, 0, 0, 2, FLAT_SLIPS, 0, 0, 2, 48}, {{0, 0, 0, 0}}, 3000},
+        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
+        {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, CURVED_SLIPS, 0, 0, 0, 0, 42}, {{0, 0, 0, 0}}, 3000},
+        {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0, 0, 13}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, FLAT_SLIPS, 0, 0, 0, 0, 34}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"usual", {15, 2, 1, 2, 8, 16, 4, 3, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 3, 62}, {{0, 0, 0, 0}}, 3000},
+        {"eight states, terms", {9, 8, 3, 2, 8, 16, 0, 9, 3, 8, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0, 2, 20}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
+        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1, 0, FLAT_SLIPS, 0, 7, 0, 0, 56}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
+        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0, 0, 40}, {{0, 0, 0, 0}}, 1000},
+        {"largest", {200, 64, 490, 500, 512, 16, 60, 3, 3, 29, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0, 10, 432}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
+        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0, 0, 432}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
+        {"turns, commanded", {8, 2, 1, 2, 12, 8, 1, 1, 0, 9, 0, 0, 0, 2, FLAT_SLIPS, 0, 0, 2, 7, 48}, {{0, 0, 0, 0}}, 3000},
     };
     state = count > 1 ? strtoull(words[1], 0, 10) : 1;
     state = state * 0x9E3779B97F4A7C15u + 1;

@@ -181,12 +181,6 @@ def test_the_loaded_model_is_the_identified_one(structure, tmp_path):
     assert data.warnings == [str(doubt) for doubt in identified.warnings]
 
 
-def test_a_limit_found_stands_in_the_file(tmp_path):
-    data = read_model_file(written(IDENTIFY["ssm"](), tmp_path / "model.yaml"))
-    assert data.limits.omega == pytest.approx(0.9, abs=0.02)
-    assert data.limits.v is None
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -236,19 +230,6 @@ def test_known_truth_is_recovered_without_noise(gain, frequency, damping, dead_t
     assert found.parameters.value("natural_frequency") == pytest.approx(frequency, rel=2e-2)
     assert found.parameters.value("damping") == pytest.approx(damping, rel=2e-2)
     assert found.parameters.value("dead_time") == pytest.approx(dead_time, abs=1e-3)
-
-
-def test_the_simulation_is_that_of_the_velocity_model():
-    model = two_channels((0.9, 15.0, 0.8), (0.9, 15.0, 0.8), (0.047, 0.047))
-    discrete = model.discretise(DT)
-    command = 0.3 + steps(0.5)
-    both = np.column_stack([command, command])
-    start = np.full(2, command[0])
-    outputs = discrete.simulate(both, discrete.settled_state(start), np.tile(start, (discrete.memory, 1)))
-    simulated = simulate_experiment(
-        system(model), SampledExperiment("both", DT, both, outputs, np.ones(both.shape, dtype=bool))
-    )
-    assert outputs == pytest.approx(simulated, abs=1e-9)
 
 
 def test_a_known_dead_time_is_kept():

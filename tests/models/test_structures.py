@@ -185,7 +185,6 @@ def test_poles_gains_and_lags():
 
 SSM = load_model("ssm")
 dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))
-sample_times = st.floats(0.004, 0.1)
 
 
 def ode_outputs(model, commands, dt):
@@ -242,20 +241,6 @@ def test_channels_side_by_side_are_what_control_appends():
         assert np.array_equal(ours, theirs)
 
 
-@given(dead_times, sample_times)
-def test_the_steady_state_gain_survives_any_sampling(dead_time, dt):
-    assert SSM.with_extra_dead_time(dead_time).discretise(dt).dc_gain == pytest.approx(SSM.dc_gain, abs=1e-9)
-
-
-@given(dead_times, st.floats(0.01, 0.06))
-def test_two_half_samples_make_a_whole_one(dead_time, dt):
-    model = SSM.with_extra_dead_time(dead_time)
-    commands = np.random.default_rng(2).normal(size=(25, 2))
-    whole = model.discretise(dt).simulate(commands)
-    halves = model.discretise(dt / 2).simulate(np.repeat(commands, 2, axis=0))
-    assert whole == pytest.approx(halves[::2], abs=1e-9)
-
-
 @given(dead_times)
 def test_a_settled_robot_stays_settled(dead_time):
     discrete = SSM.with_extra_dead_time(dead_time).discretise(0.0202)
@@ -263,15 +248,6 @@ def test_a_settled_robot_stays_settled(dead_time):
     past = np.tile(command, (discrete.memory, 1))
     outputs = discrete.simulate(np.tile(command, (30, 1)), discrete.settled_state(command), past)
     assert outputs == pytest.approx(np.tile(SSM.dc_gain @ command, (30, 1)), abs=1e-12)
-
-
-@given(st.integers(0, 5), sample_times)
-def test_whole_samples_of_dead_time_only_shift(samples, dt):
-    commands = np.random.default_rng(3).normal(size=(20, 2))
-    plain = SSM.discretise(dt).simulate(commands)
-    delayed = SSM.with_extra_dead_time([samples * dt] * 2).discretise(dt)
-    assert delayed.delay.tolist() == [samples, samples]
-    assert delayed.simulate(commands)[samples:] == pytest.approx(plain[: 20 - samples], abs=1e-12)
 
 
 @pytest.mark.parametrize("dt", [0.0, -0.02, float("nan"), float("inf")])

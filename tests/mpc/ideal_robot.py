@@ -12,6 +12,8 @@ from oracle.motion import arc, sideways, slid
 
 # What encoders and geometric track make of the yaw rate that the firmware was asked for.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
+# Its encoders do not lag, as those do that the shipped configurations are for.
+PROMPT = {"sensors.wheels.lag": 0.0, "sensors.wheels.scale": 1.0}
 
 
 class IdealRobot:

@@ -18,7 +18,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.step_result import StepResult
 
 # The controller knows that its robot slips in no way: what it aims at is the reference itself.
-NO_SLIP = {"compensation.v_offset": False, "compensation.yaw_gain": False, "compensation.side_slip": False}
+NO_SLIP = {f"compensation.{name}": False for name in ("delay", "v_offset", "yaw_gain", "side_slip")}
 EXACT = {"solver.tolerance": 1e-8, "solver.max_iterations": 50000}
 
 EachTick = Callable[[Controller, float], None]
@@ -107,11 +107,14 @@ def nonlinear_outputs(model: Any) -> Outputs:
 
 
 def feed_forward(controller: Controller, reference: Reference, t: float) -> FloatArray:
-    """Return the commands (N, 2) for the reference's twist one lag later, interpolated between the samples."""
+    """Return the commands (N + 1, 2) for the reference's twist one lag later, interpolated between the samples.
+
+    The first is that of the last tick.
+    """
     dt, model = controller.config.sample_time, controller.model
-    wanted = np.empty((controller.config.horizon, 2))
+    wanted = np.empty((controller.config.horizon + 1, 2))
     for channel, lag in enumerate(model.lag):
-        at = np.arange(controller.config.horizon) + lag / dt
+        at = np.arange(-1, controller.config.horizon) + lag / dt
         grid = np.arange(int(at[-1]) + 2)
         wanted[:, channel] = np.interp(at, grid, reference.sample(t + dt * grid).twist[:, channel])
     if not isinstance(model, NonlinearModel):
@@ -139,7 +142,8 @@ class NonlinearProgram:
         self.config, self.t = controller.config, drive.times[-1]
         self.steps, self.dt = self.config.horizon, self.config.sample_time
         assert result.estimate is not None
-        self.wanted, self.last = feed_forward(controller, reference, self.t), drive.commands[-2]
+        fed = feed_forward(controller, reference, self.t)
+        self.wanted, self.ramps, self.last = fed[1:], np.diff(fed, axis=0), drive.commands[-2]
         self.plan = [ca.SX.sym(f"u{k}", 2) for k in range(self.steps)]
         sent = [ca.SX(command) for command in [*np.zeros((20, 2)), *drive.commands[:-1]]]
         self.twists = outputs(result.estimate.state, [*sent, *self.plan], self.steps)
@@ -192,7 +196,7 @@ class NonlinearProgram:
         ):
             u = self.plan[k][channel]
             self.cost += 0.5 * weight * (u - self.wanted[k, channel]) ** 2
-            self.cost += 0.5 * increment * (u - before[channel]) ** 2
+            self.cost += 0.5 * increment * (u - before[channel] - self.ramps[k][channel]) ** 2
             self._bound(u, -most, most)
             self._bound(u - before[channel], -slew, slew)
 

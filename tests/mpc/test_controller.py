@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_robot import IdealRobot, drive
+from ideal_robot import PROMPT, IdealRobot, drive
 
 from diffdrive_mpc import ConfigError, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
@@ -25,12 +25,12 @@ def robot_for(reference, **kwargs):
     return IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0], **kwargs)
 
 
-# What is shipped for the mujoco plant: these robots have no more dead time than their model, and no slip to begin with.
-NONE = ("extra_dead_time.v", "extra_dead_time.omega", "estimator.side_slip", "estimator.load_shift")
+# What is shipped for the mujoco plant: these robots have no lag of the encoders, and no slip to begin with.
+NONE = ("estimator.side_slip", "estimator.load_shift")
 
 
 def controller(**overrides):
-    return Controller(load_config("ssm", dict.fromkeys(NONE, 0.0) | overrides))
+    return Controller(load_config("ssm", PROMPT | dict.fromkeys(NONE, 0.0) | overrides))
 
 
 def rmse(poses, times, reference):
@@ -150,7 +150,7 @@ def test_configured_dead_time_is_compensated():
     errors = {}
     for extra in (0.0, 0.15):
         robot = IdealRobot(late.discretise(DT), reference.sample([0.0]).pose[0])
-        told = controller(**{"extra_dead_time.v": extra, "extra_dead_time.omega": extra})
+        told = controller(**{"extra_dead_time.v": extra, "extra_dead_time.omega": extra, "compensation.delay": False})
         _, poses, times = drive(told, robot, reference, reference.duration)
         # The first command acts late whatever the controller knows: the start does not count.
         errors[extra] = rmse(poses[100:], times[100:], reference)[0]

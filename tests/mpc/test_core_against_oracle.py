@@ -4,6 +4,7 @@ What both compute exactly agrees to 1e-9. Only where OSQP solves with limits act
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,12 +21,7 @@ from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 DT = 0.0202
 HARD = {"limits.v": 0.5, "limits.omega": 1.05, "limits.v_slew": 0.5, "limits.omega_slew": 1.5}
-SOFT = {
-    "limits.predicted_v": 0.45,
-    "limits.predicted_omega": 0.5,
-    "limits.wheel_speed": 0.55,
-    "limits.corridor": 0.01,
-}
+SOFT = {"limits.predicted_v": 0.45, "limits.predicted_omega": 0.5, "limits.wheel_speed": 0.55, "limits.corridor": 0.01}
 PRECISE = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
 # OSQP ends where its residuals, not the commands, are below its tolerance.
 OSQP = {"solver.method": "osqp"} | {f"solver.osqp.{key}": value for key, value in PRECISE.items()}
@@ -199,6 +195,8 @@ def restamped(m, by):
     return Measurement(**{n: p and Stamped(p.value, p.time + by, p.covariance) for n, p in parts.items()})
 
 
+FENCE = {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2}
+LEFT_FENCE = (["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "leaves the fence of 1.7 by 1.2 m")
 EVENTS = {
     "carried": (carried, {}, ["TRACKING"], "rejoining"),
     "carried far": (carried_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
@@ -251,18 +249,8 @@ EVENTS = {
     "no side-slip": (carried, {"compensation.side_slip": False}, ["TRACKING"], ""),
     "a horizon of the dead time": (carried, {"horizon": 4}, ["TRACKING"], ""),
     "a long horizon": (carried, {"horizon": 50}, ["TRACKING"], ""),
-    "fenced": (
-        started_again,
-        {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2, "fence.y": 0.1, "fence.heading": 0.2},
-        ["TRACKING", "BRAKING", "STOPPED", "TRACKING"],
-        "leaves the fence of 1.7 by 1.2 m",
-    ),
-    "fenced in the frame of poses": (
-        started_again,
-        {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2, "fence.frame": "poses", "fence.x": -0.1},
-        ["TRACKING", "BRAKING", "STOPPED", "TRACKING"],
-        "leaves the fence of 1.7 by 1.2 m",
-    ),
+    "fenced": (started_again, FENCE | {"fence.y": 0.1, "fence.heading": 0.2}, *LEFT_FENCE),
+    "fenced in the frame of poses": (started_again, FENCE | {"fence.frame": "poses", "fence.x": -0.1}, *LEFT_FENCE),
     "along its limits": (carried, HARD | SOFT, ["TRACKING"], "rejoining"),
 }
 
@@ -327,6 +315,31 @@ def test_an_end_that_is_not_reached_is_told():
         plant.advance(both.step(plant.time, plant.measure()).command)
     assert both.modes[-1] == "FINISHED"
     assert "not at rest within 0.4 s" in both.words
+
+
+class SlowRobot(IdealRobot):
+    """Answers to at most 0.4 m/s and 0.4 rad/s."""
+
+    def reset(self, pose):
+        self.poses = [pose]
+
+    def advance(self, command):
+        super().advance(np.clip(command, -0.4, 0.4))
+
+
+def test_wheels_at_the_end_of_their_speed(tmp_path):
+    """In a turn on the spot, again in the curve after it, and no more where it drives slowly."""
+    path = tmp_path / "route.yaml"
+    parts = (
+        "{v: 0.0, omega: 1.0, duration: 1.2}",
+        "{v: 0.5, omega: 0.5, duration: 2.0}",
+        "{v: 0.1, omega: 0.0, duration: 2.0}",
+    )
+    path.write_text("\n- ".join(("segments:", *parts)))
+    both = pair("sm", horizon=10)
+    both.drive(SlowRobot(load_model("sm").discretise(DT), np.zeros(3)), load_trajectory(path), 310)
+    slowed = ["the wheels get no faster" in result.message for result in both.results]
+    assert sum(now and not before for before, now in pairwise(slowed)) > 1
 
 
 def test_starting_again_and_resetting():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ideal_robot import IdealRobot
+from ideal_robot import PROMPT, IdealRobot
 
 from diffdrive_mpc import (
     Controller,
@@ -32,6 +32,9 @@ DT = load_config("ssm").sample_time
 # What a floor might do.
 CURVES = {"crab": 0.0, "veer": 0.1, "forward_coupling": -0.1, "yaw_coupling": 0.3, "track_growth": 0.2}
 PLAIN = {
+    "weights.v_increment": 20.0,
+    "weights.omega_increment": 15.0,
+    "compensation.delay": False,
     "compensation.v_offset": False,
     "compensation.yaw_gain": False,
     "compensation.side_slip": False,
@@ -45,7 +48,7 @@ def in_config(values):
 
 def bent_model(curves):
     """Return the linear model whose output is the twist of the body, as a function."""
-    model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(DT)
+    model = load_model("ssm").discretise(DT)
     x, window = ca.SX.sym("x", model.order), ca.SX.sym("window", 4)
     slip = Slip(**curves)
     twist = body_twist(ca.mtimes(model.C, x), ca.DM([getattr(slip, name) for name in SLIPS]))
@@ -55,7 +58,7 @@ def bent_model(curves):
         ca.Function("step", [x, window], [step], ["x", "window"], ["x_next"]),
         ca.Function("output", [x], [twist], ["x"], ["y"]),
         DT,
-        known_lag=load_model("ssm").with_extra_dead_time([0.005, 0.005]).lag,
+        known_lag=load_model("ssm").lag,
     )
 
 
@@ -103,7 +106,7 @@ def learned(surface, seed):
         | {"yaw_coupling_uncertainty": 0.1, "longitudinal_gain_uncertainty": 0.02, "side_slip_uncertainty": 0.1}
     )
     reference = lay_segments(load_segments("excitation"), TrajectoryLimits.of_robot(), name="excitation")
-    controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", surface, seed=seed)
+    controller, plant = Controller(load_config("ssm", PROMPT | settings)), make_plant("model:ssm", surface, seed=seed)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, 0.0)
     while plant.time < reference.duration:

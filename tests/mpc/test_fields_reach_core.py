@@ -6,6 +6,7 @@ two fields are exchanged anywhere on the way into the core, it does something el
 
 from dataclasses import replace
 from functools import cache
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from side_by_side import ACTIVE_SET, Pair, changed
 
 from diffdrive_mpc import ControllerConfig, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.problem.margin import WITHOUT_MARGIN
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -22,7 +24,8 @@ from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 DT = 0.0202
 TICKS = 370
 SEEDS = (1, 3)
-GROUPS = ("weights", "limits", "wheels", "estimator", "failure", "reentry", "finish")
+SENSORS = ("sensors.wheels", "sensors.yaw_rate", "sensors.pose")
+GROUPS = ("weights", "limits", "wheels", "estimator", "failure", "reentry", "finish", *SENSORS)
 # Ranges of values, where a share of the default would not matter on these drives.
 RANGES = {
     "limits.v": (0.55, 0.7),
@@ -49,6 +52,8 @@ RANGES = {
     "reentry.max_progress": (1.05, 1.4),
     "reentry.effort": (0.6, 0.95),
     "finish.timeout": (0.5, 1.5),
+    **{f"{sensor}.{late}": (0.002, 0.03) for sensor in SENSORS for late in ("delay", "lag")},
+    **{f"{sensor}.scale": (0.9, 1.1) for sensor in SENSORS},
 }
 # Orders 2, 4 and 8, with other dead times in each channel.
 MODELS = {"ssm": (0.013, 0.027), "sm": (0.055, 0.021), "mbm": (0.0, 0.0606)}
@@ -71,11 +76,12 @@ ELSEWHERE = Slip(
 def numeric_fields():
     """Yield keys and defaults of all numbers in the groups."""
     for group in GROUPS:
-        for name, field in type(getattr(ControllerConfig(), group)).model_fields.items():
+        for name, field in type(attrgetter(group)(ControllerConfig())).model_fields.items():
             # Curved slip, a least turn radius and dead reckoning are not the oracle's: they have tests of their own.
             own = (*CURVED_SLIPS, "dead_reckoning")
-            if not (field.default is None or isinstance(field.default, bool) or name.startswith(own)):
-                yield f"{group}.{name}", field.default
+            default = WITHOUT_MARGIN.get(name, field.default)
+            if not (default is None or isinstance(default, bool) or name.startswith(own)):
+                yield f"{group}.{name}", default
 
 
 def distinct(seed):

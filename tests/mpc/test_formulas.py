@@ -163,18 +163,19 @@ def test_arc_of_the_prediction_equals_the_move(values):
 
 @given(arguments(FORMULAS["aim"]))
 def test_aim_is_the_path_with_a_finite_heading(values):
-    pose, (v, omega), slip = values
+    pose, (v, omega), slip, (acceleration,) = values
+    ahead = slip[5] - slip[7] * acceleration
     (aim,) = call(FORMULAS["aim"], values)
     assert aim[:3] == pytest.approx(pose, abs=0)
     lead = np.tan(aim[3] - pose[2])
     slide = np.hypot(*slip[SLIDE])
-    assert np.sign(lead) * lead <= abs(slip[4] * omega) + 5 * (abs(slip[5]) + slide) * abs(omega) + 1e-9
-    if v == 0 or slip[5] == slide == 0:
+    assert np.sign(lead) * lead <= abs(slip[4] * omega) + 5 * (abs(ahead) + slide) * abs(omega) + 1e-9
+    if v == 0 or ahead == slide == 0:
         assert lead == pytest.approx(slip[4] * omega, abs=1e-12)
     if abs(v) > 0.5 and slide == 0:
         # The robot travels along the path, but for the bend that keeps the heading finite on the spot: 4 % at 0.5 m/s.
-        course = aim[3] + np.arctan(sideways(v, omega, slip[4], slip[5]) / v)
-        assert course == pytest.approx(pose[2], abs=0.04 * abs(slip[5] * omega / v) + 1e-12)
+        course = aim[3] + np.arctan(sideways(v, omega, slip[4], ahead) / v)
+        assert course == pytest.approx(pose[2], abs=0.04 * abs(ahead * omega / v) + 1e-12)
 
 
 @given(arguments(FORMULAS["feed_forward"]))
@@ -232,12 +233,7 @@ def test_slip_of_floors_inverts_the_feed_forward(small, turning, v, omega):
     assert twist == pytest.approx([v, omega], abs=5e-3)
 
 
-@given(
-    st.lists(st.floats(-0.1, 0.1), min_size=9, max_size=9),
-    st.floats(-1, 1),
-    st.floats(-2, 2),
-    st.floats(-3, 3),
-)
+@given(st.lists(st.floats(-0.1, 0.1), min_size=9, max_size=9), st.floats(-1, 1), st.floats(-2, 2), st.floats(-3, 3))
 def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
     """The motion in a short time is the polynomial apart from a lateral term in the square of the yaw rate."""
     coefficients = np.array(coefficients)

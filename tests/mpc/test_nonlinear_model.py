@@ -36,10 +36,7 @@ from diffdrive_mpc import (
 CIRCLE = load_trajectory("circle")
 
 
-MODELS = {
-    "states": saturating(),
-    "window": windowed(),
-}
+MODELS = {"states": saturating(), "window": windowed()}
 
 
 class ExactRobot:
@@ -122,7 +119,8 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monke
     assert model.lag == pytest.approx(linear.lag, abs=5e-4)
     # What the trapezoids leave is no matter here.
     monkeypatch.setattr(NonlinearModel, "lag", linear.lag)
-    controllers = [Controller(load_config("ssm"), given) for given in (linear, model)]
+    fixed = {"compensation.delay": False, "weights.v_increment": 20.0, "weights.omega_increment": 15.0}
+    controllers = [Controller(load_config("ssm", fixed), given) for given in (linear, model)]
     plant = make_plant("mujoco", seed=0)
     plant.reset(CIRCLE.sample([0.0]).pose[0])
     for controller in controllers:

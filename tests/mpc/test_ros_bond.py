@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
 from ros_parts import stack
 
-from diffdrive_mpc.mpc.ros.bond import (
-    CONNECT_TIMEOUT,
-    DISCONNECT_TIMEOUT,
-    HEARTBEAT_TIMEOUT,
-    BondProtocol,
-    BondState,
-)
+from diffdrive_mpc.mpc.ros.bond import CONNECT_TIMEOUT, DISCONNECT_TIMEOUT, HEARTBEAT_TIMEOUT, BondProtocol, BondState
 
 PERIOD = 0.1
 
@@ -54,8 +48,7 @@ def test_it_waits_is_bound_and_leaves_when_the_sister_has_heard():
 
 
 @pytest.mark.parametrize(
-    ("bound", "timeout", "lost"),
-    [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "it was silent for 4 s")],
+    ("bound", "timeout", "lost"), [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "it was silent for 4 s")]
 )
 def test_without_a_sister_it_falls_silent_after_a_while(bound, timeout, lost):
     side = Side()

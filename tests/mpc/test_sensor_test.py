@@ -45,7 +45,7 @@ class Both(InnerController):
         model = self.controller.model.discretise(self.k.sample_time)
         self.oracle = SensorTest(SimpleNamespace(**values), model, self.k.wheel_yaw_ratio)
         self.lib.ddmpc_monitor_clear(self.c)
-        self.commands = PastCommands(self.oracle.model, 20)
+        self.commands = PastCommands(self.oracle.model, 20, 0)
         self.c.estimator.nodes, self.c.estimator.first = 1, 0
         self.draw, self.t, self.poses = draw, 10.0, 0
 
@@ -61,7 +61,7 @@ class Both(InnerController):
         lib.ddmpc_monitor_predict(c, c.estimator.commands + 2 * newest)
         self.oracle.predict(self.commands)
         n, mean = c.sizes.states, c.estimator.node[0].posterior.mean
-        mean[n : n + 14] = [*slip, 0.3, 0.0, 0.0, theta]
+        mean[n : n + 16] = [*slip, 0.3, 0.0, 0.0, 0.0, 0.0, theta]
         values = [*([] if wheels is None else wheels), *([] if rate is None else [rate])]
         twists = ffi.new("ddmpc_checked_twist[3]", [{"value": value} for value in values])
         lib.ddmpc_monitor_move(c, t, twists, 0 if wheels is None else 2, len(values))

@@ -24,7 +24,8 @@ FAR_AWAY = (10.0, 10.0)
 # Re-entry lets the reference wait for a robot that is held up; without, the robot goes round what is in its way.
 # What the shipped estimator expects of the mujoco plant these robots do not do: they slip in no way.
 # The terms below are as dear as they are beside this price of quick turning.
-WAITS = {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0, "weights.omega_increment": 4.0}
+WEIGHTS = {"weights.along": 250.0, "weights.v_increment": 40.0, "weights.omega_increment": 4.0}
+WAITS = WEIGHTS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0}
 SWERVES = WAITS | {"reentry.enabled": False}
 
 FILE = """
@@ -138,7 +139,7 @@ def test_residual_of_constant_weight_equals_the_shipped_cost():
     value = np.sqrt(28.0) * (pose[2] - reference[3])
     term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))
     # A term knows no end of the horizon, and nothing of the leaning that trades heading against lag.
-    plain = {"weights.terminal": 1.0, "compensation.side_slip": False}
+    plain = WEIGHTS | {"weights.terminal": 1.0, "compensation.side_slip": False}
     shipped, given = (
         drive(Controller(load_config("ssm", plain | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
         for weight, terms, start in ((28.0, [], aside()), (0.0, [term], aside()))

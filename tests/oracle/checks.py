@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
-from diffdrive_mpc.mpc.config.schema import Estimator
+from diffdrive_mpc.mpc.config.schema import Estimator, SensorResponses, SpeedResponse
 from oracle.motion import wrapped
 
 _LARGEST_VARIANCE = 1e6
@@ -43,8 +43,8 @@ def covariance(value: Any, size: int) -> FloatArray | None:
     return matrix
 
 
-def stamp_fault(stamp: object, t: float, last: float, history: float) -> str:
-    """What is wrong with a stamp at tick `t` [s], after one at `last` [s]; empty if nothing is."""
+def stamp_fault(stamp: object, t: float, last: float, history: float, delay: float) -> str:
+    """What is wrong with a stamp at tick `t` [s], after one at `last` [s], of a reading `delay` older; or empty."""
     time = numbers(stamp, 1)
     if time is None:
         return "its stamp is not a finite number"
@@ -53,6 +53,7 @@ def stamp_fault(stamp: object, t: float, last: float, history: float) -> str:
         return f"its stamp lies {-age:.3f} s in the future"
     if time[0] <= last:
         return "its stamp is not newer than that of the one before"
+    age += delay
     return f"it is {age:.2f} s old; the history reaches back {history} s" if age > history else ""
 
 
@@ -66,11 +67,15 @@ def sent_command(sent: object, largest: FloatArray) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class CheckedPose:
-    """A pose of finite numbers with a believable stamp: value (3,), covariance (3, 3), stamp [s]."""
+    """A pose of finite numbers with a believable stamp: value (3,), covariance (3, 3), stamp [s].
+
+    It was true at `true_at` [s].
+    """
 
     value: FloatArray
     covariance: FloatArray
     stamp: float
+    true_at: float
 
 
 class PoseRate:
@@ -125,8 +130,8 @@ class PoseRate:
 class PoseGate:
     """Checks poses and remembers those that jumped."""
 
-    def __init__(self, settings: Estimator, rate: PoseRate) -> None:
-        self.settings, self.rate, self.now = settings, rate, math.nan
+    def __init__(self, settings: Estimator, rate: PoseRate, delay: float) -> None:
+        self.settings, self.rate, self.now, self.delay = settings, rate, math.nan, delay
         self.last_stamp = self.accepted_stamp = -np.inf
         self.jumped: list[CheckedPose] = []
 
@@ -137,7 +142,7 @@ class PoseGate:
         s = self.settings
         assumed = np.diag([s.position_noise**2, s.position_noise**2, s.heading_noise**2])
         value, matrix = numbers(pose.value, 3), assumed if pose.covariance is None else covariance(pose.covariance, 3)
-        fault = stamp_fault(pose.time, t, self.last_stamp, s.history)
+        fault = stamp_fault(pose.time, t, self.last_stamp, s.history, self.delay)
         if value is None:
             fault = "it is not three finite numbers"
         elif matrix is None:
@@ -145,10 +150,10 @@ class PoseGate:
         if fault:
             rejected.append(f"pose rejected: {fault}")
             if "the history reaches back" in fault:
-                self.rate.too_old = t - float(pose.time)
+                self.rate.too_old = t - float(pose.time) + self.delay
             return None
         self.last_stamp = float(pose.time)
-        return CheckedPose(value, matrix, self.last_stamp)
+        return CheckedPose(value, matrix, self.last_stamp, self.last_stamp - self.delay)
 
     def passes(self, pose: CheckedPose, expected: FloatArray, rejected: list[str]) -> bool:
         """Whether `pose` lies near the `expected` one (3,); if not it is remembered, and named in `rejected`."""
@@ -183,7 +188,7 @@ def _apart(one: FloatArray, other: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class CheckedTwist:
-    """One number of a measured twist; `message` names what it came with."""
+    """One number of a measured twist, true at `stamp` [s]; `message` names what it came with."""
 
     message: str
     sensor: str
@@ -195,8 +200,11 @@ class CheckedTwist:
 class TwistGate:
     """Checks one message that has a number for each of `sensors`: largest values, and jumps from the last one."""
 
-    def __init__(self, message: str, sensors: dict[str, tuple[float, float, float]], history: float) -> None:
-        self.message, self.sensors, self.history = message, tuple(sensors), history
+    def __init__(
+        self, message: str, sensors: dict[str, tuple[float, float, float]], history: float, known: SpeedResponse
+    ) -> None:
+        self.message, self.sensors, self.history, self.known = message, tuple(sensors), history, known
+        self.delay = known.delay + known.lag
         noise, self.largest, self.jump = np.array(list(sensors.values())).T
         self.variances = noise**2
         self.stamp, self.last = -np.inf, np.zeros(len(sensors))
@@ -207,7 +215,7 @@ class TwistGate:
             return []
         size, last = len(self.sensors), self.last
         values, variances = numbers(stamped.value, size), self.variances
-        fault = stamp_fault(stamped.time, t, self.stamp, self.history)
+        fault = stamp_fault(stamped.time, t, self.stamp, self.history, self.delay)
         if values is None:
             fault = "not finite" if size == 1 else f"not {size} finite numbers"
         elif (np.abs(values) > self.largest).any():
@@ -230,22 +238,23 @@ class TwistGate:
             rejected.append(f"{self.message} rejected: {fault}")
             return []
         return [
-            CheckedTwist(self.message, *part, self.stamp)
-            for part in zip(self.sensors, values.tolist(), variances.tolist(), strict=True)
+            CheckedTwist(self.message, *part, self.stamp - self.delay)
+            for part in zip(self.sensors, (values / self.known.scale).tolist(), variances.tolist(), strict=True)
         ]
 
 
 class TwistGates:
     """Checks encoders and gyro."""
 
-    def __init__(self, settings: Estimator) -> None:
+    def __init__(self, settings: Estimator, known: SensorResponses) -> None:
         s = settings
         wheels = {
             "wheel_speed": (s.wheel_speed_noise, s.max_wheel_speed, s.max_wheel_speed_jump),
             "wheel_yaw_rate": (s.wheel_yaw_rate_noise, s.max_yaw_rate, s.max_yaw_rate_jump),
         }
         gyro = {"yaw_rate": (s.yaw_rate_noise, s.max_yaw_rate, s.max_yaw_rate_jump)}
-        self.wheels, self.gyro = TwistGate("wheel speed", wheels, s.history), TwistGate("yaw rate", gyro, s.history)
+        self.wheels = TwistGate("wheel speed", wheels, s.history, known.wheels)
+        self.gyro = TwistGate("yaw rate", gyro, s.history, known.yaw_rate)
 
     def check(self, t: float, measurement: Measurement, rejected: list[str]) -> list[CheckedTwist]:
         """What can be used; a sentence in `rejected` for each message that cannot."""

@@ -13,13 +13,13 @@ from diffdrive_mpc.models.interface import FloatArray
 class PastCommands:
     """Past commands, newest last, back to where a history of `oldest` ticks and the dead time need them."""
 
-    def __init__(self, model: DiscreteModel, oldest: int) -> None:
-        self.model, self.oldest = model, oldest
+    def __init__(self, model: DiscreteModel, oldest: int, spare: int) -> None:
+        self.model, self.oldest, self.spare = model, oldest, spare
         self.clear()
 
     def clear(self) -> None:
         """As after a long rest."""
-        length = self.model.memory + self.oldest + 2
+        length = self.memory + self.oldest + 2
         self._sent = deque([np.zeros(2)] * length, maxlen=length)
 
     def append(self, command: FloatArray) -> None:
@@ -35,6 +35,11 @@ class PastCommands:
         self._sent.extend([*list(self._sent)[: -len(sent)], *np.array(sent, dtype=float)])
 
     @property
+    def memory(self) -> int:
+        """Commands that still act on the future at most, `spare` samples of unknown delay included."""
+        return self.model.memory + self.spare + 1
+
+    @property
     def last(self) -> FloatArray:
         """(2,) the newest command."""
         return self._sent[-1].copy()
@@ -47,10 +52,10 @@ class PastCommands:
     @property
     def recent(self) -> FloatArray:
         """(memory, 2) the commands that still act on the future, oldest first."""
-        return np.array(self._sent)[-self.model.memory :]
+        return np.array(self._sent)[-self.memory :]
 
-    def acting(self, ticks_ago: int) -> tuple[FloatArray, FloatArray]:
-        """u[k - delay] and u[k - delay - 1] (2,) for the interval that the command sent `ticks_ago` began."""
-        v, omega = (len(self._sent) - 1 - ticks_ago - int(delay) for delay in self.model.delay)
-        recent, older = (np.array([self._sent[v - i][0], self._sent[omega - i][1]]) for i in (0, 1))
-        return recent, older
+    def acting(self, ticks_ago: int) -> FloatArray:
+        """u[k - delay - i] (i, 2), i from 0 to spare + 2, for the interval that the command sent `ticks_ago` began."""
+        newest = len(self._sent) - 1 - ticks_ago - self.model.delay
+        back = np.maximum(newest - np.arange(self.spare + 3)[:, None], 0)
+        return self.everything[back, [0, 1]]

@@ -13,6 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.fixed_values import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
@@ -90,19 +91,25 @@ class OracleController:
             self.model = replace(self.model, dead_time=np.zeros(2))
         self.sampled_model = self.model.discretise(config.sample_time)
         self.estimator = StateEstimator(
-            self.sampled_model, config.estimator, config.compensation, config.wheels, config.failure.max_pose_age
+            self.sampled_model,
+            config.estimator,
+            config.compensation,
+            config.wheels,
+            config.failure.max_pose_age,
+            config.sensors,
         )
-        self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon)
+        spare = self.estimator.filter.spare
+        self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon, spare)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
         self.reach = WheelReach(config, self.model.dc_gain, int(self.feed_forward.ahead.max()))
-        self.wanted: FloatArray | None = None
-        self.wanted_pose: FloatArray | None = None
+        self.upcoming = np.zeros((2, 2))
+        self.wanted_pose = np.zeros(3)
         self.pursuit = Pursuit(config, self._stray)
         self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
         self.reference: Reference | None = None
         self.pending: ControllerConfig | None = None
         self.guess: FloatArray | None = None
-        self._configure(config)
+        self._configure(with_increments(config, self.sampled_model))
         self.reset()
 
     def _configure(self, config: ControllerConfig) -> None:
@@ -244,14 +251,12 @@ class OracleController:
             return self._brake(notes, f"its way to rest leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
             return self._brake(notes)
-        self._carry(estimate.slip)
-        followed = self.plan is not None and self.plan_age == 0 and self._is_astray()
-        self.reach.look(
-            estimator.twist_gates.wheels, t, self.wanted if followed else None, estimate.slip, estimator.commands
-        )
+        self._carry(estimator.filter.slip(estimator.nodes[-1].posterior.mean))
+        astray = self._is_astray() if self.plan is not None and self.plan_age == 0 else None
+        self.reach.look(estimator.twist_gates.wheels, t, self.upcoming, estimate.slip, estimator.commands, astray)
         if self._at_the_end(estimate, reference_time, notes):
             return Outcome(self._ramp(), Mode.FINISHED)
-        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.speed)
+        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.allowed)
         if isinstance(target, TooFar):
             limit = failure.max_position_error
             words = f"{target.distance:.2f} m from the reference; the limit is {limit} m"
@@ -288,9 +293,7 @@ class OracleController:
 
     def _is_astray(self) -> bool:
         """Whether the robot is behind or beside where it was to be by now."""
-        pose, twist = self.wanted_pose, self.wanted
-        if pose is None or twist is None:
-            return False
+        pose, twist = self.wanted_pose, self.upcoming[1]
         x, y, _ = self.estimator.estimate.pose - pose
         across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
         stray = self._stray(pose, twist)
@@ -298,7 +301,7 @@ class OracleController:
 
     def _restart(self) -> bool:
         """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
-        standing = not self.estimator.commands.recent.any()
+        standing = not self.estimator.commands.recent[-self.sampled_model.memory :].any()
         return standing and self.config.failure.resume and self.estimator.restart_elsewhere()
 
     def _at_the_end(self, estimate: Estimate, time: float, notes: list[str]) -> bool:
@@ -337,7 +340,8 @@ class OracleController:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
         self.passing = sample.twist[0]
-        self.wanted_pose, self.wanted, self.problem.reach = sample.pose[1], sample.twist[1], self.reach.at_rim
+        self.wanted_pose, self.problem.reach = sample.pose[1], self.reach.allowed
+        self.upcoming = sample.twist[: config.horizon + 1]
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)

@@ -17,7 +17,7 @@ class Estimate:
     Parameters
     ----------
     values
-        Time, pose age; mean and standard deviations (n + 14,) of the filter's state, see `oracle.kalman`; twist (2,)
+        Time, pose age; mean and standard deviations (n + 16,) of the filter's state, see `oracle.kalman`; twist (2,)
         and its standard deviations (2,); innovations (4,), NaN where there was none.
     order
         Order n of the velocity model.
@@ -40,13 +40,13 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 14,) mean of the filter's state: states, slip, gyro bias and pose."""
-        return self.values[2 : self._order + 16]
+        """(n + 16,) mean of the filter's state: states, slip, gyro bias and pose."""
+        return self.values[2 : self._order + 18]
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 14,) standard deviations of the same."""
-        return self.values[self._order + 16 : 2 * self._order + 30]
+        """(n + 16,) standard deviations of the same."""
+        return self.values[self._order + 18 : 2 * self._order + 34]
 
     @property
     def pose(self) -> FloatArray:
@@ -81,12 +81,17 @@ class Estimate:
     @property
     def gyro_bias(self) -> float:
         """Bias of the gyro [rad/s]."""
-        return float(self.mean[-4])
+        return float(self.mean[-6])
 
     @property
     def gyro_bias_deviation(self) -> float:
         """Its standard deviation."""
-        return float(self.deviation[-4])
+        return float(self.deviation[-6])
+
+    @property
+    def delays(self) -> FloatArray:
+        """(2,) delays of v and omega that the model lacks [s]."""
+        return self.mean[-5:-3]
 
     @property
     def state(self) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement
-from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, SensorResponses, Wheels
 from diffdrive_mpc.mpc.estimate import SENSORS
 from oracle.checks import CheckedPose, CheckedTwist, PoseGate, PoseRate, TwistGates, sent_command
 from oracle.commands import PastCommands
@@ -46,11 +46,13 @@ class StateEstimator:
         compensation: Compensation | None = None,
         wheels: Wheels | None = None,
         max_pose_age: float = math.inf,
+        sensors: SensorResponses | None = None,
     ) -> None:
+        self.sensors = sensors or SensorResponses()
         self.model, self.settings, self.max_pose_age = model, settings, max_pose_age
         self.length = int(np.ceil(settings.history / model.dt)) + 1
         self.filter = build_filter(model, settings, compensation, wheels)
-        self.commands = PastCommands(model, self.length)
+        self.commands = PastCommands(model, self.length, self.filter.spare)
         self.forget()
 
     def forget(self) -> None:
@@ -58,7 +60,8 @@ class StateEstimator:
         self.nodes: list[_Node] = []
         self.innovations = dict.fromkeys(SENSORS, np.nan)
         self.rate = PoseRate(self.model.dt, self.max_pose_age, self.settings.history)
-        self.pose_gate, self.twist_gates = PoseGate(self.settings, self.rate), TwistGates(self.settings)
+        self.pose_gate = PoseGate(self.settings, self.rate, self.sensors.pose.delay)
+        self.twist_gates = TwistGates(self.settings, self.sensors)
 
     @property
     def ready(self) -> bool:
@@ -80,9 +83,10 @@ class StateEstimator:
         """The newest estimate; only once `ready`."""
         node = self.nodes[-1]
         belief = node.posterior
+        mean = self.filter.weighed(belief)
         values = [
             [node.time, node.time - self.pose_gate.accepted_stamp],
-            belief.mean,
+            mean,
             np.sqrt(np.maximum(np.diag(belief.covariance), 0.0)),
             self.filter.twist(belief.mean),
             self.filter.twist_deviation(belief),
@@ -108,7 +112,7 @@ class StateEstimator:
         for missing in range(steps - 1, -1, -1):
             if missing < steps - 1:
                 self.commands.append(self.commands.last)
-            belief = self.filter.predict(self.nodes[-1].posterior, *self.commands.acting(0))
+            belief = self.filter.predict(self.nodes[-1].posterior, self.commands.acting(0))
             self.nodes.append(_Node(t - missing * self.model.dt, belief, belief))
         self.nodes = self.nodes[-self.length :]
 
@@ -124,19 +128,21 @@ class StateEstimator:
             return rejected
         first = len(self.nodes)
         for twist in twists:
-            # At the nearest tick: within half a sample a twist changes little.
-            index = self._node_before(twist.stamp + 0.5 * self.model.dt)
+            half = 0.5 * self.model.dt
+            index = self._node_before(twist.stamp + half)
+            if twist.stamp < self.nodes[index].time - half - 1e-9:
+                continue  # of what was before the history it says nothing
             if len(self.nodes[index].twists) == _MOST_TWISTS:
                 rejected.append(f"{twist.message} rejected: {_TOO_MANY}")
             else:
                 self.nodes[index].twists.append(twist)
                 first = min(first, index)
         if pose is not None:
-            index = self._node_before(pose.stamp)
+            index = self._node_before(pose.true_at)
             node = self.nodes[index]
             if len(node.poses) == _MOST_POSES:
                 rejected.append(f"pose rejected: {_TOO_MANY}")
-            elif self.pose_gate.passes(pose, self.filter.pose(node.posterior.mean, pose.stamp - node.time), rejected):
+            elif self.pose_gate.passes(pose, self.filter.pose(node.posterior.mean, pose.true_at - node.time), rejected):
                 node.poses.append(pose)
                 first = min(first, index)
         self._filter_from(first)
@@ -164,11 +170,14 @@ class StateEstimator:
             node = self.nodes[index]
             if index > first:
                 acting = self.commands.acting(len(self.nodes) - 1 - index)
-                node.prior = self.filter.predict(self.nodes[index - 1].posterior, *acting)
+                node.prior = self.filter.predict(self.nodes[index - 1].posterior, acting)
             belief, seen = node.prior, self.innovations
             for twist in node.twists:
-                belief, seen[twist.sensor] = self.filter.correct(belief, twist.sensor, twist.value, twist.variance)
+                ahead = twist.stamp - node.time
+                belief, seen[twist.sensor] = self.filter.correct(
+                    belief, twist.sensor, twist.value, twist.variance, ahead
+                )
             for pose in node.poses:
-                ahead = pose.stamp - node.time
+                ahead = pose.true_at - node.time
                 belief, seen["pose"] = self.filter.correct_pose(belief, pose.value, pose.covariance, ahead)
             node.posterior = belief

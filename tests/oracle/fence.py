@@ -37,14 +37,15 @@ class FenceWatch:
     def way_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
         """Poses (3,) now and at each sample until it rests, the command `last` (2,) given once more and then braked."""
         commands, model = copy.deepcopy(estimator.commands), estimator.model
-        belief, command = estimator.nodes[-1].posterior, np.array(last)
+        belief = estimator.nodes[-1].posterior._replace(mean=estimator.estimate.mean)
+        command = np.array(last)
         rate = self.dt * np.array([self.limits.v_braking, self.limits.omega_braking])
         way = [estimator.estimate.pose]
         while True:
             commands.append(command)
-            belief = estimator.filter.predict(belief, *commands.acting(0))
+            belief = estimator.filter.predict(belief, commands.acting(0))
             way.append(estimator.filter.pose(belief.mean, 0.0))
-            moving = commands.everything[-model.memory - 1 :].any()
+            moving = commands.everything[-commands.memory - 1 :].any()
             if not moving and abs((model.C @ belief.mean[: model.order])[0]) < _AT_REST:
                 return way
             command = np.sign(command) * np.maximum(np.abs(command) - rate, 0.0)

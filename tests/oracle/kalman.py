@@ -1,8 +1,9 @@
-"""The extended Kalman filter: z = (x, slip, gyro_bias, pose).
+"""The extended Kalman filter: z = (x, slip, gyro_bias, delays, pose).
 
 x are the n states of the velocity model; then the ten numbers of `mpc.problem.slip`, between its twist and that of
-the body, the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 14,) or many, one to a
-column.
+the body, the gyro's bias [rad/s], the delays of v and omega that the model lacks [s], and x, y [m], theta [rad].
+Functions of z take one state (n + 16,) or many, one to a column. `acting` (m, 2) are the commands that would act
+without these delays, newest first.
 """
 
 from __future__ import annotations
@@ -21,11 +22,22 @@ from oracle.motion import arc, jacobian, sideways, slid, wrapped
 
 
 class Belief(NamedTuple):
-    """Mean (n + 14,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
+    """Mean (n + 16,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees.
+
+    `rate` (2,) is that of the model's output over the sample before [m/s^2, rad/s^2].
+    """
 
     mean: FloatArray
     covariance: FloatArray
     surprised: tuple[int, ...] = (0,) * len(SENSORS)
+    rate: FloatArray | float = 0.0
+
+
+def delayed(acting: FloatArray, samples: FloatArray) -> FloatArray:
+    """Return the commands (2, ...) of `acting` (m, 2), newest first, `samples` (2, ...) before its first."""
+    whole = np.minimum(np.floor(np.real(samples)).astype(int), len(acting) - 2)
+    near, far = (np.stack([acting[whole[i] + step, i] for i in (0, 1)]) for step in (0, 1))
+    return near + (samples - whole) * (far - near)
 
 
 class SlipFilter:
@@ -39,7 +51,12 @@ class SlipFilter:
     ) -> None:
         self.model, self.settings, self.wheel_yaw_ratio = model, settings, wheel_yaw_ratio
         n, s, on = model.order, settings, compensation
-        self.slip_places, self.pose_places = np.arange(n, n + 11), np.arange(n + 11, n + 14)
+        self.slip_places, self.delay_places, self.pose_places = (
+            n + np.arange(11),
+            n + 11 + np.arange(2),
+            n + 13 + np.arange(3),
+        )
+        self.spare = int(np.ceil(s.max_delay / model.dt)) if on.dead_time and on.delay else 0
         self.gains = np.array([n + 1, n + 2, n + 3])
         estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, True])
         names = [*FLAT_SLIPS, "gyro_bias"]
@@ -61,23 +78,25 @@ class SlipFilter:
         turning = omega_gain * yaw_gain * omega
         return np.stack([longitudinal_gain * (v + v_offset) + turn_left * turning, turning])
 
-    def process(self, z: FloatArray, recent: FloatArray, older: FloatArray, acceleration: float) -> FloatArray:
+    def process(self, z: FloatArray, acting: FloatArray, acceleration: float) -> FloatArray:
         """z one sample later: the states by the model, the pose along the arc of the mean twist, slip as it was.
 
         `acceleration` is that of `acceleration` at the mean: the filter takes it for known.
         """
-        n, x = self.model.order, self._next(z, recent, older)
+        n, x = self.model.order, self._next(z, acting)
         v, omega = self.twist(z, 0.5 * self.model.C @ (z[:n] + x))
-        return np.concatenate([x, z[self.slip_places], self._moved(z, v, omega, acceleration, self.model.dt)])
+        moved = self._moved(z, v, omega, acceleration, self.model.dt)
+        return np.concatenate([x, z[self.slip_places], z[self.delay_places], moved])
 
-    def acceleration(self, z: FloatArray, recent: FloatArray, older: FloatArray) -> float:
+    def acceleration(self, z: FloatArray, acting: FloatArray) -> float:
         """By how much the forward speed of the body grows over the sample [m/s^2]."""
-        after = self.twist(z, self.model.C @ self._next(z, recent, older))
+        after = self.twist(z, self.model.C @ self._next(z, acting))
         return float((after - self.twist(z))[0] / self.model.dt)
 
-    def _next(self, z: FloatArray, recent: FloatArray, older: FloatArray) -> FloatArray:
-        model = self.model
-        return ((model.A @ z[: model.order]).T + model.B0 @ recent + model.B1 @ older).T
+    def _next(self, z: FloatArray, acting: FloatArray) -> FloatArray:
+        model, late = self.model, z[self.delay_places] / self.model.dt
+        recent, older = delayed(acting, late), delayed(acting, late + 1)
+        return model.A @ z[: model.order] + model.B0 @ recent + model.B1 @ older
 
     def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, acceleration: float, dt: float) -> FloatArray:
         pose = z[self.pose_places]
@@ -86,19 +105,22 @@ class SlipFilter:
         dx, dy = slid(pose[2], omega, dt, slide)
         return pose + np.stack(arc(pose[2], v, omega, dt, left)) + np.stack([dx, dy, 0.0 * dx])
 
-    # What sensors see of it.
+    # What sensors see of it, the model's output being another by `change` (2,) [m/s, rad/s].
 
-    def wheel_speed(self, z: FloatArray) -> FloatArray:
+    def _output(self, z: FloatArray, change: FloatArray | float) -> FloatArray:
+        return np.asarray(((self.model.C @ z[: self.model.order]).T + change).T)
+
+    def wheel_speed(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
         """Forward speed of the wheels [m/s]."""
-        return (self.model.C @ z[: self.model.order])[0] + z[self.slip_places[0]]
+        return self._output(z, change)[0] + z[self.slip_places[0]]
 
-    def wheel_yaw_rate(self, z: FloatArray) -> FloatArray:
+    def wheel_yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
         """Yaw rate by encoders and geometric track [rad/s]."""
-        return self.wheel_yaw_ratio * z[self.slip_places[1]] * (self.model.C @ z[: self.model.order])[1]
+        return self.wheel_yaw_ratio * z[self.slip_places[1]] * self._output(z, change)[1]
 
-    def yaw_rate(self, z: FloatArray) -> FloatArray:
+    def yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
         """Yaw rate by the gyro [rad/s]."""
-        return self.twist(z)[1] + z[self.slip_places[10]]
+        return self.twist(z, self._output(z, change))[1] + z[self.slip_places[10]]
 
     def pose(self, z: FloatArray, ahead: float) -> FloatArray:
         """(3, ...) the pose `ahead` seconds later, at constant twist."""
@@ -111,13 +133,14 @@ class SlipFilter:
         model, n = self.model, self.model.order
         x = model.settled_state(commands.acting(commands.oldest)[1])
         for ticks_ago in range(commands.oldest, -1, -1):
-            recent, older = commands.acting(ticks_ago)
+            recent, older = commands.acting(ticks_ago)[:2]
             x = model.A @ x + model.B0 @ recent + model.B1 @ older
         settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
-        P = np.zeros((n + 14, n + 14))
+        P = np.zeros((n + 16, n + 16))
         P[:n, :n] = settled @ np.diag((model.C @ x) ** 2) @ settled.T
         P[self.slip_places, self.slip_places] = self.uncertainty**2
-        return Belief(np.concatenate([x, self.expected, np.zeros(3)]), P)
+        P[self.delay_places, self.delay_places] = (self.spare > 0) * self.settings.delay_uncertainty**2
+        return Belief(np.concatenate([x, self.expected, np.zeros(5)]), P)
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
         """The motion of `motion` at another `pose` (3,), known to `covariance` (3, 3)."""
@@ -125,7 +148,7 @@ class SlipFilter:
         mean[at] = pose
         P[at, :] = P[:, at] = 0.0
         P[np.ix_(at, at)] = covariance
-        return Belief(mean, P)
+        return Belief(mean, P, rate=motion.rate)
 
     def slip(self, z: FloatArray) -> Slip:
         """The slip in a state."""
@@ -136,12 +159,35 @@ class SlipFilter:
         T = jacobian(self.twist, belief.mean)
         return np.sqrt(np.maximum(np.diag(T @ belief.covariance @ T.T), 0.0))
 
-    def predict(self, belief: Belief, recent: FloatArray, older: FloatArray) -> Belief:
-        """One sample ahead under the delayed commands `recent` and `older` (2,)."""
+    def weighed(self, belief: Belief) -> FloatArray:
+        """Return the mean (n + 16,) that the controller uses: differences from the prior count beyond noise."""
+        s, n, mean = self.settings, self.model.order, belief.mean.copy()
+        for group, noise, doubt in (
+            ([n + 5, n + 6, n + 8, n + 9], s.slide_evidence, 0.0),
+            ([n + 1], s.gain_evidence, s.gain_doubt),
+            *(([place], s.delay_evidence, s.delay_doubt) for place in self.delay_places),
+        ):
+            P = belief.covariance[np.ix_(group, group)]
+            off = belief.mean[group] - np.array([*self.expected, 0.0, 0.0])[np.array(group) - n]
+            if not P.any():
+                continue
+            squared = off @ np.linalg.solve(P + doubt**2 * np.eye(len(group)), off)
+            share = min(1.0, noise**2 / squared) if squared else 1.0
+            mean -= share * belief.covariance[:, group] @ np.linalg.solve(P, off)
+        return self.bounded(mean)
+
+    def bounded(self, mean: FloatArray) -> FloatArray:
+        """Limit gains and delays to what is possible."""
+        mean[self.gains] = np.clip(mean[self.gains], self.settings.min_gain, self.settings.max_gain)
+        mean[self.delay_places] = np.clip(mean[self.delay_places], 0.0, self.spare * self.model.dt)
+        return mean
+
+    def predict(self, belief: Belief, acting: FloatArray) -> Belief:
+        """Predict one sample ahead."""
         model, s, n, z = self.model, self.settings, self.model.order, belief.mean
-        acceleration = self.acceleration(z, recent, older)
-        after = self.process(z, recent, older, acceleration)
-        F = jacobian(lambda points: self.process(points, recent, older, acceleration), z)
+        acceleration = self.acceleration(z, acting)
+        after = self.process(z, acting, acceleration)
+        F = jacobian(lambda points: self.process(points, acting, acceleration), z)
         drive = model.B0 + model.B1
         Q = np.zeros_like(F)
         Q[:n, :n] = drive @ np.diag([s.v_input_noise**2, s.omega_input_noise**2]) @ drive.T
@@ -151,17 +197,23 @@ class SlipFilter:
         cornering = driving and turning
         moving = [True, turning, driving, turning, cornering, turning, turning, cornering, turning, turning, True]
         Q[self.slip_places, self.slip_places] = self.drift**2 * model.dt * moving
+        Q[self.delay_places, self.delay_places] = (
+            (self.spare > 0) * s.delay_drift**2 * model.dt * np.array([driving, turning])
+        )
         walk = np.array([s.position_drift, s.position_drift, s.heading_drift])
         Q[self.pose_places, self.pose_places] = walk**2 * model.dt
         counts = tuple(count + (count > 0) for count in belief.surprised)
-        return Belief(after, F @ belief.covariance @ F.T + Q, counts)
+        rate = model.C @ (after[:n] - z[:n]) / model.dt
+        return Belief(after, F @ belief.covariance @ F.T + Q, counts, rate)
 
-    def correct(self, belief: Belief, sensor: str, value: float, variance: float) -> tuple[Belief, float]:
-        """Take in one number; returns the squared innovation over its variance too."""
+    def correct(
+        self, belief: Belief, sensor: str, value: float, variance: float, ahead: float = 0.0
+    ) -> tuple[Belief, float]:
+        """Take in one number of `ahead` seconds later; returns the squared innovation over its variance too."""
         function = {"wheel_speed": self.wheel_speed, "wheel_yaw_rate": self.wheel_yaw_rate, "yaw_rate": self.yaw_rate}
         h = function[sensor]
-        H = jacobian(lambda z: h(z)[None], belief.mean)
-        innovation = np.array([value - float(h(belief.mean))])
+        H = jacobian(lambda z: h(z, ahead * belief.rate)[None], belief.mean)
+        innovation = np.array([value - float(h(belief.mean, ahead * belief.rate))])
         # A push is one of the velocity that the sensor sees, with the states that go with it.
         n, channel = self.model.order, np.eye(2)[0 if sensor == "wheel_speed" else 1]
         push = np.zeros_like(belief.covariance)
@@ -194,15 +246,14 @@ class SlipFilter:
         S = H @ P @ H.T + R
         K = np.linalg.solve(S, H @ P).T
         if pushed:
-            K[self.slip_places] = 0.0
+            K[self.slip_places] = K[self.delay_places] = 0.0
         elif abs(self.twist(z)[1]) < s.min_yaw_rate:
             K[self.gains[[0, 2]]] = 0.0
-        mean = z + K @ innovation
-        mean[self.gains] = np.clip(mean[self.gains], s.min_gain, s.max_gain)
+        mean = self.bounded(z + K @ innovation)
         # Joseph's form holds for any gain.
         I_KH = np.eye(len(z)) - K @ H
         P = I_KH @ P @ I_KH.T + K @ R @ K.T
-        return Belief(mean, 0.5 * (P + P.T), tuple(counts)), normalised
+        return Belief(mean, 0.5 * (P + P.T), tuple(counts), belief.rate), normalised
 
 
 def build_filter(

@@ -33,9 +33,9 @@ def nonlinear_program(
     N, model, w, slip = problem.steps, problem.model, problem.config.weights, tick.slip
     U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
     # The model's twists are linear in the commands: what follows without a plan, and what each command adds.
-    free = roll_out(model, tick.state, tick.past, np.zeros((N, 2, 1)))[:, :, 0]
+    free = roll_out(model, tick.state, tick.past, np.zeros((N, 2, 1)), tick.late)[:, :, 0]
     none = np.zeros(model.order), np.zeros_like(tick.past)
-    added = roll_out(model, *none, np.eye(2 * N).reshape(N, 2, 2 * N))
+    added = roll_out(model, *none, np.eye(2 * N).reshape(N, 2, 2 * N), tick.late)
     says = ca.DM(free.T) + ca.reshape(ca.DM(added.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
     wheels = says + ca.DM(slip.offset)
     point = ca.diag(slip.gains) @ wheels
@@ -54,7 +54,8 @@ def nonlinear_program(
         across.append(errors[1])
         factor = w.terminal if k == N - 1 else 1.0
         cost += factor * ca.dot([w.along, w.across, w.heading], errors**2) / 2
-    increment = U - ca.horzcat(tick.last_command, U[:, :-1])
+    by_reference = np.diff(np.vstack([tick.fed_before, tick.feed_forward]), axis=0).T
+    increment = U - ca.horzcat(tick.last_command, U[:, :-1]) - by_reference
     cost += ca.dot([w.v, w.omega], ca.sum2((U - tick.feed_forward.T) ** 2)) / 2
     cost += ca.dot([w.v_increment, w.omega_increment], ca.sum2(increment**2)) / 2
     cost += w.soft * ca.sum1(ca.vec(p + m)) + w.soft_quadratic * (ca.sumsqr(p) + ca.sumsqr(m)) / 2

@@ -4,7 +4,8 @@ With U = (u_0, ..., u_{N-1}), u = (v_ref, omega_ref), the cost is half the weigh
 
 * the position error along and across the path and the error of the heading at the samples 1 to N, the last one weighted
   `terminal` times,
-* the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1}, u_{-1} being the last command,
+* the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1} less those of the feed-forward,
+  u_{-1} being the last command,
 
 plus an exact penalty on each soft limit that is exceeded. Functions take plans (N, 2, k), k of them at once, and the
 places `ahead` (N,) of the turning point [m] on the N arcs: where they are along a plan counts as given.
@@ -19,6 +20,7 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from oracle.motion import arc, linearised, sideways, slid
 from oracle.tick import Tick
 
@@ -42,12 +44,24 @@ class QuadraticProgram:
     quadratic: float
 
 
-def roll_out(model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray) -> FloatArray:
-    """(N + 1, 2, k) the model's twist at the samples 0 to N, from `state` (n,) under `past` (memory, 2) and `plan`."""
+def roll_out(
+    model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray, late: FloatArray | None = None
+) -> FloatArray:
+    """(N + 1, 2, k) the model's twist at the samples 0 to N, from `state` (n,) under `past` (m, 2) and `plan`.
+
+    Commands act `late` (2,) samples later than the model says.
+    """
     steps, _, k = plan.shape
     sent = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
-    now = len(past) + np.arange(steps)[:, None] - model.delay
-    recent, older = sent[now, [0, 1]], sent[now - 1, [0, 1]]
+    whole = np.zeros(2, dtype=int) if late is None else np.floor(late).astype(int)
+    rest = 0.0 if late is None else (late - whole)[:, None]
+    now = len(past) + np.arange(steps)[:, None] - model.delay - whole
+
+    def acting(index: FloatArray) -> FloatArray:
+        near, far = sent[index, [0, 1]], sent[np.maximum(index - 1, 0), [0, 1]]
+        return near + rest * (far - near)
+
+    recent, older = acting(now), acting(now - 1)
     x = np.repeat(state[:, None], k, axis=1).astype(plan.dtype)
     outputs = [model.C @ x]
     for step in range(steps):
@@ -69,13 +83,13 @@ class TrackingProblem:
     def __init__(self, config: ControllerConfig, model: DiscreteModel) -> None:
         if config.horizon < model.memory:
             raise ValueError(f"horizon = {config.horizon}: set horizon to {model.memory} or more")
-        self.config, self.model, self.steps = config, model, config.horizon
+        self.config, self.model, self.steps = with_increments(config, model), model, config.horizon
         # What the wheels are known to reach [m/s].
         self.reach = np.inf
 
     def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
         """(N + 1, 2, k) twists of the body."""
-        says = roll_out(self.model, tick.state, tick.past, plan)
+        says = roll_out(self.model, tick.state, tick.past, plan, tick.late)
         point = tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
         return np.stack([point[:, 0] + tick.slip.turn_left * point[:, 1], point[:, 1]], axis=1)
 
@@ -109,7 +123,9 @@ class TrackingProblem:
         pose_weights[-1] *= w.terminal
         weighted = errors[1:] * np.sqrt(pose_weights)[:, :, None]
         deviations = (plan - tick.feed_forward[:, :, None]) * np.sqrt([[w.v], [w.omega]])
-        increments = (plan - np.concatenate([before, plan[:-1]])) * np.sqrt([[w.v_increment], [w.omega_increment]])
+        by_reference = np.diff(np.vstack([tick.fed_before, tick.feed_forward]), axis=0)[:, :, None]
+        increments = plan - np.concatenate([before, plan[:-1]]) - by_reference
+        increments = increments * np.sqrt([[w.v_increment], [w.omega_increment]])
         return np.concatenate([weighted, deviations, increments], axis=1).reshape(-1, plan.shape[2])
 
     def soft_values(self, tick: Tick, twist: FloatArray, errors: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""How fast the wheels get, where they stay behind what reference and commands ask of them."""
+"""Speed that the wheels attain where they fall short of what reference and commands demand of them."""
 
 from __future__ import annotations
 
@@ -13,30 +13,32 @@ from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
 # As in mpc/config/sensor_test.yaml.
-_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2, 0.2
-# So much more has to be asked, and less than so much of it gained.
-_MORE, _GAINED = 0.01, 0.3
+_SHORT, _LEAST, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3, 0.2, 0.2
+_ON_SPOT, _FAR_BELOW, _SLOWED, _RETRY, _REGAIN = 0.5, 0.5, 0.75, 0.7, (0.6, 0.2)
+# So much more has to be needed, and less than so much of it gained.
+_MORE, _GAINED = 0.1, 0.15
 # Where the robot keeps up with its reference nothing is learned.
-ASTRAY, BESIDE = 0.4, 0.4
+ASTRAY, BESIDE = 0.25, 0.25
 
 
 class WheelReach:
-    """Learns it tick by tick: `at_rim` is that of the wheels, `speed` the same without slip [m/s]."""
+    """Limit of the wheels' rim speed: `attained` as it was learned, `allowed` as it applies [m/s]."""
 
     def __init__(self, config: ControllerConfig, gain: FloatArray, lag: int) -> None:
-        self.dt, self.gain = config.sample_time, gain
+        self.dt, self.gain, self.enabled = config.sample_time, gain, config.monitor.wheel_limits
         self.half_track, self.most = config.wheels.track / 2, config.limits.wheel_speed
         self.wheel_yaw_ratio = config.wheels.track / config.wheels.encoder_track / gain[1, 1]
         self.window = lag + int(_FOR / self.dt) + 1
         self.restart()
 
     def restart(self) -> None:
-        """Know of no end."""
+        """Forget the limit."""
         self.actual, self.found, self.tried, self.speed_then = np.zeros(2), 0, math.inf, 0.0
-        self._know_nothing()
+        self.slowed, self.on_spot = 0.0, False
+        self._drop()
 
-    def _know_nothing(self) -> None:
-        self.speed = self.at_rim = math.inf
+    def _drop(self) -> None:
+        self.allowed = self.attained = math.inf
 
     def _rims(self, twist: FloatArray, slip: Slip) -> FloatArray:
         """Right and left wheel speeds (2, ...) for twists (2, ...) of the body."""
@@ -45,31 +47,48 @@ class WheelReach:
         turning = self.half_track * omega / (slip.omega_gain * slip.yaw_gain)
         return np.array([forward + turning, forward - turning])
 
-    def look(self, wheels: TwistGate, t: float, wanted: FloatArray | None, slip: Slip, commands: PastCommands) -> None:
-        """Compare encoders with the twist `wanted` (2,) at the tick `t` [s], None where the robot was not tracking."""
+    def look(
+        self, wheels: TwistGate, t: float, upcoming: FloatArray, slip: Slip, commands: PastCommands, astray: bool | None
+    ) -> None:
+        """Compare encoders at the tick `t` [s] with the twists (n, 2) of the reference, of which the second is due.
+
+        `astray` states whether the robot is behind or beside its reference; None while it is not tracking.
+        """
         read = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
         self.actual = self.actual + _SMOOTHED * (read - self.actual)
+        wanted, before = upcoming[1], self.on_spot
+        self.on_spot = bool(abs(wanted[0]) < _ON_SPOT * self.half_track * abs(wanted[1]))
+        if self.on_spot != before:
+            self._drop()
+            self.tried = math.inf
+        needed = float((np.abs(upcoming) @ [1.0, self.half_track / slip.yaw_gain]).max())
         sent, found = commands.everything, None
-        if wanted is not None and len(sent) >= self.window and t - wheels.stamp < _FOR:
+        looks = astray or (astray is not None and math.isfinite(self.attained))
+        if self.enabled and looks and len(sent) >= self.window and t - wheels.stamp < _FOR:
             by_reference = self._rims(wanted, slip)
-            sign = np.where(by_reference < 0, -1.0, 1.0)
-            # Wheels turn as the model says: the body slips, not they.
-            by_command = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
-            asked, along = np.minimum(by_command.min(axis=1), sign * by_reference), sign * self.actual
-            lacks = asked - along
-            steady = np.abs(read - self.actual) < _STEADY * asked
-            short = steady & (along > _HELD * asked) & (lacks > np.maximum(_SHORT * asked, _LEAST))
+            sign = np.where(by_reference < 0, -1.0, 1.0)[:, None]
+            twists = self.gain @ sent[-self.window :].T
+            # Elsewhere a saturated wheel looks like a smaller gain.
+            gain = slip.omega_gain * slip.yaw_gain if self.on_spot else 1.0
+            both = np.hstack([twists, twists * [[1.0], [gain]]])
+            by_command = sign * self._rims(both, Slip())
+            least, along = by_command.min(axis=1), sign[:, 0] * self.actual
+            demanded = np.minimum(least, sign[:, 0] * by_reference)
+            lacks = demanded - along
+            steady = np.abs(read - self.actual) < _STEADY * demanded
+            short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
             if short.any() and (along <= by_command.max(axis=1) + _LEAST).all():
-                found = int(np.argmax(np.where(short, lacks, -np.inf)))
-        if found is not None and self._gains_nothing(found, float(by_command.min(axis=1)[found])):
-            self.at_rim = abs(self.actual[found])
-            needed = abs(wanted[0]) + self.half_track * abs(wanted[1])
-            self.speed = abs(self.actual[found] / by_reference[found]) * needed
-        else:
-            self.speed, self.at_rim = (value * (1 + _REGAIN * self.dt) for value in (self.speed, self.at_rim))
-        faster = abs(self.actual[self.found]) > self.at_rim * (1 + _SHORT) + _LEAST
-        if faster or not self.at_rim < self.most:
-            self._know_nothing()
+                rank = lacks + _LEAST * (np.arange(2) == self.found)
+                found = int(np.argmax(np.where(short, rank, -np.inf)))
+        if found is not None and self._gains_nothing(found, float(least[found])):
+            self.attained, self.slowed = abs(self.actual[found]), 0.0
+        elif needed > _SLOWED * self.allowed:
+            self.slowed += self.dt
+        growth = _REGAIN[0] * self.attained + _REGAIN[1]
+        self.allowed = self.attained + (growth * (self.slowed - _RETRY) if self.slowed > _RETRY else 0.0)
+        faster = abs(self.actual[self.found]) > self.attained * (1 + _SHORT) + _LEAST
+        if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.most:
+            self._drop()
 
     def _gains_nothing(self, found: int, asked: float) -> bool:
         """Whether the wheel got no faster though more was asked of it than when it was first short."""

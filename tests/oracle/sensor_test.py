@@ -110,7 +110,7 @@ class SensorTest:
     def predict(self, commands: PastCommands) -> None:
         """One sample of a robot that nothing disturbs: trapezoids of the model's twist."""
         before = self.model.C @ self.state
-        recent, older = commands.acting(0)
+        recent, older = commands.acting(0)[:2]
         self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ older
         mean = 0.5 * (before + self.model.C @ self.state)
         # A motion that is kept does not change.

@@ -14,4 +14,6 @@ def oracle_tick(program, estimate, past):
         aim=program.aim[:, :3].copy(),
         heading=program.aim[:, 3].copy(),
         feed_forward=program.feed_forward.copy(),
+        fed_before=program.fed_before.copy(),
+        late=program.late.copy(),
     )

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc import load_config, load_trajectory
+from diffdrive_mpc import load_config, load_model, load_trajectory
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from studies.tracking.clairvoyant import ClairvoyantController, load_clairvoyant_settings
+from studies.tracking.floor import linear_loop, position_floor, stationary_covariances
 from studies.tracking.known_plant import know_plant
 from studies.tracking.measured import steady_arc_lateral
 
@@ -65,3 +67,33 @@ def test_a_plant_that_is_a_model_is_known_exactly():
     assert known.model.dc_gain @ [0.5, 0.4] == pytest.approx(plant.true_twist[[0, 2]], rel=1e-6)
     v, lateral, omega = plant.true_twist
     assert lateral == pytest.approx(-known.side_slip * v * omega, rel=1e-9)
+
+
+def test_floor_is_the_scatter_of_simulated_linear_robots():
+    """Gains here by recursion; 400 robots on an arc, the errors of 400 ticks after the first ones."""
+    loop = linear_loop(load_config("sm"), load_model("sm"), (0.5, 0.6), load_sensor_set("default"), (0.02, 0.05))
+    A, B, C, value, predicted = loop.A, loop.B, loop.C, loop.Q, loop.disturbance
+    for _ in range(1000):
+        gain = np.linalg.solve(loop.R + B.T @ value @ B, B.T @ value @ A + loop.N.T)
+        value = loop.Q + A.T @ value @ A - (A.T @ value @ B + loop.N) @ gain
+        correction = np.linalg.solve(C @ predicted @ C.T + loop.noise, C @ predicted).T
+        predicted = A @ (predicted - correction @ C @ predicted) @ A.T + loop.disturbance
+    random, squares = np.random.default_rng(0), []
+    state = estimate = np.zeros((400, len(A)))
+    for _ in range(800):
+        moved = random.multivariate_normal(np.zeros(len(A)), loop.disturbance, 400, method="eigh")
+        read, command = random.normal(size=(400, 6)) * np.sqrt(np.diag(loop.noise)), -estimate @ gain.T
+        state, estimate = state @ A.T + command @ B.T + moved, estimate @ A.T + command @ B.T
+        estimate = estimate + (state @ C.T + read - estimate @ C.T) @ correction.T
+        squares.append([np.mean(rows[:, loop.place] ** 2, axis=0) for rows in (state - estimate, state)])
+    stated = [np.diag(covariance)[loop.place] for covariance in stationary_covariances(loop)]
+    assert np.mean(squares[400:], axis=0) == pytest.approx(np.array(stated), rel=0.05)
+
+
+def test_floor_falls_with_the_noise_of_the_poses_and_keeps_the_disturbance_without_any():
+    perfect, default, noisy = (
+        position_floor("sm", "circle", sensors) for sensors in ("perfect", "default", "noise_2cm")
+    )
+    assert perfect.estimate < 1e-5 < 0.1 * default.estimate < 0.1 * noisy.estimate
+    assert 0.1 * default.total < perfect.total < default.total < noisy.total
+    assert perfect.total < 0.5 * position_floor("sm", "circle", "perfect", assumed=True).total

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from diffdrive_mpc import load_config, load_model
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.mpc.problem.margin import with_increments
 from studies.speed.measure import closed_loop_cost
 from studies.speed.results import growth_exponent, time_statistics
 from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
@@ -66,7 +67,8 @@ def test_a_subject_that_cannot_be_built_is_named_and_the_others_go_on(report):
     assert "nobody" in missing["reason"]
 
 
-CONFIG, MODEL = load_config("ssm"), load_model("ssm")
+MODEL = load_model("ssm")
+CONFIG = with_increments(load_config("ssm"), MODEL.discretise(load_config("ssm").sample_time))
 TICKS = 40
 
 
@@ -102,6 +104,6 @@ def test_exceeded_soft_limits_cost_their_exact_and_quadratic_penalty():
     expected = w.soft * over + w.soft_quadratic * over**2 / 2
     assert cost(omega=lim.predicted_omega + over, v=0.0) == pytest.approx(expected)
     # One side turns too fast while v and omega alone are inside their limits.
-    narrow = load_config("ssm", {"limits.wheel_speed": 0.55})
+    narrow = CONFIG.model_copy(update={"limits": CONFIG.limits.model_copy(update={"wheel_speed": 0.55})})
     v = 0.55 - 0.5 * CONFIG.wheels.track * 1.0 + over
     assert cost(v=v, omega=1.0, config=narrow) == pytest.approx(expected)

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.spec import in_parts
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
-from studies.tracking.measured import BOUND, is_plain
+from studies.tracking.measured import BOUND, MARGIN, is_plain
 from studies.tracking.study import TrackingStudy, load_study
 
 TINY = """
@@ -77,6 +77,8 @@ def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | No
         "plain": is_plain(of),
         "arcs": np.array(arcs),
         "late_lateral_m": 0.01,
+        "omega_change": 0.02,
+        "margin": dict(of.overrides).get(MARGIN, "-"),
         "time": 0.02 * np.arange(n),
         "along": np.zeros(n),
         "across": np.full(n, 0.001) if across is None else across,

@@ -85,16 +85,16 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
 
 
 def test_less_is_paid_for_turning_the_more_it_weighs():
-    """On the slippery floor, on a square: energy falls, and the error grows in the end."""
+    """On the slippery floor, on a square: energy falls until the robot leaves the path too far for that to pay."""
     found = {}
-    for weight in (0.0, 0.01, 0.1):
+    for weight in (0.0, 0.003, 0.02, 0.1):
         overrides = {"energy.weight": weight, "energy.turn_costs": "fsu_bot-slippery"}
         controller = Controller(load_config("ssm", overrides))
         plant = make_plant("mujoco:fsu_bot", "slippery", seed=7)
         found[weight] = simulate(controller, plant, load_trajectory("square", timing="smooth"))
     energy = [run_energy(run).energy_j for run in found.values()]
     assert energy[0] > energy[1] > energy[2]
-    assert found[0.1].metrics.position_rmse_m > 1.5 * found[0.01].metrics.position_rmse_m
+    assert found[0.1].metrics.position_rmse_m > 1.5 * found[0.02].metrics.position_rmse_m
 
 
 def test_its_weight_is_a_stage_parameter_that_changes_while_driving():

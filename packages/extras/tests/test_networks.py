@@ -206,13 +206,13 @@ def test_other_networks_are_refused_in_one_line():
 
 @pytest.mark.parametrize("trajectory", ["square", "s"])
 def test_the_shipped_network_keeps_to_the_path(trajectory):
-    """Within one and a half of the SSM's error."""
+    """Within twice the SSM's error: no delay is estimated with a network."""
     errors = {}
     for name in ("ssm", "lstm"):
         run = simulate(Controller(load_config(name)), make_plant("mujoco", seed=5), load_trajectory(trajectory))
         errors[name] = run.metrics.position_rmse_m
         assert set(run.modes) <= {"TRACKING", "FINISHED"}
-    assert errors["lstm"] < 1.5 * errors["ssm"]
+    assert errors["lstm"] < 2.0 * errors["ssm"]
 
 
 SMALL = Architecture(window=8, units=8, dense=8)

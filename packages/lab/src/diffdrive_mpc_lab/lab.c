@@ -276,7 +276,7 @@ static void judge(double time)
 
 static void tell(const ddmpc_result *result)
 {
-    const int pose = ours.sizes.states + ours.sizes.slips + 1;
+    const int pose = ours.sizes.states + ours.sizes.slips + 3;
     memcpy(report.pose, robot.pose, sizeof report.pose);
     memcpy(report.peer, ghost.pose, sizeof report.peer);
     memcpy(report.estimate, result->estimate.mean + pose, sizeof report.estimate);

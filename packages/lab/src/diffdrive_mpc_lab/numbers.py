@@ -223,7 +223,9 @@ def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
         key = lab_settings()["choices"][name]["key"]
         keys = [f"{key}.v", f"{key}.omega"] if name == "told" else [key]
         overrides |= dict.fromkeys(keys, value if name == "horizon" else float(value))
-    return replace_values(load_config(model), overrides)
+    config = load_config(model)
+    # No choice changes the weights that follow from others.
+    return replace_values(build_problem(config, chosen_model(config, None)).config, overrides)
 
 
 class Constants(NamedTuple):

@@ -83,7 +83,7 @@ class Drivable:
         slip, dt = _column(self.slip), ca.SX.sym("dt")
         moved = displacement(y, slip, pose[2], acceleration, dt)
         rate = ca.substitute(ca.jacobian(moved, dt), dt, ca.SX(0))
-        ahead = aim(pose, body_twist(y, slip), slip)[3] - pose[2]
+        ahead = aim(pose, body_twist(y, slip), slip, acceleration)[3] - pose[2]
         at_ends = ca.Function("ends", [y, pose, acceleration], [rate, ahead])
         step = self.times[1]
         speeding = np.gradient(self.wheels[:, 0], step)
@@ -155,7 +155,8 @@ class _Problem:
         self._given, self._config, self._step, self._slip = sample, config, step, _column(slip)
         self._inverse_gain, self._count = inverse_gain, len(sample.pose) - 1
         pose, twist = ca.SX.sym("pose", 3), ca.SX.sym("twist", 2)
-        undone = ca.Function("undone", [pose, twist], [wheel_twist(twist, self._slip), aim(pose, twist, self._slip)[3]])
+        heading = aim(pose, twist, self._slip, ca.SX(0))[3]
+        undone = ca.Function("undone", [pose, twist], [wheel_twist(twist, self._slip), heading])
         wheels, aims = undone(sample.pose.T, sample.twist.T)
         self.wheels, self._aims = np.array(wheels).T, np.array(aims).ravel()
 

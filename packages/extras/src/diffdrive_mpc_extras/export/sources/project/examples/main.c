@@ -24,7 +24,7 @@ static void move(const ddmpc_controller *model, robot *r, const real command[2])
     real after[2], mean[2], moved[3];
     memmove(r->sent, r->sent + 1, (SENT - 1) * sizeof r->sent[0]);
     memcpy(r->sent[SENT - 1], command, sizeof r->sent[0]);
-    ddmpc_velocity_step(model, r->state, r->sent[SENT - 1], next, 0, jacobian);
+    ddmpc_velocity_step(model, r->state, r->sent[SENT - 1], 0, next, 0, jacobian);
     memcpy(r->state, next, sizeof next);
     ddmpc_velocity_output(model, r->state, after, 0);
     for (int channel = 0; channel < 2; channel++)

@@ -1,0 +1,167 @@
+"""Weights on the increments of the command, from the delay that the closed loop has to tolerate.
+
+Without limits the controller is a linear feedback of the estimate: u_0 = K z. Along a straight path at constant speed
+its loop is linear, and stable as long as all its eigenvalues lie inside the unit circle. A delay that the model lacks
+moves them outwards, heavier increments move them inwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Margin
+from diffdrive_mpc.mpc.problem.constants import build_prediction
+
+SPEED = 0.5
+"""Speed of the straight path [m/s], that of the shipped paths."""
+LIGHTEST, HEAVIEST = 0.1, 1e4
+"""Bounds of the weights [s^2/m^2, s^2/rad^2]."""
+WITHOUT_MARGIN = {"v_increment": 20.0, "omega_increment": 15.0}
+"""Weights where no margin gives them: tuned for SM on seeds 100 and 101 of the mujoco plant."""
+_HALVINGS = 14
+_STABLE = 1.0 + 1e-6
+"""An error without a weight stays as it is, with eigenvalue 1."""
+
+
+def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatArray], FloatArray]:
+    """Return the function from the weights (2,) of the increments to K (2, n + 2 m + 3) of u_0 = K z.
+
+    z are the states of the model, the m commands on their way from the oldest on, and the errors along and across [m]
+    and of the heading [rad] at the speed `SPEED`.
+    """
+    N, n, m, dt, w = config.horizon, model.order, model.memory, model.dt, config.weights
+    prediction = build_prediction(model, N)
+    twist = np.hstack([prediction.from_state, prediction.from_past, np.zeros((2 * N + 2, 3))])
+    mean, units = 0.5 * (twist[:-2] + twist[2:]), np.eye(n + 2 * m + 3)
+    planned = prediction.mean_from_plan, prediction.heading_from_plan
+    heading = units[-1] + np.vstack([np.zeros(len(units)), dt * np.cumsum(mean[1::2], axis=0)])
+    across = units[-2] + 0.5 * dt * SPEED * np.cumsum(heading[:-1] + heading[1:], axis=0)
+    along = units[-3] + dt * np.cumsum(mean[::2], axis=0)
+    by_plan = (
+        dt * np.cumsum(planned[0][::2], axis=0),
+        0.5 * dt * SPEED * np.cumsum(planned[1][:-1] + planned[1][1:], axis=0),
+        planned[1][1:],
+    )
+    factor = np.append(np.ones(N - 1), w.terminal)[:, None]
+    weighted = [
+        *zip(
+            (w.along * factor, w.across * factor, w.heading * factor),
+            (along, across, heading[1:]),
+            by_plan,
+            strict=True,
+        ),
+        (np.tile([w.v, w.omega], N)[:, None], np.zeros((2 * N, len(units))), np.eye(2 * N)),
+    ]
+    H = sum(rows.T @ (weight * rows) for weight, _, rows in weighted)
+    G = sum(rows.T @ (weight * fixed) for weight, fixed, rows in weighted)
+    last, change = units[n + 2 * m - 2 : n + 2 * m], np.eye(N) - np.eye(N, k=-1)
+
+    def by_weights(increments: FloatArray) -> FloatArray:
+        right = G - np.vstack([increments[:, None] * last, np.zeros((2 * N - 2, len(units)))])
+        return np.asarray(-np.linalg.solve(H + np.kron(change.T @ change, np.diag(increments)), right)[:2])
+
+    return by_weights
+
+
+def spectral_radius(model: DiscreteModel, K: FloatArray, late: FloatArray) -> float:
+    """Return the largest |eigenvalue| of the loop with feedback `K` where commands act `late` (2,) samples later."""
+    n, m, dt = model.order, model.memory, model.dt
+    longest = m + int(np.ceil(late.max())) + 1
+    size = n + 2 * longest + 3
+    selection = np.zeros((K.shape[1], size))
+    selection[:n, :n], selection[-3:, -3:] = np.eye(n), np.eye(3)
+    selection[n : n + 2 * m, n + 2 * (longest - m) : n + 2 * longest] = np.eye(2 * m)
+    commands = np.vstack([np.eye(2 * longest, size, k=n), K @ selection]).reshape(longest + 1, 2, size)
+    whole = np.floor(late).astype(int)
+    loop = np.zeros((size, size))
+    loop[:n, :n] = model.A
+    for channel in (0, 1):
+        newest, rest = longest - int(model.delay[channel]) - whole[channel], late[channel] - whole[channel]
+        acting = [(1 - rest) * commands[newest - i, channel] + rest * commands[newest - i - 1, channel] for i in (0, 1)]
+        loop[:n] += np.outer(model.B0[:, channel], acting[0]) + np.outer(model.B1[:, channel], acting[1])
+    loop[n:-3] = commands[1:].reshape(-1, size)
+    units = np.eye(size)
+    v, omega = 0.5 * (model.C @ units[:n] + model.C @ loop[:n])
+    loop[-3], loop[-1] = units[-3] + dt * v, units[-1] + dt * omega
+    loop[-2] = units[-2] + 0.5 * dt * SPEED * (units[-1] + loop[-1])
+    return float(np.abs(np.linalg.eigvals(loop)).max())
+
+
+def increment_weights(model: DiscreteModel, config: ControllerConfig) -> FloatArray:
+    """Return the smallest weights (2,) of the increments of v and omega with which the loop tolerates the margin.
+
+    The delays are unknown one at a time. Where no weight is heavy enough it is NaN.
+    """
+    by_weights, weights, lightest = feedback(model, config), np.full(2, LIGHTEST), np.full(2, np.nan)
+    for channel, margin in enumerate((config.margin.v, config.margin.omega)):
+        late = np.eye(2)[channel] * margin / model.dt
+        low, high = np.log([LIGHTEST, HEAVIEST])
+        for _ in range(_HALVINGS):
+            weights[channel] = np.exp(0.5 * (low + high))
+            try:
+                is_stable = spectral_radius(model, by_weights(weights), late) < _STABLE
+            except np.linalg.LinAlgError:  # weights of sizes that no arithmetic bears
+                is_stable = False
+            if is_stable:
+                lightest[channel], high = weights[channel], np.log(weights[channel])
+            else:
+                low = np.log(weights[channel])
+    return lightest
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """Model and settings that the weights follow from, told apart by their numbers."""
+
+    numbers: bytes
+    model: DiscreteModel = field(compare=False)
+    config: ControllerConfig = field(compare=False)
+
+    @classmethod
+    def from_settings(cls, model: DiscreteModel, config: ControllerConfig) -> _Loop:
+        w, margin = config.weights, config.margin
+        sizes = [w.along, w.across, w.heading, w.v, w.omega, w.terminal, margin.v, margin.omega]
+        parts = (model.A, model.B0, model.B1, model.C, model.delay, [model.dt, config.horizon], sizes)
+        return cls(np.concatenate([np.ravel(part) for part in parts]).tobytes(), model, config)
+
+
+@lru_cache(maxsize=64)
+def _increment_weights(loop: _Loop) -> tuple[float, ...]:
+    return tuple(increment_weights(loop.model, loop.config).tolist())
+
+
+def with_increments(config: ControllerConfig, model: DiscreteModel | NonlinearModel) -> ControllerConfig:
+    """Return `config` with numbers for those weights on increments that follow from the margin of `model`.
+
+    They are constants for a nonlinear model, and where no weight gives the default margin, as with a short horizon.
+
+    Raises
+    ------
+    ConfigError
+        If no weight gives another margin.
+    """
+    missing = [name for name in ("v", "omega") if getattr(config.weights, f"{name}_increment") is None]
+    if not missing:
+        return config
+    derived = dict.fromkeys(missing, np.nan)
+    if isinstance(model, DiscreteModel):
+        derived |= zip(("v", "omega"), _increment_weights(_Loop.from_settings(model, config)), strict=True)
+    numbers = {}
+    for name in missing:
+        margin, key = getattr(config.margin, name), f"{name}_increment"
+        is_found = np.isfinite(derived[name])
+        if not is_found and margin != getattr(Margin(), name) and isinstance(model, DiscreteModel):
+            raise ConfigError(
+                f"margin.{name} = {margin:g} s: no weight on the increments of {name} gives so much with these weights "
+                f"and horizon = {config.horizon}; state less, or weights.{key}"
+            )
+        numbers[key] = float(f"{derived[name]:.3g}") if is_found else WITHOUT_MARGIN[key]
+    return config.model_copy(update={"weights": config.weights.model_copy(update=numbers)})

@@ -1,0 +1,132 @@
+"""Lower bound of the tracking error of a linear robot with Gaussian noise: LQG control about the twists of a path.
+
+States: velocity model with the commands on their way, pose error in the frame of the reference, that of the poses that
+are not yet delivered, last command. Measurements: those of the sensor set. Estimator and controller: the stationary
+Kalman filter and the infinite-horizon LQR with the weights of the configuration. No limit is active, and slip and gyro
+bias are known. Source: Anderson, Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 8.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
+
+from diffdrive_mpc import ControllerConfig, VelocityModel, load_config, load_trajectory
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.problem.margin import with_increments
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
+from studies.tracking.known_plant import reference_drive
+
+_LEAST_SHARE = 0.03
+"""Share of the duration from which a twist of a path counts [-]: ramps do not."""
+_EXACT = 1e-6
+"""Standard deviation in place of zero, in the unit of each sensor: the Riccati equation needs one."""
+_SCALE = 1e6
+"""Factor on covariances inside the Riccati equation: in mm^2 it is well conditioned."""
+
+
+class LinearLoop(NamedTuple):
+    """x[k+1] = A x[k] + B u[k] + w[k], z[k] = C x[k] + n[k], cost x'Q x + 2 x'N u + u'R u.
+
+    Position errors along and across the path [m] are the states `place`.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    disturbance: FloatArray
+    noise: FloatArray
+    Q: FloatArray
+    R: FloatArray
+    N: FloatArray
+    place: slice
+
+
+class PositionFloor(NamedTuple):
+    """Root mean square errors of the position [m]."""
+
+    estimate: float
+    total: float
+
+
+def linear_loop(
+    config: ControllerConfig, model: VelocityModel, twist: ArrayLike, sensors: SensorSet, command_noise: ArrayLike
+) -> LinearLoop:
+    """Linearise robot, sensors and cost about a twist (v [m/s], omega [rad/s]).
+
+    `command_noise` (2,) is the standard deviation of the disturbance, white noise on v_ref [m/s] and omega_ref [rad/s].
+    """
+    dt = config.sample_time
+    weights = with_increments(config, model.discretise(dt)).weights
+    plant = model.to_control(dt)
+    a, b, c = (np.asarray(matrix) for matrix in (plant.A, plant.B, plant.C))
+    (v, omega), n, late = np.asarray(twist, dtype=float), len(a), round(sensors.pose.latency / dt)
+    motion = expm(dt * np.array([[0, omega, 0, 1, 0], [-omega, 0, v, 0, 0], [0, 0, 0, 0, 1], [0] * 5, [0] * 5]))
+    drive, poses = 0.5 * motion[:3, 3:] @ c, 3 * (1 + late)
+    A, B, C = np.zeros((n + poses + 2,) * 2), np.zeros((n + poses + 2, 2)), np.zeros((6, n + poses + 2))
+    A[:n, :n], A[n : n + 3, :n], A[n : n + 3, n : n + 3] = a, drive @ (np.eye(n) + a), motion[:3, :3]
+    A[n + 3 : n + poses, n : n + poses - 3] = np.eye(poses - 3)
+    B[:n], B[n : n + 3] = b, drive @ b
+    disturbed = B * np.asarray(command_noise, dtype=float)
+    B[-2:] = np.eye(2)
+    C[:3, :n], C[3:, n + poses - 3 : n + poses] = c[[0, 1, 1]], np.eye(3)
+    # Mean of four wheels, and difference of two means of two.
+    rim, pose = sensors.encoders.speed_sd * load_robot().wheel_radius, sensors.pose
+    deviations = [rim / 2, rim / load_robot().track, sensors.gyro.noise_sd, *[pose.position_sd] * 2, pose.heading_sd]
+    Q, N = np.zeros_like(A), np.zeros_like(B)
+    increments = np.diag([weights.v_increment, weights.omega_increment])
+    Q[range(n, n + 3), range(n, n + 3)] = weights.along, weights.across, weights.heading
+    Q[-2:, -2:], N[-2:] = increments, -increments
+    R = increments + np.diag([weights.v, weights.omega])
+    noise = np.diag(np.maximum(deviations, _EXACT) ** 2)
+    return LinearLoop(A, B, C, disturbed @ disturbed.T, noise, Q, R, N, slice(n, n + 2))
+
+
+def stationary_covariances(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
+    """Solve for the covariances of the estimation error and of the state."""
+    A, B, C = loop.A, loop.B, loop.C
+    value = solve_discrete_are(A, B, loop.Q, loop.R, s=loop.N)
+    gain = np.linalg.solve(loop.R + B.T @ value @ B, B.T @ value @ A + loop.N.T)
+    predicted = solve_discrete_are(A.T, C.T, _SCALE * loop.disturbance, _SCALE * loop.noise) / _SCALE
+    corrected = predicted @ C.T @ np.linalg.solve(C @ predicted @ C.T + loop.noise, C @ predicted)
+    # The estimate is moved by innovations, which are white, and is not correlated with its error.
+    return predicted - corrected, predicted - corrected + solve_discrete_lyapunov(A - B @ gain, corrected)
+
+
+def command_noise(model: VelocityModel, trajectory: str, dt: float) -> FloatArray:
+    """Find white noise on the commands (2,) that moves v and omega as far as the model errs open loop on a path (RMS).
+
+    The robot is the mujoco plant, and its error that of the true twist.
+    """
+    log, plant = reference_drive("mujoco", "default", trajectory), model.to_control(dt)
+    errors = log.true_twist[:, [0, 2]] - model.discretise(dt).simulate(log.command)
+    of_unit_noise = [
+        plant.C[j] @ solve_discrete_lyapunov(plant.A, np.outer(b, b)) @ plant.C[j] for j, b in enumerate(plant.B.T)
+    ]
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / of_unit_noise))
+
+
+@cache
+def position_floor(name: str, trajectory: str, sensors: str, *, assumed: bool = False) -> PositionFloor:
+    """Return the root mean square over the constant twists of a path, each with its share of the duration.
+
+    The disturbance is `command_noise`, or with `assumed` the filter's `v_input_noise` and `omega_input_noise`.
+    """
+    config, path = load_config(name), load_trajectory(trajectory)
+    extra, dt, filtered = config.extra_dead_time, config.sample_time, config.estimator
+    model = load_linear_model(config.model).with_extra_dead_time((extra.v, extra.omega))
+    noise = [filtered.v_input_noise, filtered.omega_input_noise] if assumed else command_noise(model, trajectory, dt)
+    twists = path.sample(np.arange(0.0, path.duration, dt)).twist.round(3)
+    values, counts = np.unique(twists, axis=0, return_counts=True)
+    chosen = (counts >= _LEAST_SHARE * len(twists)) & values.any(axis=1)
+    squares = []
+    for twist in values[chosen]:
+        loop = linear_loop(config, model, twist, load_sensor_set(sensors), noise)
+        squares.append([np.trace(matrix[loop.place, loop.place]) for matrix in stationary_covariances(loop)])
+    return PositionFloor(*np.sqrt(np.average(squares, axis=0, weights=counts[chosen])))

@@ -1,0 +1,96 @@
+"""Weights on increments from the delay that the closed loop tolerates."""
+
+import numpy as np
+import pytest
+from ideal_robot import PROMPT, IdealRobot
+from nonlinear_program import NO_SLIP, saturating
+
+from diffdrive_mpc import Controller, load_config, load_model
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.problem import margin
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+
+LIMITS = ("v", "omega", "v_slew", "omega_slew", "predicted_v", "predicted_omega", "wheel_speed", "corridor")
+NOISES = ("position_noise", "heading_noise", "wheel_speed_noise", "wheel_yaw_rate_noise", "yaw_rate_noise")
+IDEAL = {
+    **{f"limits.{name}": 1e6 for name in LIMITS},
+    **{f"estimator.{name}": 1e-6 for name in NOISES},
+    **NO_SLIP,
+    **PROMPT,
+    "reentry.enabled": False,
+}
+
+
+def growth(channel, share):
+    """Return how many times as far SM swings after another 6 s, with so much of its margin as unknown delay."""
+    controller = Controller(load_config("sm", IDEAL))
+    stated = controller.config.margin
+    late = np.eye(2)[channel] * share * [stated.v, stated.omega]
+    robot = IdealRobot(controller.model.with_extra_dead_time(late).discretise(controller.sample_time), [0.0, 0.02, 0.0])
+    t, still = np.linspace(0.0, 20.0, 201), np.zeros(201)
+    line = np.column_stack([margin.SPEED * t, still, still]), np.column_stack([margin.SPEED + still, still, still])
+    controller.start(SplineTrajectory.through("line", t, *line), 0.0)
+    errors = []
+    for _ in range(900):
+        robot.advance(controller.step(robot.time, robot.measure()).command)
+        errors.append((robot.pose - [margin.SPEED * robot.time, 0.0, 0.0])[channel])
+    before, after = np.array(errors[300:]).reshape(2, 300)
+    return after.std() / before.std()
+
+
+@pytest.mark.parametrize("channel", [0, 1], ids=["v", "omega"])
+def test_the_loop_is_stable_below_the_margin_and_not_above(channel):
+    assert growth(channel, 0.9) < 0.7
+    assert growth(channel, 1.1) > 1.4
+
+
+def weights(overrides=None, name="sm"):
+    config = Controller(load_config(name, overrides)).config
+    return config.weights.v_increment, config.weights.omega_increment
+
+
+def test_weights_are_those_that_were_tuned_for_sm_and_grow_with_the_margin():
+    assert weights() == pytest.approx((20.0, 15.0), rel=0.05)
+    omega = [weights({"margin.omega": delay})[1] for delay in (0.1, 0.145, 0.2)]
+    assert omega == sorted(omega)
+    assert weights({"margin.v": 0.3})[0] > 2 * weights()[0]
+
+
+def test_the_core_takes_given_numbers_and_else_those_of_the_margin():
+    assert weights({"weights.v_increment": 3.0}) == (3.0, weights()[1])
+    controller = Controller(load_config("sm", {"weights.omega_increment": 4.0}))
+    problem = controller._problem(controller.config, controller._predicted)
+    assert problem.constants()["increment_weight"] == [weights()[0], 4.0]
+
+
+def test_an_update_keeps_the_weights_of_the_start(monkeypatch):
+    controller = Controller("sm")
+    monkeypatch.setattr(margin, "_increment_weights", None)
+    before = controller.config.weights
+    assert controller.update(weights={"across": 1200.0}).weights == before.model_copy(update={"across": 1200.0})
+    assert controller.update(weights={"v_increment": 7.0}).weights.v_increment == 7.0
+
+
+def test_one_computation_serves_all_controllers_alike():
+    weights({"margin.v": 0.26})
+    before = margin._increment_weights.cache_info()
+    assert weights({"margin.v": 0.26, "limits.v": 0.4}) != weights()
+    assert margin._increment_weights.cache_info().misses == before.misses
+
+
+def test_where_no_weight_gives_the_margin_a_stated_one_is_refused_and_the_default_leaves_constants():
+    assert weights({"horizon": 5})[1] == 15.0
+    with pytest.raises(ConfigError, match=r"margin\.omega = 0\.6 s.*state less"):
+        weights({"margin.omega": 0.6})
+    assert margin.with_increments(load_config("sm"), saturating()).weights.v_increment == 20.0
+    # What has no weight stays as it is, and what no arithmetic bears is no error.
+    assert np.isfinite(weights({"weights.along": 0.0, "weights.heading": 1e12})).all()
+
+
+def test_every_shipped_model_tolerates_its_margin():
+    for name in ("mbm", "sm", "ssm", "kinematic"):
+        config = load_config(name)
+        model = load_model(name).discretise(config.sample_time)
+        K = margin.feedback(model, config)(np.array(weights(name=name)))
+        for late in np.diag([config.margin.v, config.margin.omega]) / model.dt:
+            assert margin.spectral_radius(model, K, 0.99 * late) < 1.0 < margin.spectral_radius(model, K, 1.01 * late)
