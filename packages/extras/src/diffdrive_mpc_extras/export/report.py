@@ -125,7 +125,7 @@ def _link(target: str, folder: Path, program: Path) -> bool:
     else:
         options, main = [*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], sorted(place.glob("*.c"))
     sources = [*main, *sorted((folder / "ddmpc").glob("*.c"))]
-    flags = ["-std=c99", "-O3", *options, f"-I{folder / 'ddmpc'}"]
+    flags = ["-std=c99", "-O2", *options, f"-I{folder / 'ddmpc'}"]
     command = [compiler, *flags, *map(str, sources), "-lm", "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode and "overflowed" in done.stderr:

@@ -6,5 +6,5 @@ set(CMAKE_TRY_COMPILE_TARGET_TYPE STATIC_LIBRARY)
 # Products and sums in one instruction; constants of plain decimals stay single precision by their suffix.
 set(CMAKE_C_FLAGS_INIT "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -ffp-contract=fast \
 -ffunction-sections -fdata-sections -fno-math-errno")
-set(CMAKE_C_FLAGS_RELEASE_INIT "-O3")
+set(CMAKE_C_FLAGS_RELEASE_INIT "-O2")
 set(CMAKE_EXE_LINKER_FLAGS_INIT "--specs=nano.specs --specs=nosys.specs -Wl,--gc-sections")
