@@ -328,12 +328,12 @@ class SlowRobot(IdealRobot):
 
 
 def test_wheels_at_the_end_of_their_speed(tmp_path):
-    """In a turn on the spot, again in the curve after it, and no more where it drives slowly."""
+    """After a turn on the spot, and again in the curve that follows it once the limit was dropped."""
     path = tmp_path / "route.yaml"
     parts = (
         "{v: 0.0, omega: 1.0, duration: 1.2}",
-        "{v: 0.5, omega: 0.5, duration: 2.0}",
-        "{v: 0.1, omega: 0.0, duration: 2.0}",
+        "{v: 0.5, omega: 0.5, duration: 3.0}",
+        "{v: 0.1, omega: 0.0, duration: 1.0}",
     )
     path.write_text("\n- ".join(("segments:", *parts)))
     both = pair("sm", horizon=10)

@@ -16,7 +16,7 @@ from oracle.commands import PastCommands
 _SHORT, _LEAST, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3, 0.2, 0.2
 _ON_SPOT, _FAR_BELOW, _SLOWED, _RETRY, _REGAIN = 0.5, 0.5, 0.75, 0.7, (0.6, 0.2)
 # So much more has to be needed, and less than so much of it gained.
-_MORE, _GAINED = 0.1, 0.15
+_MORE, _GAINED = 0.03, 0.15
 # Where the robot keeps up with its reference nothing is learned.
 ASTRAY, BESIDE = 0.25, 0.25
 
