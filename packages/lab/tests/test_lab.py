@@ -154,7 +154,7 @@ def test_files_drive_in_simulate_to_the_figures_of_the_page(page_file: Path, tmp
     links = (
         "path=circle&dead=0.12&told=0.08&surface=ice&sensors=half_lost&seed=1&horizon=20&slew=3",
         "path=slalom&speed=0.8&model=mbm&robot=sm&wheel=1.2",
-        f"{drawn}&speed=0.5&model=kinematic&sensors=perfect&smooth=100",
+        f"{drawn}&speed=0.5&model=kinematic&sensors=perfect&smooth=35",
     )
     with laboratory(page_file) as page:
         for number, link in enumerate(links):

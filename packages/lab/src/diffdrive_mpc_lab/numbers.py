@@ -213,19 +213,25 @@ def reference(path: str, speed: float) -> FloatArray | None:
 def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
     """The configuration of the page's controller: the shipped one of `model`, with `choices` by name, without re-entry.
 
+    Weights on increments are stated, so that no choice changes those that follow from others. Delays are not learned:
+    the page shows what an unknown one costs.
+
     Raises
     ------
     models.checked_yaml.ConfigError
         If a value is out of range.
     """
-    overrides: dict[str, object] = {"reentry.enabled": False}
+    overrides: dict[str, object] = {
+        "reentry.enabled": False,
+        "compensation.delay": False,
+        "weights.v_increment": 20.0,
+        "weights.omega_increment": float(default_of("smooth")),
+    }
     for name, value in choices.items():
         key = lab_settings()["choices"][name]["key"]
         keys = [f"{key}.v", f"{key}.omega"] if name == "told" else [key]
         overrides |= dict.fromkeys(keys, value if name == "horizon" else float(value))
-    config = load_config(model)
-    # No choice changes the weights that follow from others.
-    return replace_values(build_problem(config, chosen_model(config, None)).config, overrides)
+    return replace_values(load_config(model), overrides)
 
 
 class Constants(NamedTuple):
