@@ -174,12 +174,12 @@ static void fill_hessian(ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     ddmpc_problem *p = &c->problem;
     const int inputs = INPUTS(c);
-    const real scale = p->gains[1] * p->gains[1];
+    const real scale = p->gains[1] * p->gains[1], *heading_hessian = ddmpc_rows(c).heading_hessian;
     square_stack(p->stack, STEPS(c), STACKED(c), WIDTH(c), inputs, p->H);
     for (int i = 0; i < inputs; i++) {
         real *row = p->H + i * inputs;
         for (int j = 0; !ROWS(c) && j <= i; j++)
-            row[j] += scale * ddmpc_rows(c).heading_hessian[i * inputs + j];
+            row[j] += scale * heading_hessian[i * inputs + j];
         const real increment = k->increment_weight[i % 2];
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
         if (i >= 2)
@@ -212,9 +212,11 @@ static void square_headings(ddmpc_controller *c)
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
     memset(p->stack, 0, (size_t)(N * width) * sizeof(real));
-    for (int k = 1; k <= N; k++)
+    for (int k = 1; k <= N; k++) {
+        const real root = ddmpc_sqrt(c->constants->heading[k - 1]), *row = ddmpc_heading_row(c, k);
         for (int j = 0; j < 2 * k; j++)
-            p->stack[(k - 1) * width + j] = ddmpc_sqrt(c->constants->heading[k - 1]) * ddmpc_heading_row(c, k)[j];
+            p->stack[(k - 1) * width + j] = root * row[j];
+    }
     square_stack(p->stack, N, 1, width, INPUTS(c), p->late_hessian);
     p->is_stale = 0;
 }

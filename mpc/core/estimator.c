@@ -76,14 +76,9 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
     memcpy(sent(c, 0), command, 2 * sizeof(real));
 }
 
-static int least(int a, int b)
-{
-    return a < b ? a : b;
-}
-
 void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count)
 {
-    const int kept = least(count, COMMANDS(c));
+    const int kept = ddmpc_least(count, COMMANDS(c));
     memcpy(sent(c, kept - 1), commands + 2 * (count - kept), (size_t)(2 * kept) * sizeof(real));
 }
 
@@ -257,7 +252,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
             continue;
         }
         node->twist[node->twists++] = twist[i];
-        first = least(first, index);
+        first = ddmpc_least(first, index);
     }
     if (has_pose && !(unused & 1 << DDMPC_OF_POSE)) {
         const int index = node_before(c, pose.stamp);
@@ -268,7 +263,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
             ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_TOO_MANY, R(0.0), R(0.0));
         } else if (ddmpc_pose_passes(c, &pose, expected)) {
             node->pose[node->poses++] = pose;
-            first = least(first, index);
+            first = ddmpc_least(first, index);
         }
     }
     filter_from(c, first);

@@ -10,8 +10,6 @@
 
 #include "problem.h"
 
-static int least(int a, int b) { return a < b ? a : b; }
-
 /* Replace `command`, which follows from the gain at rest, by the one at which a nonlinear model settles at the body's
    twist `wanted`, if there is one. The search starts from `last`, the solution at the previous sample, which is usually
    the same. */
@@ -52,7 +50,7 @@ static void look_ahead(ddmpc_controller *c)
         for (int channel = 0; channel < 2; channel++) {
             const real ahead = (real)(i + LAG(c, channel)) + k->lag_rest[channel] + p->late[channel];
             const real place = ddmpc_max(ahead, R(0.0));
-            const int whole = least((int)place, SAMPLES(c) - 2);
+            const int whole = ddmpc_least((int)place, SAMPLES(c) - 2);
             const real *now = c->reference_twist + 2 * whole + channel;
             wanted[channel] = now[0] + (place - (real)whole) * (now[2] - now[0]);
         }
@@ -115,16 +113,16 @@ static void convolve(const real *response, const real *plan, int count, int N, r
     }
 }
 
-/* Entries of the rows of a plan, `late` samples later: `step` entries further on in a row that looks back, further back in
-   one that looks ahead. */
-static void delay(const real *row, int count, int stride, int step, real late, real *out)
+/* `count` entries of a row of `known`, zero beyond, `late` samples later: `step` entries further on in a row that looks
+   back, further back in one that looks ahead. */
+static void delay(const real *row, int known, int stride, int step, real late, int count, real *out)
 {
     const int whole = (int)late;
     const real rest = late - (real)whole;
     for (int j = 0; j < count; j++) {
         const int near = j + step * whole, far = near + step;
-        const real now = near >= 0 && near < count ? row[stride * near] : R(0.0);
-        const real next = far >= 0 && far < count ? row[stride * far] : R(0.0);
+        const real now = near >= 0 && near < known ? row[stride * near] : R(0.0);
+        const real next = far >= 0 && far < known ? row[stride * far] : R(0.0);
         out[stride * j] = now + rest * (next - now);
     }
 }
@@ -146,11 +144,11 @@ static void respond_late(ddmpc_controller *c, const real *delays)
     for (int i = 0; i < 2; i++) {
         for (int output = 0; output < 2; output++) {
             const int response = (2 * output + i) * (N + 1), first = output * row + i;
-            delay(k->response + response, N + 1, 1, -1, late[i], p->late_response + response);
-            delay(k->twist_row + first, N, 2, 1, late[i], p->late_twist + first);
-            delay(k->mean_row + first, N, 2, 1, late[i], p->late_mean + first);
+            delay(k->response + response, N + 1, 1, -1, late[i], N + 1, p->late_response + response);
+            delay(k->twist_row + first, N, 2, 1, late[i], N, p->late_twist + first);
+            delay(k->mean_row + first, N, 2, 1, late[i], N, p->late_mean + first);
         }
-        delay(k->heading_row + i, N, 2, 1, late[i], p->late_heading + i);
+        delay(k->heading_row + i, N, 2, 1, late[i], N, p->late_heading + i);
     }
 }
 
@@ -158,19 +156,10 @@ static void respond_late(ddmpc_controller *c, const real *delays)
    Returns how many of them act on the plan. */
 static int line_up(const ddmpc_controller *c, real *line)
 {
-    const int W = WINDOW(c), beyond = least(STEPS(c), 1 + (int)ddmpc_max(c->problem.late[0], c->problem.late[1]));
-    const int count = W + beyond;
-    const real *commands = ddmpc_commands(c), *late = c->problem.late;
-    for (int i = 0; i < 2; i++) {
-        const int whole = (int)late[i];
-        const real rest = late[i] - (real)whole;
-        for (int j = 0; j < count; j++) {
-            const int near = j - whole, far = near - 1;
-            const real now = near >= 0 && near < W ? commands[2 * near + i] : R(0.0);
-            const real before = far >= 0 && far < W ? commands[2 * far + i] : R(0.0);
-            line[2 * j + i] = now + rest * (before - now);
-        }
-    }
+    const real *late = c->problem.late;
+    const int W = WINDOW(c), beyond = ddmpc_least(STEPS(c), 1 + (int)ddmpc_max(late[0], late[1]));
+    for (int i = 0; i < 2; i++)
+        delay(ddmpc_commands(c) + i, W, 2, -1, late[i], W + beyond, line + i);
     return beyond;
 }
 

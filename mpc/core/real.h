@@ -36,6 +36,7 @@ typedef double ddmpc_time;
 #define DDMPC_PI R(3.14159265358979323846)
 
 static inline real ddmpc_max(real a, real b) { return a > b ? a : b; }
+static inline int ddmpc_least(int a, int b) { return a < b ? a : b; }
 static inline real ddmpc_min(real a, real b) { return a < b ? a : b; }
 
 /* `angle` [rad] in [-pi, pi). */
