@@ -81,16 +81,16 @@ def test_motors_that_saturate_bind_before_what_the_log_asked():
 @pytest.mark.parametrize("geometry", [GEOMETRY, None])
 @pytest.mark.parametrize("slew", [(1.5, 3.0), None])
 def test_the_file_says_what_the_mapping_says(slew, geometry):
-    found = configure(
+    written = configure(
         "robot", identified(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
     )
-    text = found.text()
-    assert side_by_side(yaml.safe_load(text)) == found.mapping()
-    assert found.mapping()["sample_time"] == 0.05
+    text = written.text()
+    assert side_by_side(yaml.safe_load(text)) == written.mapping()
+    assert written.mapping()["sample_time"] == 0.05
     assert ("not in a log" in text) == (slew is None)
     assert ("Not in the log" in text) == (geometry is None)
     if geometry:
-        assert found.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
+        assert written.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
 
 
 def test_a_larger_robot_has_more_room_and_a_small_one_no_less_than_usual():

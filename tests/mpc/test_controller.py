@@ -150,8 +150,8 @@ def test_configured_dead_time_is_compensated():
     errors = {}
     for extra in (0.0, 0.15):
         robot = IdealRobot(late.discretise(DT), reference.sample([0.0]).pose[0])
-        told = controller(**{"extra_dead_time.v": extra, "extra_dead_time.omega": extra, "compensation.delay": False})
-        _, poses, times = drive(told, robot, reference, reference.duration)
+        mpc = controller(**{"extra_dead_time.v": extra, "extra_dead_time.omega": extra, "compensation.delay": False})
+        _, poses, times = drive(mpc, robot, reference, reference.duration)
         # The first command acts late whatever the controller knows: the start does not count.
         errors[extra] = rmse(poses[100:], times[100:], reference)[0]
     assert errors[0.15] < 0.003

@@ -33,7 +33,7 @@ class WheelReach:
 
     def restart(self) -> None:
         """Forget the limit."""
-        self.actual, self.found, self.tried, self.speed_then = np.zeros(2), 0, math.inf, 0.0
+        self.actual, self.short_wheel, self.tried, self.speed_then = np.zeros(2), 0, math.inf, 0.0
         self.slowed, self.on_spot = 0.0, False
         self._drop()
 
@@ -62,7 +62,7 @@ class WheelReach:
             self._drop()
             self.tried = math.inf
         needed = float((np.abs(upcoming) @ [1.0, self.half_track / slip.yaw_gain]).max())
-        sent, found = commands.everything, None
+        sent, wheel = commands.everything, None
         looks = astray or (astray is not None and math.isfinite(self.attained))
         if self.enabled and looks and len(sent) >= self.window and t - wheels.stamp < _FOR:
             by_reference = self._rims(wanted, slip)
@@ -78,24 +78,24 @@ class WheelReach:
             steady = np.abs(read - self.actual) < _STEADY * demanded
             short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
             if short.any() and (along <= by_command.max(axis=1) + _LEAST).all():
-                rank = lacks + _LEAST * (np.arange(2) == self.found)
-                found = int(np.argmax(np.where(short, rank, -np.inf)))
-        if found is not None and self._gains_nothing(found, float(least[found])):
-            self.attained, self.slowed = abs(self.actual[found]), 0.0
+                rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
+                wheel = int(np.argmax(np.where(short, rank, -np.inf)))
+        if wheel is not None and self._gains_nothing(wheel, float(least[wheel])):
+            self.attained, self.slowed = abs(self.actual[wheel]), 0.0
         elif needed > _SLOWED * self.allowed:
             self.slowed += self.dt
         growth = _REGAIN[0] * self.attained + _REGAIN[1]
         self.allowed = self.attained + (growth * (self.slowed - _RETRY) if self.slowed > _RETRY else 0.0)
-        faster = abs(self.actual[self.found]) > self.attained * (1 + _SHORT) + _LEAST
+        faster = abs(self.actual[self.short_wheel]) > self.attained * (1 + _SHORT) + _LEAST
         if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.most:
             self._drop()
 
-    def _gains_nothing(self, found: int, asked: float) -> bool:
+    def _gains_nothing(self, wheel: int, asked: float) -> bool:
         """Whether the wheel got no faster though more was asked of it than when it was first short."""
-        speed = abs(self.actual[found])
+        speed = abs(self.actual[wheel])
         more, gained = asked - self.tried, speed - self.speed_then
         enough = more > _MORE * asked
-        if found != self.found or more < 0 or (enough and gained > _GAINED * more):
-            self.found, self.tried, self.speed_then = found, asked, speed
+        if wheel != self.short_wheel or more < 0 or (enough and gained > _GAINED * more):
+            self.short_wheel, self.tried, self.speed_then = wheel, asked, speed
             return False
         return enough
