@@ -87,7 +87,7 @@ typedef struct {
     real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, sliding[2], frozen[2], odds[2];
     real doubtful[2], margin, plausible, memory, gains[4], held, scatter[5], late[2], far;
     /* of wheels at the end of their speed, and of what is no reason to leave the path */
-    real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, stuck, steady, trial[2], smoothed, slowed, retry, regain[2];
+    real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, slower, stuck, steady, trial[2], smoothed, slowed, retry, regain[2];
     real on_spot, far_below;
     int wheel_limits;                /* whether the speed at the end of the wheels is learned */
     real monitor_turn_ratio;         /* factor of turning beyond which the tracks are doubted [-] */

@@ -273,6 +273,8 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
     }
     ddmpc_filter_twist(c, z, twist);
     if (ddmpc_fabs(twist[1]) < c->constants->min_yaw_rate) {
+        /* Friction holds the robot against the small commands of a straight, which tell neither gain nor delay. */
+        memset(gain + (n + DELAYS(c) + 1) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + OMEGA_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + YAW_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         if (CURVED(c))

@@ -20,10 +20,11 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
 }
 
 /* The smallest and largest speeds that commands have demanded of each wheel over the last lag plus short_for, in the
- * directions `sign`. Returns 0 if the stored commands do not reach back that far. Wheels turn as the model states: the
- * body slips, not they. In a turn on the spot they may also turn with the estimated gain; elsewhere a saturated wheel has
- * the same effect on the estimate as a smaller gain. */
-static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
+ * directions `sign`, and the largest |v| that they have demanded of the robot. Returns 0 if the stored commands do not
+ * reach back that far. Wheels turn as the model states: the body slips, not they. In a turn on the spot they may also turn
+ * with the estimated gain; elsewhere a saturated wheel has the same effect on the estimate as a smaller gain. */
+static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2],
+                           real *forward_most)
 {
     const real *G = c->constants->inverse_gain, *slip = c->result.estimate.mean + STATES(c);
     const real determinant = G[0] * G[3] - G[1] * G[2], gain = c->on_spot ? slip[OMEGA_GAIN] * slip[YAW_GAIN] : R(1.0);
@@ -33,10 +34,12 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
         return 0;
     least[0] = least[1] = (real)HUGE_VAL;
     most[0] = most[1] = -(real)HUGE_VAL;
+    *forward_most = R(0.0);
     for (int ago = 0; ago <= since; ago++) {
         const real *u = c->estimator.commands + 2 * (newest - ago);
         const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
         const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
+        *forward_most = ddmpc_max(*forward_most, ddmpc_fabs(forward));
         for (int i = 0; i < 2; i++) {
             const real plain = i ? -turning : turning;
             const real rim = sign[i] * (forward + plain), learned = sign[i] * (forward + gain * plain);
@@ -54,10 +57,12 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
 {
     const ddmpc_constants *k = c->constants;
     const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
-    real least[2], most[2], worst = R(0.0);
+    real least[2], most[2], forward, worst = R(0.0);
     int wheel = -1;
-    if (!demanded_speeds(c, sign, least, most))
+    if (!demanded_speeds(c, sign, least, most, &forward))
         return -1;
+    /* One wheel at its end takes half of what it lacks from the forward speed, another yaw gain takes nothing. */
+    const real slower = c->on_spot ? (real)HUGE_VAL : forward - R(0.5) * ddmpc_fabs(c->rim[0] + c->rim[1]);
     for (int i = 0; i < 2; i++) {
         const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], least[i]);
         const real lacks = wanted - along, rank = lacks + (i == c->short_one ? k->short_by[0] : R(0.0));
@@ -65,7 +70,7 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
         if (along > most[i] + k->short_by[0])
             return -1;
         if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && rank > worst &&
-            ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
+            slower > k->slower * lacks && ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
             worst = rank;
             wheel = i;
             *demanded = least[i];

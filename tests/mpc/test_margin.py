@@ -50,9 +50,9 @@ def weights(overrides=None, name="sm"):
 
 
 def test_weights_are_those_that_were_tuned_for_sm_and_grow_with_the_margin():
-    assert weights() == pytest.approx((20.0, 15.0), rel=0.05)
+    assert weights() == (5.0, 4.0)
     omega = [weights({"margin.omega": delay})[1] for delay in (0.1, 0.17, 0.2)]
-    assert omega[0] == 15.0 < omega[1] < omega[2]
+    assert omega[0] == 4.0 < omega[1] < omega[2]
     assert weights({"margin.v": 0.3})[0] > 2 * weights()[0]
 
 
@@ -79,10 +79,10 @@ def test_one_computation_serves_all_controllers_alike():
 
 
 def test_where_no_weight_gives_the_margin_a_stated_one_is_refused_and_the_default_leaves_constants():
-    assert weights({"horizon": 5})[1] == 15.0
+    assert weights({"horizon": 5})[1] == 4.0
     with pytest.raises(ConfigError, match=r"margin\.omega = 0\.6 s.*state less"):
         weights({"margin.omega": 0.6})
-    assert margin.with_increments(load_config("sm"), saturating()).weights.v_increment == 20.0
+    assert margin.with_increments(load_config("sm"), saturating()).weights.v_increment == 5.0
     # What has no weight stays as it is, and what no arithmetic bears is no error.
     assert np.isfinite(weights({"weights.along": 0.0, "weights.heading": 1e12})).all()
 

@@ -248,7 +248,7 @@ class SlipFilter:
         if pushed:
             K[self.slip_places] = K[self.delay_places] = 0.0
         elif abs(self.twist(z)[1]) < s.min_yaw_rate:
-            K[self.gains[[0, 2]]] = 0.0
+            K[self.gains[[0, 2]]] = K[self.delay_places[1]] = 0.0
         mean = self.bounded(z + K @ innovation)
         # Joseph's form holds for any gain.
         I_KH = np.eye(len(z)) - K @ H

@@ -13,7 +13,7 @@ from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
 # As in mpc/config/sensor_test.yaml.
-_SHORT, _LEAST, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3, 0.2, 0.2
+_SHORT, _LEAST, _SLOWER, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.25, 0.2, 0.3, 0.2, 0.2
 _ON_SPOT, _FAR_BELOW, _SLOWED, _RETRY, _REGAIN = 0.5, 0.5, 0.75, 0.7, (0.6, 0.2)
 # So much more has to be needed, and less than so much of it gained.
 _MORE, _GAINED = 0.03, 0.15
@@ -75,8 +75,9 @@ class WheelReach:
             least, along = by_command.min(axis=1), sign[:, 0] * self.actual
             demanded = np.minimum(least, sign[:, 0] * by_reference)
             lacks = demanded - along
+            slower = math.inf if self.on_spot else float(np.abs(twists[0]).max() - abs(self.actual.sum()) / 2)
             steady = np.abs(read - self.actual) < _STEADY * demanded
-            short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
+            short = steady & (slower > _SLOWER * lacks) & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
             if short.any() and (along <= by_command.max(axis=1) + _LEAST).all():
                 rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
                 wheel = int(np.argmax(np.where(short, rank, -np.inf)))
