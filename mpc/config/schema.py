@@ -60,7 +60,7 @@ class Weights(Group):
 class Margin(Group):
     """Delay beyond the model's that the closed loop tolerates; see docs/tuning.md."""
 
-    # SM, MBM and SSM tolerate 0.24 to 0.26 s and 0.105 to 0.125 s with their lightest weights; slower robots need heavier ones.
+    # Lightest weights tolerate 0.24 to 0.26 s and 0.107 to 0.124 s (SM, MBM, SSM); slower robots need heavier ones.
     v: Annotated[float, Field(ge=0, le=1)] = Field(0.2, description="unknown delay of v_ref [s]")
     omega: Annotated[float, Field(ge=0, le=1)] = Field(0.11, description="unknown delay of omega_ref [s]")
 

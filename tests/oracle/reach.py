@@ -75,9 +75,9 @@ class WheelReach:
             least, along = by_command.min(axis=1), sign[:, 0] * self.actual
             demanded = np.minimum(least, sign[:, 0] * by_reference)
             lacks = demanded - along
-            slower = math.inf if self.on_spot else float(np.abs(twists[0]).max() - abs(self.actual.sum()) / 2)
-            steady = np.abs(read - self.actual) < _STEADY * demanded
-            short = steady & (slower > _SLOWER * lacks) & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
+            slower = math.inf if self.on_spot else np.abs(twists[0]).max() - abs(self.actual.sum()) / 2
+            steady = (np.abs(read - self.actual) < _STEADY * demanded) & (slower > _SLOWER * lacks)
+            short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
             if short.any() and (along <= by_command.max(axis=1) + _LEAST).all():
                 rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
                 wheel = int(np.argmax(np.where(short, rank, -np.inf)))
