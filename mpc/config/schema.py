@@ -217,7 +217,7 @@ class Estimator(Group):
     v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
     omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
     v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
-    omega_gain_drift: Positive = Field(0.0003, description="random walk of that gain [1 per sqrt(s)]")
+    omega_gain_drift: Positive = Field(0.01, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
     longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
     yaw_gain_drift: Positive = Field(0.015, description="random walk of that gain [1 per sqrt(s)]")
