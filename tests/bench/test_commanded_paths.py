@@ -68,7 +68,7 @@ def test_a_path_at_the_edge_is_driven_to_its_end(name: str) -> None:
 
 
 @pytest.mark.parametrize("overrides", [(), (WHEEL_SPEED,)])
-def test_limits_bind_on_tight_for_nearly_half_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
+def test_limits_bind_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
     run = run_case(Case(trajectory="tight", overrides=overrides))
     assert run.metrics.completed
     config = controller_config("ssm", overrides=overrides)
@@ -87,7 +87,7 @@ def test_limits_bind_on_tight_for_nearly_half_of_the_time(overrides: tuple[tuple
     assert share["slew"] > 0.1
     # Within the command's shipped limits the wheels never reach theirs.
     assert (share["wheels"] > 0.05) == bool(overrides)
-    assert 0.35 < (at["command"] | at["slew"] | at["wheels"]).mean() < 0.55
+    assert 0.35 < (at["command"] | at["slew"] | at["wheels"]).mean() < 0.65
 
 
 PATHS = ["circle", "square", "s", "cane"]

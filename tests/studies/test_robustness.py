@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from commands import invoke
@@ -91,12 +92,15 @@ def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
 
 
 def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:
-    case = CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", 50)
-    run = run_case(case)
-    assert run.metrics.completed
+    errors = []
+    for seed in (50, 52, 54):
+        case = CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", seed)
+        run = run_case(case)
+        assert run.metrics.completed
+        assert measured(2.0, case, run)["late_lateral_m"] < 0.05  # type: ignore[operator]
+        errors.append(run.metrics.position_rmse_m)
     # Twice what is left once the scatter is known; 0.03 m where it is learned too late.
-    assert run.metrics.position_rmse_m < 0.03
-    assert measured(2.0, case, run)["late_lateral_m"] < 0.05  # type: ignore[operator]
+    assert np.mean(errors) < 0.03
 
 
 @pytest.mark.long

@@ -43,12 +43,13 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     at = int(np.argmax(each))
     if each[at] < settings.clear_correlation:
         return []
-    # Each part has to follow by itself: from a change of speed and a steady stretch after it no order can be told.
+    # Each part has to follow by itself, one of them the other way: from a change of speed and a steady stretch after it no
+    # order can be told.
     before = np.arange(len(omega)) < starts[at]
-    for part in (before, ~before):
-        alone = answer(streams, command, np.where(part, omega, np.nan), settings)
-        if alone is None or abs(alone.correlation[0]) < settings.clear_correlation:
-            return []
+    parts = [answer(streams, command, np.where(part, omega, np.nan), settings) for part in (before, ~before)]
+    alone = [0.0 if part is None else float(part.correlation[0]) for part in parts]
+    if min(np.abs(alone)) < settings.clear_correlation or alone[0] * alone[1] > 0.0:
+        return []
     times = streams.time[starts]
     words = (
         f"left and right of the encoders change places at about {times[at]:.0f} s, from then on omega runs the other "
