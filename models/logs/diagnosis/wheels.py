@@ -43,8 +43,8 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     at = int(np.argmax(each))
     if each[at] < settings.clear_correlation:
         return []
-    # Each part has to follow by itself, one of them the other way: from a change of speed and a steady stretch after it no
-    # order can be told.
+    # Each part has to follow by itself, one of them the other way: a change of speed and a steady stretch after it tell
+    # no order.
     before = np.arange(len(omega)) < starts[at]
     parts = [answer(streams, command, np.where(part, omega, np.nan), settings) for part in (before, ~before)]
     alone = [0.0 if part is None else float(part.correlation[0]) for part in parts]
