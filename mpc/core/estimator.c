@@ -78,8 +78,8 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
 
 void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count)
 {
-    const int kept = ddmpc_least(count, COMMANDS(c));
-    memcpy(sent(c, kept - 1), commands + 2 * (count - kept), (size_t)(2 * kept) * sizeof(real));
+    const int stored = ddmpc_least(count, COMMANDS(c));
+    memcpy(sent(c, stored - 1), commands + 2 * (count - stored), (size_t)(2 * stored) * sizeof(real));
 }
 
 int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
