@@ -95,6 +95,7 @@ class FittingSettings(StrictModel):
 
     first_seed: int
     reading_seeds: tuple[int, ...]
+    random_seeds: tuple[int, ...]
     validation_seeds: tuple[int, ...]
     settling_time: Positive
     shortest: Positive
@@ -108,11 +109,15 @@ def fitting_settings() -> FittingSettings:
 
 @dataclass(frozen=True)
 class PaperExperiments:
-    """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot."""
+    """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot.
+
+    `random` is this project's: set-points of both inputs, since a robot that drives turns otherwise than on the spot.
+    """
 
     wheels: list[OpenLoopDrive]
     v: list[OpenLoopDrive]
     omega: list[OpenLoopDrive]
+    random: list[OpenLoopDrive]
 
 
 @cache
@@ -145,13 +150,14 @@ def _over_ground(log: OpenLoopDrive) -> OpenLoopDrive:
 
 
 def run_experiments() -> PaperExperiments:
-    """Drive the simulated robot through the steps of the paper; wheel speeds are those over ground."""
+    """Drive the simulated robot through steps and random set-points; wheel speeds are those over ground."""
     seed = itertools.count(fitting_settings().first_seed)
 
     def logs(commands: Iterable[FloatArray]) -> list[OpenLoopDrive]:
         return [_over_ground(drive_open_loop(make_plant("mujoco", seed=next(seed)), rows)) for rows in commands]
 
-    return PaperExperiments(logs(step_commands("wheels")), logs(step_commands("v")), logs(step_commands("omega")))
+    steps = [logs(step_commands(name)) for name in ("wheels", "v", "omega")]
+    return PaperExperiments(*steps, logs(random_commands(s, smooth=False) for s in fitting_settings().random_seeds))
 
 
 def fit_models(
@@ -192,7 +198,7 @@ def fit_models(
         sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
         lag, scale = _lag_and_scale()
         method = _METHOD.format(lag=lag, scale=scale)
-        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), (day, method), folder)
+        _write(stage / "sm.yaml", sm, (logs.v + logs.random, logs.omega + logs.random), (day, method), folder)
         _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), (day, method + _DEAD_TIMES), folder)
     warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
     return validation_table(folder), warnings
@@ -268,7 +274,7 @@ def lateness(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[Float
 def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     fits = {}
     for row, (channel, used) in enumerate(zip(CHANNELS, (logs.v, logs.omega), strict=True)):
-        experiments = [_experiment(log, log.command[:, row], log.output[:, row]) for log in used]
+        experiments = [_experiment(log, log.command[:, row], log.output[:, row]) for log in (*used, *logs.random)]
         fits[channel] = identify(channel, experiments, None)
     return {
         "warnings": [str(warning) for fit in fits.values() for warning in fit.warnings],
@@ -338,8 +344,10 @@ def _model_fit(model: VelocityModel, logs: list[OpenLoopDrive], row: int) -> flo
 
 
 def _describe(logs: list[OpenLoopDrive], row: int) -> str:
-    levels = [log.command[np.argmax(np.abs(log.command[:, row])), row] for log in logs]
-    return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}"
+    steps = [log for log in logs if len(np.unique(log.command, axis=0)) <= 2]
+    levels = [log.command[np.argmax(np.abs(log.command[:, row])), row] for log in steps]
+    random = f", and {len(logs) - len(steps)} drives with random set-points" if len(logs) > len(steps) else ""
+    return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}{random}"
 
 
 def _rounded(channel: IdentifiedChannel) -> dict[str, float]:

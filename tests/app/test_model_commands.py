@@ -24,7 +24,7 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Short experiments on a velocity model."""
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
-    monkeypatch.setattr(f"{FITTING}.run_experiments", lambda: PaperExperiments(straight, straight, turn))
+    monkeypatch.setattr(f"{FITTING}.run_experiments", lambda: PaperExperiments(straight, straight, turn, []))
     monkeypatch.setattr(f"{FITTING}.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
 
 
