@@ -27,7 +27,10 @@ MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
 MOST_CASES = 100_000
 """Of one study: some days on two cores, and a gigabyte of results."""
-COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
+COMPARED = (
+    *((peer, NO_MODEL) for peer in ("lqr+slip", "kanayama+slip", "pursuit+slip")),
+    *(("mpc", model) for model in ("kinematic", "two_delays", "mbm", "sm", "ssm")),
+)
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
 """Model that `bench` without options compares with OSQP at every tick, too, and what asks for it."""
@@ -150,7 +153,7 @@ class Case:
     model: str = _dimension(
         "models",
         "ssm",
-        "Velocity model: mbm, sm, ssm, kinematic, or the path of a file.",
+        "Velocity model: mbm, sm, ssm, two_delays, kinematic, or the path of a file.",
         compared=tuple(model for _, model in COMPARED if model != NO_MODEL),
         list_option="--models",
     )

@@ -113,7 +113,7 @@ def who_drives(case: Case) -> str:
 def model_name(name: str) -> str:
     """Name of a model as the papers write it, or that of the user's file."""
     if name in STRUCTURES:
-        return name.upper()
+        return name.replace("_", " ") if "_" in name else name.upper()
     return {
         function_structure.name: function_structure.title for function_structure in function_structures().values()
     }.get(name, name)

@@ -30,7 +30,7 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     Parameters
     ----------
     name
-        "mbm", "sm", "ssm", "lstm", "p2_experimental", "p2_physical", "kinematic", a robot of
+        "mbm", "sm", "ssm", "two_delays", "lstm", "p2_experimental", "p2_physical", "kinematic", a robot of
         `ROBOT_NAMES`, or the path of a parameter file.
 
     Raises

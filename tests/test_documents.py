@@ -217,7 +217,7 @@ def test_the_stated_number_of_findings_that_hold_is_that_of_the_report(page):
     [
         (
             ["simulate", "--model", "smm"],
-            "error: unknown model 'smm': give one of mbm, sm, ssm, lstm, "
+            "error: unknown model 'smm': give one of mbm, sm, ssm, two_delays, lstm, "
             "p2_experimental, p2_physical, kinematic or the path of a model",
         ),
         (["simulate", "--set", "weights.acros=1"], "unknown key 'weights.acros'; did you mean 'weights.across'?"),

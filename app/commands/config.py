@@ -20,7 +20,7 @@ def show(
         str,
         typer.Argument(
             metavar="MODEL|FILE",
-            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a configuration file.",
+            help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or a configuration file.",
             autocompletion=choices("config"),
         ),
     ],

@@ -27,7 +27,7 @@ def show(
         str,
         typer.Argument(
             metavar="NAME|FILE",
-            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a model file.",
+            help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or a model file.",
             autocompletion=choices("model"),
         ),
     ],

@@ -18,7 +18,7 @@ def node(
     config: Annotated[
         str,
         typer.Option(
-            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, "
+            help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, "
             "or the configuration file that was simulated with.",
             autocompletion=choices("config"),
         ),

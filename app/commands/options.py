@@ -43,7 +43,8 @@ Sweep = Annotated[
 Model = Annotated[
     str | None,
     typer.Option(
-        help="Velocity model: mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or the path of a file.",
+        help="Velocity model: mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or the path of "
+        "a file.",
         show_default="ssm, or --config's",
         autocompletion=choices("model"),
     ),

@@ -229,7 +229,7 @@ def make_tracking_peer(
 
 def delayed(config: ControllerConfig) -> Delayed:
     """What laws know of the robot of a configuration."""
-    model = load_linear_model(MODEL)
+    model = load_linear_model(config.model)
     return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
 
 

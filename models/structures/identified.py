@@ -126,7 +126,7 @@ class IdentifiedModel:
 
     @property
     def structure(self) -> str:
-        """Name of the structure: "mbm", "sm", "ssm"."""
+        """Name of the structure: "mbm", "sm", "ssm" or "two_delays"."""
         return structure_name(self.schema)
 
     @property

@@ -194,6 +194,28 @@ class TwoPoles(TransferFunction):
         return float(2.0 * damping / w)
 
 
+class Gain(TransferFunction):
+    """A gain that is reached at once: its pole is so fast that a sample of 20 ms has forgotten it."""
+
+    gain: Positive = Field(description="steady-state gain [-]")
+
+    @staticmethod
+    def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """One state, the output: (1, 1), (1, 1), (1, 1)."""
+        one = np.ones((1, 1), dtype=values.dtype)
+        return -_AT_ONCE * one, _AT_ONCE * values[:, None], one
+
+    @staticmethod
+    def lag(values: Sequence[float] | FloatArray) -> float:
+        """That of the pole [s]."""
+        del values
+        return 1.0 / _AT_ONCE
+
+
+_AT_ONCE = 900.0
+"""Pole of `Gain` [rad/s]; faster ones cannot be seen at 50 Hz."""
+
+
 def side_by_side(parts: Iterable[TransferFunction]) -> Matrices:
     """Side by side: each transfer function keeps its own input and output."""
     from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does without it
@@ -248,6 +270,24 @@ class SmFile(ModelFile):
 
     structure: Literal["sm"]
     channels: SmChannels
+
+    def transfer_functions(self) -> Mapping[str, TransferFunction]:
+        """Of each channel."""
+        return dict(self.channels)
+
+
+class DelayChannels(StrictModel):
+    """One gain for each channel."""
+
+    v: Gain
+    omega: Gain
+
+
+class TwoDelaysFile(ModelFile):
+    """A gain and a dead time for each channel: what it is worth to know when the robot answers, and not how."""
+
+    structure: Literal["two_delays"]
+    channels: DelayChannels
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
         """Of each channel."""

@@ -447,7 +447,7 @@ class ControllerConfig(Group):
     model: str = Field(
         "ssm",
         min_length=1,
-        description="velocity model: mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic "
+        description="velocity model: mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic "
         "or the path of a model file [-]",
     )
     sample_time: SampleTime = Field(_ROBOT.sample_time, description="time between two ticks [s]")

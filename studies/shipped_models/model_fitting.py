@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import cache
@@ -19,6 +19,7 @@ import yaml
 from scipy.optimize import minimize_scalar
 
 from diffdrive_mpc.bench.report_folder import staged
+from diffdrive_mpc.bench.run_row import model_name
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.function_structure import function_structures
@@ -32,7 +33,8 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
 from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
-from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, build_model
+from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles, build_model
+from diffdrive_mpc.models.structures.two_delays import FROM_SM
 from diffdrive_mpc.models.structures.two_poles import TwoPolesForm
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -165,7 +167,7 @@ def fit_models(
     date: datetime.date | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Table, list[str]]:
-    """Identify MBM and SM, write `mbm.yaml` and `sm.yaml` to `folder`; return a table of their FIT, and warnings.
+    """Identify MBM, SM and two delays, write a file of each to `folder`; return a table of their FIT, and warnings.
 
     Parameters
     ----------
@@ -198,7 +200,9 @@ def fit_models(
         sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
         lag, scale = _lag_and_scale()
         method = _METHOD.format(lag=lag, scale=scale)
-        _write(stage / "sm.yaml", sm, (logs.v + logs.random, logs.omega + logs.random), (day, method), folder)
+        used = logs.v + logs.random, logs.omega + logs.random
+        _write(stage / "sm.yaml", sm, used, (day, method), folder)
+        _write(stage / "two_delays.yaml", _two_delays(sm), used, (day, method + FROM_SM), folder)
         _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), (day, method + _DEAD_TIMES), folder)
     warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
     return validation_table(folder), warnings
@@ -241,7 +245,7 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
             _over_ground(drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth)))
             for seed in seeds
         ]
-        for name in ("mbm", "sm", "ssm"):
+        for name in ("mbm", "sm", "ssm", "two_delays"):
             model = load_linear_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
             late = [lateness(model, drives, [log.true_twist[:, 2 * row] for log in drives], row) for row in (0, 1)]
@@ -283,6 +287,16 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
             for late, (channel, fit) in zip(_late(), fits.items(), strict=True)
         },
         "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
+    }
+
+
+def _two_delays(sm: Mapping[str, Any]) -> dict[str, Any]:
+    poles = {name: TwoPoles.model_validate(channel) for name, channel in sm["channels"].items()}
+    late = {name: sm["dead_time"][name] + TwoPoles.lag([*one.model_dump().values()]) for name, one in poles.items()}
+    return {
+        "warnings": [],
+        "dead_time": {name: round(time, 5) for name, time in late.items()},
+        "channels": {name: {"gain": one.gain} for name, one in poles.items()},
     }
 
 
@@ -357,7 +371,7 @@ def _rounded(channel: IdentifiedChannel) -> dict[str, float]:
 def _yaml(name: str, data: dict[str, Any]) -> str:
     head = "# By `python -m studies models fit`. Gains and damping [-], frequencies [rad/s], times [s], lengths [m].\n"
     body: dict[str, Any] = {
-        "name": name.upper(),
+        "name": model_name(name),
         "structure": name,
         **{key: data[key] for key in ("provenance", "fit_percent", "warnings") if data.get(key)},
     }
