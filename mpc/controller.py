@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -72,8 +72,6 @@ class _Prepared:
     """A configuration and everything built from it, ready for the next step to apply."""
 
     config: ControllerConfig
-    predicted: _Predicted
-    sizes: Mapping[str, int]
     constants: tuple[Any, list[FloatArray]]
     backend: Backend
 
@@ -115,16 +113,10 @@ class Controller:
         self._predicted = _Predicted.by(chosen, dt)
         self._config = config = with_increments(config, self._predicted.sampled)
         self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in features_of(config).items()}
-        self._window, room = 0, {}
-        for longest in filter(None, (feature.longest() for feature in self._features.values())):
-            sizes = self._problem(config, _Predicted.by(longest, dt)).sizes
-            self._window, room = sizes["window"], {name: sizes[name] for name in ("lag_v", "lag_omega")}
-        problem = self._problem(config, self._predicted)
+        problem = self._problem(config)
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
-        self._tick = Tick(sizes | room, problem.constants(), functions, term_functions)
-        if room:
-            self._tick.configure(self._tick.prepare(problem.constants()), sizes)
+        self._tick = Tick(sizes, problem.constants(), functions, term_functions)
         self._kinds, self._room = HARD_KINDS + sizes["soft"], sizes["pressing"]
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
@@ -132,7 +124,6 @@ class Controller:
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
         self._pursuit = Pursuit(config, self._tick.stray)
         self._pending: _Prepared | None = None
-        self._preparing: Iterator[None] = iter(())
         self._reference: Reference | None = None
         self._t0 = 0.0
         self._result: StepResult | None = None
@@ -145,8 +136,6 @@ class Controller:
             self._pursuit,
             self._terms,
             is_new_tick=lambda: not self._c_result.reasons & self._messages.not_a_new_tick,
-            is_preparing=self._is_preparing,
-            change_dead_time=self._change_dead_time,
         )
         for feature in self._features.values():
             feature.attach(self._host)
@@ -161,10 +150,9 @@ class Controller:
         N = self._config.horizon
         return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._room))
 
-    def _problem(self, config: ControllerConfig, predicted: _Predicted) -> Problem:
-        return Problem(
-            _limited(config, self._speed_limit), predicted.sampled, predicted.feed_forward, self._terms, self._window
-        )
+    def _problem(self, config: ControllerConfig) -> Problem:
+        predicted = self._predicted
+        return Problem(_limited(config, self._speed_limit), predicted.sampled, predicted.feed_forward, self._terms)
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return load_backend(config.solver.backend)(config.horizon, self._kinds, config.solver, config.weights)
@@ -217,7 +205,7 @@ class Controller:
 
     @property
     def model(self) -> VelocityModel | NonlinearModel:
-        """The velocity model, extra dead time included, and what was learned of it where that is applied."""
+        """The velocity model, extra dead time included."""
         return self._predicted.model
 
     @property
@@ -253,7 +241,7 @@ class Controller:
         """
         if name in self._features:
             return self._features[name]
-        if name in ("online_dead_time", *plug_in_names("features")):
+        if name in plug_in_names("features"):
             raise ConfigError(f"feature '{name}' is not enabled: set {shown_key(f'{name}.enabled')} to true")
         raise ConfigError(missing_part("features", name))
 
@@ -499,10 +487,8 @@ class Controller:
         return config
 
     def _prepare_limits(self, config: ControllerConfig) -> None:
-        predicted = self._pending.predicted if self._pending else self._predicted
-        problem = self._problem(config, predicted)
-        constants = self._tick.prepare(problem.constants())
-        self._pending = _Prepared(config, predicted, problem.sizes, constants, self._make_backend(config))
+        constants = self._tick.prepare(self._problem(config).constants())
+        self._pending = _Prepared(config, constants, self._make_backend(config))
 
     @property
     def speed_limit(self) -> float | None:
@@ -626,35 +612,12 @@ class Controller:
             result = feature.after_step(t, measurement, result)
         return replace(result, step_time=time.perf_counter() - started) if self._features else result
 
-    def _is_preparing(self) -> bool:
-        """Do the next part of preparing a dead time; return whether this or another change is pending."""
-        return next(self._preparing, self) is not self or self._pending is not None
-
-    def _change_dead_time(self, dead_time: FloatArray) -> None:
-        self._preparing = self._prepare(dead_time)
-
-    def _prepare(self, dead_time: FloatArray) -> Iterator[None]:
-        """Prepare another dead time (2,) [s]: all at once would take a part of a tick that others need."""
-        config, model = self._config, self._predicted.model
-        assert isinstance(model, VelocityModel)
-        predicted = _Predicted.by(replace(model, dead_time=dead_time), config.sample_time)
-        yield
-        problem = self._problem(config, predicted)
-        yield
-        constants = problem.constants()
-        yield
-        prepared = self._tick.prepare(constants)
-        # If something else was changed meanwhile, this result is dropped and the change is requested again.
-        if self._pending is None and self._config is config:
-            self._pending = _Prepared(config, predicted, problem.sizes, prepared, self._backend)
-
     def _apply_pending(self, prepared: _Prepared) -> None:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
-        self._predicted = prepared.predicted
-        self._tick.configure(prepared.constants, prepared.sizes)
+        self._tick.configure(prepared.constants)
         self._messages.configure(prepared.config)
         self._pursuit.configure(prepared.config)
-        self._host.config, self._host.model = prepared.config, prepared.predicted.model
+        self._host.config = prepared.config
         for feature in self._features.values():
             feature.configure()
 

@@ -28,23 +28,6 @@ class Mode(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LearnedDeadTime:
-    """What was learned of the delay between command and answer, dynamics not counted.
-
-    Attributes
-    ----------
-    value, deviation
-        (2,) dead time of v and omega and its standard deviation [s]; NaN before there was something to learn from.
-    used
-        (2,) what the controller predicts with [s].
-    """
-
-    value: FloatArray
-    deviation: FloatArray
-    used: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
     """Command, mode and everything that explains them. Arrays are read-only.
 
@@ -74,8 +57,6 @@ class StepResult:
         solved.
     unused_sensors
         Those that the others contradict, and that are not used therefore: "wheel speed", "yaw rate", "pose".
-    dead_time
-        What was learned of the dead time; None unless `online_dead_time.enabled`.
     clearance
         Gap between the robot's footprint and the nearest thing it sees [m], negative in it; infinity: nothing near, NaN
         without `free_space.enabled` or estimate.
@@ -97,7 +78,6 @@ class StepResult:
     solve_time: float = float("nan")
     _planned: tuple[ResultLayout, FloatArray] | None = None
     unused_sensors: tuple[str, ...] = ()
-    dead_time: LearnedDeadTime | None = None
     clearance: float = float("nan")
     clearance_ahead: float = float("nan")
     pressed_by: tuple[str, ...] = ()

@@ -15,7 +15,6 @@ CASES = {
     "shipped": {},
     "osqp": {"solver.method": "osqp"},
     "daqp": {"solver.method": "daqp"},
-    "dead time": {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.01},
 }
 HELD, LOST, TICKS = range(60, 90), range(120, 160), 200
 

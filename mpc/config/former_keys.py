@@ -16,6 +16,8 @@ CURVED_SLIPS = tuple(name for name, field in Estimator.model_fields.items() if g
 _FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 _ENTRIES = ("", "_uncertainty", "_drift")
 """Endings of the former keys of a curved slip, in the order of its present list."""
+_REMOVED_GROUPS = {"online_dead_time": "the filter learns unknown delays itself"}
+"""Replacement by the name of a removed group."""
 
 
 @cache
@@ -37,14 +39,33 @@ def present_place(key: str) -> str:
     return "" if present == key else present
 
 
+def removed_message(key: str) -> str:
+    """Return the message about a key of a removed group; empty for any other key."""
+    replacement = _REMOVED_GROUPS.get(key.partition(".")[0])
+    return f"{key} was removed: {replacement}; remove the key" if replacement else ""
+
+
+def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the groups of a recorded configuration without removed ones that it did not enable."""
+    return {
+        name: values
+        for name, values in data.items()
+        if not (name in _REMOVED_GROUPS and isinstance(values, Mapping) and values.get("enabled") is False)
+    }
+
+
 def with_present_names(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
     """Return groups side by side with present names of their keys, and without those that are constants now.
 
     Raises
     ------
     ConfigError
-        If a former key states another value than the constant that replaced it.
+        If a former key states another value than the constant that replaced it, or a group was removed.
     """
+    for group in _REMOVED_GROUPS.keys() & data.keys():
+        values = data[group]
+        key = f"{group}.{next(iter(values))}" if isinstance(values, Mapping) and values else group
+        raise ConfigError(f"{where}: {removed_message(key)}")
     present = {name: dict(values) if isinstance(values, Mapping) else values for name, values in data.items()}
     for old, new in former_keys().items():
         group, name = old.split(".")

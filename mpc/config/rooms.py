@@ -47,7 +47,6 @@ USER = (
     "failure.resume",
     "failure.resume_within",
     "fence",
-    "online_dead_time.enabled",
     "terms",
 )
 """Keys of the first room, a group for all of its keys; everything else lies under `expert:`."""

@@ -390,33 +390,6 @@ class Finish(Group):
     )
 
 
-class OnlineDeadTime(Group):
-    """The delay between command and answer, learned while driving; see docs/tuning.md."""
-
-    # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
-    memory: ClassVar[float] = fixed_values()["online_dead_time.memory"]
-    max_deviation: ClassVar[float] = fixed_values()["online_dead_time.max_deviation"]
-    min_difference: ClassVar[float] = fixed_values()["online_dead_time.min_difference"]
-    step: ClassVar[float] = fixed_values()["online_dead_time.step"]
-    pause: ClassVar[float] = fixed_values()["online_dead_time.pause"]
-    report_from: ClassVar[float] = fixed_values()["online_dead_time.report_from"]
-
-    enabled: bool = Field(False, description="learn the dead time while driving [-]")
-    apply: bool = Field(True, description="predict with what was learned; false: only say it [-]")
-    shorter: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.06, description="hard: at most so much shorter than configured, and never below zero [s]"
-    )
-    longer: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.12, description="hard: at most so much longer than configured [s]"
-    )
-    min_rate_v: Positive = Field(
-        0.15, description="nothing is learned of v while the model's v changes more slowly [m/s^2]"
-    )
-    min_rate_omega: Positive = Field(
-        0.5, description="nothing is learned of omega while it changes more slowly [rad/s^2]"
-    )
-
-
 class TermConfig(Group):
     """A function of the user: a residual of the cost, or something with soft limits; see docs/tuning.md."""
 
@@ -466,7 +439,6 @@ class ControllerConfig(Group):
     fence: Fence = Fence()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
-    online_dead_time: OnlineDeadTime = OnlineDeadTime()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")
     features: Mapping[str, SerializeAsAny[FeatureGroup]] = Field(
         {}, description="groups of features by name, written expert.<name> [-]"

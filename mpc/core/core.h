@@ -354,9 +354,8 @@ unsigned long ddmpc_controller_bytes(void);
 /* Be as new, for a robot that stands still, in memory of at least those sizes. Returns 0 if a size is out of bounds. */
 int ddmpc_init(ddmpc_controller *controller, const ddmpc_sizes *sizes, const ddmpc_constants *constants,
                const ddmpc_functions *functions, real *reals, int *ints, void *nodes);
-/* Use other constants from now on, with the delays and lags of `sizes`; its other sizes are those of before. Returns 0,
-   and changes nothing, if delays or lags are larger than memory was laid out for. An export keeps its own. */
-int ddmpc_configure(ddmpc_controller *controller, const ddmpc_constants *constants, const ddmpc_sizes *sizes);
+/* Use other constants of the same sizes from now on. An export keeps its own. */
+void ddmpc_configure(ddmpc_controller *controller, const ddmpc_constants *constants);
 /* Track `reference` from now on; its time 0 is `t0` [s]. The robot may be moving. Returns 0, and changes nothing, if
    `t0` or the duration is not finite. */
 int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);

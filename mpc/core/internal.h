@@ -254,7 +254,6 @@ typedef struct {
 
 struct ddmpc_controller {
     ddmpc_sizes sizes;
-    int most_lag; /* that memory is laid out for */
     const ddmpc_constants *constants;
     ddmpc_functions functions;
     ddmpc_estimator estimator;

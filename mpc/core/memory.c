@@ -172,7 +172,6 @@ int ddmpc_init(ddmpc_controller *controller, const ddmpc_sizes *sizes, const ddm
     memset(real_memory, 0, (size_t)ddmpc_reals(sizes) * sizeof(real));
     memset(int_memory, 0, (size_t)ddmpc_ints(sizes) * sizeof(int));
     controller->sizes = *sizes;
-    controller->most_lag = LONGEST_LAG(controller);
     controller->constants = constants;
     if (functions)
         controller->functions = *functions;

@@ -33,21 +33,12 @@ void ddmpc_reset(ddmpc_controller *c)
 
 void ddmpc_forget(ddmpc_controller *c) { forget(c); }
 
-int ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants, const ddmpc_sizes *sizes)
+void ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants)
 {
-    const int delay[2] = {sizes->delay_v, sizes->delay_omega}, lag[2] = {sizes->lag_v, sizes->lag_omega};
-    for (int i = 0; i < 2; i++)
-        if (delay[i] < 0 || delay[i] + SPARE(c) + (SPARE(c) > 0) >= WINDOW(c) || lag[i] < 0 || lag[i] > c->most_lag)
-            return 0;
     c->constants = constants;
-    c->sizes.delay_v = delay[0];
-    c->sizes.delay_omega = delay[1];
-    c->sizes.lag_v = lag[0];
-    c->sizes.lag_omega = lag[1];
     /* The delayed response is that of the former constants. */
     c->problem.late[0] = c->problem.late[1] = R(0.0);
     c->problem.is_stale = 1;
-    return 1;
 }
 
 int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_time t0)

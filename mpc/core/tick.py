@@ -25,8 +25,7 @@ class Tick:
     Parameters
     ----------
     sizes, constants
-        Fields of `ddmpc_sizes` and `ddmpc_constants`. Memory is laid out for these lags and this window: `configure`
-        may use shorter ones.
+        Fields of `ddmpc_sizes` and `ddmpc_constants`.
     step, output
         Addresses of a nonlinear model's functions.
     terms
@@ -99,16 +98,9 @@ class Tick:
                 setattr(struct, name, value)
         return struct, kept
 
-    def configure(self, prepared: tuple[Any, list[FloatArray]], sizes: Mapping[str, int]) -> None:
-        """Use other constants from now on, with the delays and lags of `sizes`.
-
-        Raises
-        ------
-        ValueError
-            If these are larger than memory was laid out for.
-        """
-        if not self.lib.ddmpc_configure(self.c, prepared[0], self.ffi.new("ddmpc_sizes *", dict(sizes))):
-            raise ValueError("delays or lags are larger than at first")
+    def configure(self, prepared: tuple[Any, list[FloatArray]]) -> None:
+        """Use other constants of the same sizes from now on."""
+        self.lib.ddmpc_configure(self.c, prepared[0])
         self._constants = prepared
 
     def begin_with(self, slip: Sequence[float]) -> None:

@@ -40,10 +40,6 @@ class Host:
         All terms of the cost.
     is_new_tick
         Function that returns True if the last step advanced the tick.
-    is_preparing
-        Function that does the next part of a change of the model; returns True while a change is pending.
-    change_dead_time
-        Function that starts to predict with another dead time (2,) [s].
     t0
         Time 0 of the reference on the clock of `step` [s].
     """
@@ -54,8 +50,6 @@ class Host:
     pursuit: Pursuit
     terms: Sequence[Term]
     is_new_tick: Callable[[], bool]
-    is_preparing: Callable[[], bool]
-    change_dead_time: Callable[[FloatArray], None]
     t0: float = 0.0
 
 
@@ -94,16 +88,12 @@ class Feature:
         del config
         return ()
 
-    def longest(self) -> VelocityModel | None:
-        """Return the model with the maximum dead time that the feature may change to; None if it changes none."""
-        return None
-
     def attach(self, host: Host) -> None:
         """Keep access to the controller, which is complete now."""
         self.host = host
 
     def configure(self) -> None:
-        """Adopt the configuration and the model of `host` after a change."""
+        """Adopt the configuration of `host` after a change."""
 
     def begin(self, reference: Reference, t0: float) -> Reference:
         """Start a reference with its time 0 at `t0` [s]; return the reference to track in its place."""

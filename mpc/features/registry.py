@@ -1,15 +1,11 @@
-"""Features of a configuration: those of entry points, and the built-in online dead time."""
+"""Features of a configuration, from entry points."""
 
 from __future__ import annotations
-
-from importlib import import_module
 
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature
 from diffdrive_mpc.mpc.problem.terms import Term
-
-ONLINE_DEAD_TIME = "online_dead_time"
 
 
 def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
@@ -18,8 +14,6 @@ def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
     They are in the order of their names, in which the controller calls them.
     """
     features = {name: plug_in("features", name) for name, group in config.features.items() if group.is_enabled}
-    if config.online_dead_time.enabled:
-        features[ONLINE_DEAD_TIME] = import_module("diffdrive_mpc.mpc.features.online_dead_time").FEATURE
     return dict(sorted(features.items()))
 
 

@@ -50,8 +50,6 @@ class Problem:
     model: DiscreteModel | NonlinearModel
     feed_forward: FeedForward
     terms: tuple[Term, ...] = ()
-    window: int = 0
-    """commands that are remembered at least, for a dead time that may grow [samples]"""
     prediction: Prediction | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -82,8 +80,7 @@ class Problem:
         config = self.config
         # Without dead time the samples before a command are not remembered.
         is_estimated = config.compensation.delay and config.compensation.dead_time and self.prediction is not None
-        is_learned = config.online_dead_time.enabled and config.online_dead_time.apply
-        return int(np.ceil(config.estimator.max_delay / self.model.dt)) if is_estimated and not is_learned else 0
+        return int(np.ceil(config.estimator.max_delay / self.model.dt)) if is_estimated else 0
 
     @property
     def _turns(self) -> int:
@@ -116,7 +113,7 @@ class Problem:
             "states": model.order,
             "delay_v": v,
             "delay_omega": omega,
-            "window": max(self.window, model.memory) + (self._spare + 1 if self._spare else 0),
+            "window": model.memory + (self._spare + 1 if self._spare else 0),
             "history": self.history,
             "lag_v": lag_v,
             "lag_omega": lag_omega,

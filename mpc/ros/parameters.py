@@ -31,7 +31,7 @@ from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
-from diffdrive_mpc.mpc.config.former_keys import present_place
+from diffdrive_mpc.mpc.config.former_keys import present_place, removed_message
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
@@ -163,6 +163,8 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
 def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
     """Return the message about a parameter that is not declared: what may be meant, or where its value belongs."""
     key = plain_key(name)
+    if removed_message(key):
+        return f"parameter {removed_message(key)}"
     place = present_place(name.removeprefix(f"{EXPERT}."))
     if key in fixed_values():
         return f"{name!r} is {place} now, with the value {fixed_values()[key]}; leave it out"

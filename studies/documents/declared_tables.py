@@ -41,7 +41,6 @@ _TITLES = {
     "fence": "Fence",
     "reentry": "Re-entry",
     "finish": "Finish",
-    "online_dead_time": "Dead time learned while driving",
     "energy": "Feature energy: costs of turns",
     "free_space": "Feature free_space: corridors and obstacles",
     "rehearsal": "Feature rehearsal: the same reference started again",

@@ -36,9 +36,7 @@ CASES = {
     "blocked": Case(scenario="blocked"),
     "late poses": Case(sensors="slam"),
     "rare poses": Case(sensors="poses_2hz"),
-    "learning its dead time": Case(
-        overrides=(("online_dead_time.enabled", True), ("online_dead_time.apply", True)), late=3
-    ),
+    "late commands": Case(late=3),
 }
 
 

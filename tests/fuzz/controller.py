@@ -40,11 +40,7 @@ from fuzz.configs import Overrides, draw_overrides, draw_value, fields
 
 CONFIGS = ("ssm", "ssm", "sm", "mbm", "kinematic", "nonlinear", "windowed")
 """Shipped configurations, and models of `user_model`."""
-EXTRAS = (
-    {"online_dead_time.enabled": True, "online_dead_time.min_rate_v": 0.0, "online_dead_time.min_rate_omega": 0.0},
-    {"online_dead_time.enabled": True},
-    {"fence.enabled": True},
-)
+EXTRAS = ({"fence.enabled": True},)
 """Settings that are off by default and rarely drawn by chance."""
 _CHANGEABLE = [
     (key, field_info) for key, field_info in fields(type(load_config("ssm"))) if key.startswith(("weights.", "limits."))

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc import Controller, Measurement, Stamped, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder
@@ -191,12 +191,11 @@ def test_other_lines_are_refused_with_a_reason(line):
 
 @pytest.fixture(scope="module")
 def run():
-    config = load_config("sm", {"online_dead_time.enabled": True})
-    return simulate(Controller(config), make_plant("model:sm"), load_trajectory("s"))
+    return simulate(Controller("sm"), make_plant("model:sm"), load_trajectory("s"))
 
 
 def test_a_run_keeps_what_its_steps_said(run):
-    assert {"reference_progress", "blocked_for_s", "dead_time_omega_used_s"} <= set(run.columns)
+    assert {"reference_progress", "blocked_for_s"} <= set(run.columns)
     assert np.all(run.columns["reference_progress"][:-1] <= 1.0)
     # Nothing is looked for around this robot.
     assert "clearance_m" not in run.columns

@@ -59,7 +59,7 @@ def test_weights_are_those_that_were_tuned_for_sm_and_grow_with_the_margin():
 def test_the_core_takes_given_numbers_and_else_those_of_the_margin():
     assert weights({"weights.v_increment": 3.0}) == (3.0, weights()[1])
     controller = Controller(load_config("sm", {"weights.omega_increment": 4.0}))
-    problem = controller._problem(controller.config, controller._predicted)
+    problem = controller._problem(controller.config)
     assert problem.constants()["increment_weight"] == [weights()[0], 4.0]
 
 
