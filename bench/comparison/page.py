@@ -86,21 +86,17 @@ def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
 
 
 def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -> list[KeyFigure]:
-    """Those of the predictive controllers, with the other end of the comparison beside the error."""
+    """Return those of the predictive controllers, and the least error of all controllers."""
     ours = predictive(drivers)
     every = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
     done, fallbacks = total(results.main, "completed"), total(every, "fallbacks")
-    errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
-    best = best_of(ours)
-    worst = max(errors, key=lambda name: errors[name] if errors[name] == errors[name] else float("inf"))
     times = step_times(every)
-    against = f"{worst}: {number(1e3 * errors[worst], 1)} mm" if worst != best else "mean over paths and seeds"
     whose = ", ".join(ours)
     return [
         KeyFigure(
             "completed", f"{done} of {len(results.main)}", "runs", "good" if done == len(results.main) else "bad"
         ),
-        KeyFigure("least position error, RMSE", f"{number(1e3 * errors[best], 1)} mm", f"{best}; {against}"),
+        _least_error(drivers),
         KeyFigure(
             "step time, median",
             f"{number(1e3 * time_percentile(times, 50), 2)} ms",
@@ -109,6 +105,23 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
         KeyFigure("late steps", str(total(every, "deadline_misses")), f"of {times.size} that were timed; {whose}"),
         KeyFigure("fallbacks", str(fallbacks), "ticks without a fresh plan", "good" if not fallbacks else "bad"),
     ]
+
+
+def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
+    """Return the least error of the controllers that completed every run; next to that of a peer, the best MPC."""
+    complete = {name: rows for name, rows in drivers.items() if rows["completed"].all()}
+    errors = {name: mean(rows, "position_rmse_m") for name, rows in complete.items()}
+    shown = {name: f"{number(1e3 * error, 1)} mm" for name, error in errors.items()}
+    label = "least position error, RMSE"
+    if not complete:
+        return KeyFigure(label, "-", "no controller completed every run", "bad")
+    best, worst = best_of(complete), max(errors, key=errors.__getitem__)
+    ours = {name: rows for name, rows in predictive(drivers).items() if name in complete}
+    if best in ours:
+        note = f"worst: {worst} {shown[worst]}" if worst != best else "mean over paths and seeds"
+    else:
+        note = f"best MPC: {best_of(ours)} {shown[best_of(ours)]}" if ours else "no MPC completed every run"
+    return KeyFigure(label, shown[best], f"{best}; {note}")
 
 
 def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:

@@ -78,13 +78,14 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
 
 
 def _property_case(case: Case) -> Case:
-    """What the properties depend on."""
+    """What the properties depend on: neither what is driven nor the solver."""
     plain = {
         dimension.name: dimension.default
         for dimension in DIMENSIONS
         if dimension.name in ("trajectory", "seed", "scenario", "timing")
     }
-    return replace(case, **plain)
+    model_overrides = tuple(pair for pair in case.overrides if not pair[0].startswith("solver."))
+    return replace(case, overrides=model_overrides, **plain)
 
 
 def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[str, object]]:

@@ -12,7 +12,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config, make_plant
 from diffdrive_mpc.app.command_line.file_kinds import KINDS
-from diffdrive_mpc.bench.case import COMPARED, DIMENSIONS, Case
+from diffdrive_mpc.bench.case import BY_OSQP, COMPARED, DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
 from diffdrive_mpc.bench.comparison.plan import (
     LATE_TICKS,
@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.comparison.plan import (
     plan_cases,
     read_options,
 )
-from diffdrive_mpc.bench.comparison.properties import measure_properties
+from diffdrive_mpc.bench.comparison.properties import measure_properties, property_rows
 from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
@@ -184,19 +184,22 @@ def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:
 def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
     """SM is always 1 mm behind MBM; SSM is as often ahead of SM as behind."""
     base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
-    found = scores(
-        outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + 4e-4 * np.array([1, -1, 2, 1, -1, -1]))
-    )
-    places = order(found)
+    ahead = 4e-4 * np.array([1, -1, 2, 1, -1, -1])
+    found = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + ahead))
+    places = order(found.assign(completed=False))
+    assert places[2].behind == pytest.approx(interval(ahead))
     assert [place.name for place in places] == ["MBM", "SM", "SSM"]
     assert places[1].behind == pytest.approx([1e-3, 1e-3])
     assert places[1].told_apart and not places[2].told_apart
     assert places[0].rmse == pytest.approx(base.mean())
+    unknown = found.assign(position_rmse_m=[np.nan, *found["position_rmse_m"][1:]])
+    assert [place.name for place in order(unknown)] == ["SM", "SSM"]
     assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 
 def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: RunOutcome) -> None:
-    one = scores(outcome, mbm=[5e-3] * 4, sm=[6e-3] * 4, ssm=[6.1e-3, 5.95e-3, 6.1e-3, 5.95e-3])
+    path = np.array([0.0, 4e-3] * 2)  # the second path is harder
+    one = scores(outcome, mbm=list(5e-3 + path), sm=list(6e-3 + path), ssm=list(path + [6.1e-3, 5.95e-3] * 2))
     other = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
     certain, open_ = reversed_pairs(one, other)
     assert certain == ["MBM and SM", "MBM and SSM"]
@@ -214,13 +217,16 @@ def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
     assert np.array_equal(interval(values), (low, high))
 
 
-def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
+def test_the_plants_own_model_explains_it_and_another_does_not(outcome: RunOutcome) -> None:
     cases = [quick_case(model=model, seed=seed) for model in ("ssm", "sm") for seed in (0, 1)]
+    cases.append(quick_case(model="ssm", overrides=BY_OSQP))
     own, other = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)
     # The plant lacks the extra dead time of the shipped configuration, a quarter of a sample.
     assert own.fit_v > 97 and own.fit_omega > 95
     assert own.fit_omega > other.fit_omega + 2
     assert 0 <= own.drift < other.drift
+    runs = frame(row_of(case, outcome.run) for case in cases).assign(position_rmse_m=[1, 3, 5, 7, 8])
+    assert [row["position_rmse_m"] for row in property_rows([own, other], runs)] == [(1 + 3 + 8) / 3, (5 + 7) / 2]
 
 
 def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
@@ -242,3 +248,5 @@ def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
     assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
     assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
     assert BootstrapEstimate.of_runs(values, mean) == found
+    shift = BootstrapEstimate.of_same_runs([values, values + 1.0], lambda a, b: mean(b) - mean(a))
+    assert (shift.low, shift.high) == pytest.approx((1.0, 1.0))

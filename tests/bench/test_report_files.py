@@ -20,10 +20,12 @@ from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
+from diffdrive_mpc.bench.comparison.page import shown
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
 from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table, solver_table, summary_table, time_table
+from diffdrive_mpc.bench.experiment import mean
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.bench.run_row import RunOutcome
@@ -156,15 +158,31 @@ def test_a_figure_is_the_same_file_every_time(outcome: RunOutcome, tmp_path: Pat
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
 
 
-def test_tables_show_means_over_runs_and_worst_cases(outcome: RunOutcome) -> None:
-    worse = replace(outcome.run, true_pose=outcome.run.true_pose + np.array([0.02, 0.0, 0.0]))
-    runs = [outcome, RunOutcome(replace(outcome.case, seed=1), worse)]
-    (cells,) = summary_table(rows_of(*runs)).rows
-    a, b = outcome.run.metrics, worse.metrics
-    assert cells[0] == "SSM"
-    assert float(cells[1]) == pytest.approx(0.5 * (a.position_rmse_m + b.position_rmse_m), abs=5e-5)
-    assert float(cells[2]) == pytest.approx(0.5 * (a.lateral_rmse_m + b.lateral_rmse_m), abs=5e-5)
-    assert cells[-1] == "2/2"
+def test_tables_show_means_over_all_runs_however_long_they_are_and_end(outcome: RunOutcome) -> None:
+    rows = rows_of(*(RunOutcome(replace(outcome.case, seed=seed), outcome.run) for seed in range(3)))
+    rows = rows.assign(position_rmse_m=[0.1, 0.2, 0.6], steps=[1, 2, 3], completed=[True, True, False])
+    (cells,) = summary_table(rows).rows
+    assert (*cells[:2], cells[-1]) == ("SSM", "0.3000", "2/3")
+    assert mean(rows, "position_rmse_m") == pytest.approx(0.3)
+    unknown = rows.assign(position_rmse_m=[0.1, np.nan, 0.6])
+    assert (summary_table(unknown).rows[0][1], math.isnan(mean(unknown, "position_rmse_m"))) == ("-", True)
+
+
+@pytest.mark.parametrize(
+    ("ours", "peer", "value", "note"),
+    [
+        ((2.4, True), (2.5, True), "2.4 mm", "SSM; worst: kanayama 2.5 mm"),
+        ((2.6, True), (2.5, True), "2.5 mm", "kanayama; best MPC: SSM 2.6 mm"),
+        ((2.6, True), (2.5, False), "2.6 mm", "SSM; mean over paths and seeds"),
+        ((2.4, False), (2.5, True), "2.5 mm", "kanayama; no MPC completed every run"),
+        ((2.4, False), (2.5, False), "-", "no controller completed every run"),
+    ],
+)
+def test_least_error_is_that_of_any_controller_that_completed_every_run(results, ours, peer, value, note) -> None:
+    main, errors = results.main.iloc[[0, 1, 0, 1]].reset_index(drop=True), 1e-3 * np.array([ours[0], peer[0]] * 2)
+    main = main.assign(position_rmse_m=errors, completed=[True, True, ours[1], peer[1]])
+    card = shown(replace(results, main=main)).key_figures[1]
+    assert (card.label, card.value, card.note) == ("least position error, RMSE", value, note)
 
 
 def times_in(table: Table, line: int = 0) -> list[str]:
@@ -173,18 +191,18 @@ def times_in(table: Table, line: int = 0) -> list[str]:
 
 
 def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marked(outcome: RunOutcome) -> None:
-    times = np.full(len(outcome.run.time), 2e-3)
-    times[: len(times) // 2] = np.nan  # disturbed whenever they were measured
+    times = np.where(outcome.run.counted, 2e-3, 9.0)
+    whole = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 2))
+    times = np.where(np.arange(len(times)) < len(times) // 2, np.nan, times)  # disturbed whenever they were measured
     half = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
     table = summary_table(rows_of(half))
     assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
     assert "*: something else ran; 50.0 % of the ticks" in table.note
     assert json_row(half.row, SILENT)["timed_clean_percent"] == 50.0
     assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
-    whole = RunOutcome(outcome.case, outcome.run.with_step_time(np.full(len(times), 2e-3), np.full(len(times), 1e-3)))
     assert times_in(summary_table(rows_of(whole))) == ["1.00", "1.00", "2.00", "2.00"]
     assert "*" not in summary_table(rows_of(whole)).note
-    assert "*" not in "".join(time_table(rows_of(whole)).rows[0])
+    assert time_table(rows_of(whole)).rows[0][3:11] == ("1.000",) * 4 + ("2.000",) * 4, "the largest included"
 
 
 def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Metrics against known answers, what they count, and where on its path a robot is."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
@@ -62,6 +62,7 @@ def test_heading_errors_are_wrapped_whatever_turn_the_angles_are_on() -> None:
     metrics = run_along(CIRCLE, wrapped, [0.5, 0.0, 0.5], TIMES).metrics
     assert metrics.heading_rmse_rad == pytest.approx(0.1, abs=1e-12)
     assert metrics.heading_max_rad == pytest.approx(0.1, abs=1e-12)
+    assert metrics.course_rmse_rad == pytest.approx(0.1, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,7 @@ def test_heading_errors_are_wrapped_whatever_turn_the_angles_are_on() -> None:
 )
 def test_side_slip_shows_in_the_course_or_in_the_heading_that_makes_up_for_it(turned, twist, course) -> None:
     run = run_along(CIRCLE, CIRCLE.sample(TIMES).pose + [0.0, 0.0, turned], [*twist, 0.5], TIMES)
-    assert run.metrics.heading_rmse_rad == pytest.approx(turned, rel=1e-12, abs=1e-12)
+    assert run.errors.heading == pytest.approx(np.full(len(TIMES), turned), rel=1e-12, abs=1e-12)
     assert run.metrics.course_rmse_rad == pytest.approx(course, rel=1e-12, abs=1e-12)
 
 
@@ -130,6 +131,7 @@ def test_being_ahead_on_a_straight_line_is_no_lateral_error_even_beyond_its_end(
     metrics = run_along(line, ahead, [0.5, 0.0, 0.0], TIMES).metrics
     assert metrics.lateral_max_m == pytest.approx(0.0, abs=1e-9)
     assert metrics.position_mean_m == pytest.approx(0.1, rel=1e-9)
+    assert metrics.behind_max_s == 0.0
 
 
 def test_the_band_counts_the_share_of_ticks_inside_it() -> None:
@@ -159,19 +161,34 @@ SECOND = np.arange(0, 51) * 0.02
 
 
 def test_ticks_after_the_end_of_the_reference_are_not_counted() -> None:
-    controller = FeedForward({80: "BRAKING"})
-    run = simulate(controller, KinematicPlant(), LINE, extra_time=1.0)
-    assert len(run.time) == 101
-    assert run.metrics.steps == 51
-    assert run.metrics.fallbacks == 0
-    assert run.metrics.completed
+    run, plain = (simulate(FeedForward({100: "BRAKING"}), KinematicPlant(), LINE, extra_time=extra) for extra in (1, 0))
+    end = np.where(np.arange(101) < 51, 0.0, 9.0)
+    worse = replace(run, true_pose=run.true_pose + end[:, None], solver_iterations=end).with_step_time(end, end)
+    plain = replace(plain, solver_iterations=end[:51]).with_step_time(end[:51], end[:51])
+    assert (len(run.time), plain.metrics.steps, plain.metrics.completed) == (101, 51, True)
+    # Stops count to the end of the run.
+    assert asdict(worse.metrics) == pytest.approx(asdict(plain.metrics) | {"stopped": True})
+
+
+def test_statistics_of_unequal_errors_are_those_of_their_definitions() -> None:
+    """The squares of 0 to 20, in 0.1 mm to the left and right, and in 0.1 mrad."""
+    signed = 1e-4 * np.arange(21.0) ** 2 * (-1) ** np.arange(21)
+    pose = LINE.sample(SECOND[:21]).pose + np.outer(signed, [0, 1, 1])
+    metrics = run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND[:21]).metrics
+    mean, rms = 1e-4 * 20 * 41 / 6, 1e-4 * np.sqrt(20 * 41 * 1259 / 30)  # sums of squares and of fourth powers over 21
+    for name, unit in (("position", "m"), ("heading", "rad")):
+        values = [getattr(metrics, f"{name}_{statistic}_{unit}") for statistic in ("rmse", "mean", "std", "max")]
+        assert values == pytest.approx([rms, mean, np.sqrt(rms**2 - mean**2), 0.04])
+    lateral = metrics.lateral_rmse_m, metrics.lateral_mae_m, metrics.lateral_p95_m, metrics.lateral_max_m
+    assert lateral == pytest.approx((rms, mean, 0.0361, 0.04))
 
 
 def test_fallback_ticks_are_counted_by_mode() -> None:
     modes = {3: "REUSED_PLAN", 4: "BRAKING", 5: "STOPPED", 50: "FINISHED"}
     run = simulate(FeedForward(modes), KinematicPlant(), LINE)
     assert run.metrics.fallbacks == 3
-    assert run.metrics.completed
+    assert run.metrics.completed and run.metrics.stopped
+    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, "it waited to begin"
 
 
 def test_every_mode_of_the_controller_is_a_fallback_or_known_to_be_none() -> None:
@@ -187,7 +204,8 @@ def test_a_run_that_ends_without_tracking_is_not_completed(mode: str) -> None:
 
 def test_a_run_that_ends_elsewhere_is_not_completed() -> None:
     pose = LINE.sample(SECOND).pose
-    assert run_along(LINE, pose + np.array([0.2, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND).metrics.completed
+    near = run_along(LINE, pose + np.array([0.2, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND)
+    assert near.metrics.completed and not replace(near, ended="the robot is lost").metrics.completed
     assert not run_along(LINE, pose + np.array([0.3, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND).metrics.completed
 
 

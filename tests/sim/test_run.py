@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
 
 from diffdrive_mpc import Measurement, make_plant
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.sim import Run, simulate
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
@@ -83,6 +83,26 @@ def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
         assert quiet.solver_methods == ("none",) * n
         assert quiet.solver_statuses == ("",) * n
         assert {len(column) for column in quiet.columns.values()} == {n}
+
+
+def test_errors_are_those_of_the_true_motion_from_the_start_to_the_end_of_the_reference() -> None:
+    """Along the x axis at 1 m/s for 2 s, side slip 0.1 m/s; measurements, estimates and commands are far off."""
+    times = np.arange(7) / 2
+    ahead, left = np.array([[0.08, 0.06]] * 2 + [[0.04, -0.03]] * 3 + [[3.0, 4.0]] * 2).T
+    truth = np.column_stack([np.minimum(times, 2.0) + ahead, left, np.full(7, 0.2)])
+    far_off = Measurement(pose=Stamped(np.ones(3), 0.0), wheel_twist=Stamped(np.ones(2), 0.0))
+    run = replace(
+        run_along(ConstantTwist(1.0, 0.0, 2.0), truth, [1.0, 0.1, 0.0], times),
+        measurements=(far_off,) * 7, estimates=np.ones((7, 5)), command=np.ones((7, 2)), disturbance=(0.0, 0.0),
+    )  # fmt: skip
+    assert run.errors.position == pytest.approx([0.10] * 2 + [0.05] * 3 + [5.0] * 2)
+    assert run.errors.lateral[:5] == pytest.approx([0.06] * 2 + [-0.03] * 3)
+    assert run.errors.heading == pytest.approx(np.full(7, 0.2))
+    assert run.errors.course[:5] == pytest.approx(np.full(5, 0.2 + np.arctan(0.1)))
+    assert (run.metrics.steps, run.metrics.position_rmse_m) == (5, pytest.approx(np.sqrt((2 * 0.01 + 3 * 0.0025) / 5)))
+    assert (run.recovery.lateral_max_m, run.recovery.recovery_time_s) == (pytest.approx(0.06), 1.0)
+    assert run.recovery.command_energy_omega == pytest.approx(5 * 0.5)
+    assert replace(run, ended="lost").recovery.recovery_time_s == np.inf
 
 
 def test_plans_are_kept_when_asked_for(run: Run) -> None:
