@@ -16,7 +16,7 @@ from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
-from diffdrive_mpc.mpc.config.former_keys import with_present_names, without_unused_groups
+from diffdrive_mpc.mpc.config.former_keys import with_present_names
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -119,7 +119,7 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
     models.checked_yaml.ConfigError
         As `load_config`.
     """
-    config = _checked(side_by_side(without_unused_groups(values)), f"{log}: configuration")
+    config = _checked(side_by_side(values), f"{log}: configuration")
     with only_trusted(log, trusted):
         model_path(config.model)
         for group in config.features.values():

@@ -46,7 +46,7 @@ def removed_message(key: str) -> str:
 
 
 def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the groups of a recorded configuration without removed ones that it did not enable."""
+    """Return the groups of a configuration without removed ones that it did not enable."""
     return {
         name: values
         for name, values in data.items()
@@ -60,8 +60,9 @@ def with_present_names(data: Mapping[str, Any], where: str = "configuration") ->
     Raises
     ------
     ConfigError
-        If a former key states another value than the constant that replaced it, or a group was removed.
+        If a former key states another value than the constant that replaced it, or a removed group does something.
     """
+    data = without_unused_groups(data)
     for group in _REMOVED_GROUPS.keys() & data.keys():
         values = data[group]
         key = f"{group}.{next(iter(values))}" if isinstance(values, Mapping) and values else group

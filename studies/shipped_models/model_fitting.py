@@ -158,8 +158,9 @@ def run_experiments() -> PaperExperiments:
     def logs(commands: Iterable[FloatArray]) -> list[OpenLoopDrive]:
         return [_over_ground(drive_open_loop(make_plant("mujoco", seed=next(seed)), rows)) for rows in commands]
 
-    steps = [logs(step_commands(name)) for name in ("wheels", "v", "omega")]
-    return PaperExperiments(*steps, logs(random_commands(s, smooth=False) for s in fitting_settings().random_seeds))
+    wheels, v, omega = (logs(step_commands(name)) for name in ("wheels", "v", "omega"))
+    random = logs(random_commands(s, smooth=False) for s in fitting_settings().random_seeds)
+    return PaperExperiments(wheels, v, omega, random)
 
 
 def fit_models(

@@ -114,7 +114,7 @@ def test_key_of_a_removed_group_is_refused_with_the_remedy(tmp_path):
         tmp_path / "old.yaml",
         "online_dead_time.{} was removed: the filter learns unknown delays itself; remove",
     )
-    path.write_text("model: sm\nonline_dead_time: {enabled: false}\n")
+    path.write_text("model: sm\nonline_dead_time: {enabled: true}\n")
     with pytest.raises(ConfigError, match=f"^{path}: {line.format('enabled')} the key$"):
         load_config(path)
     path.write_text("model: sm\nexpert: {online_dead_time: {longer: 0.1}}\n")
@@ -125,7 +125,7 @@ def test_key_of_a_removed_group_is_refused_with_the_remedy(tmp_path):
             load_config("sm", {f"online_dead_time.{key}": 1.0})
 
 
-def test_recorded_configuration_is_read_if_it_did_not_enable_a_removed_group():
+def test_configuration_is_read_if_it_does_not_enable_a_removed_group():
     values = ControllerConfig().model_dump(mode="json")
     unused = values | {"online_dead_time": {"enabled": False, "apply": True}}
     assert config_from_log(unused, "drive.mcap") == config_from_log(values, "drive.mcap")
