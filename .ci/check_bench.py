@@ -1,4 +1,9 @@
-"""Hold the main job to what it promises: `python .ci/check_bench.py bench.json`. Times belong to the machine."""
+"""Hold the main job to what it promises and to its last result: `python .ci/check_bench.py bench.json`.
+
+A model may be at most `WORSE` worse than `bench_errors.json` says, over the same trajectories and seeds. Who means a
+change to be worse, or made it better, writes that file anew in the same commit: `python .ci/check_bench.py bench.json
+--store`. Times belong to the machine.
+"""
 
 import itertools
 import json
@@ -6,11 +11,15 @@ import sys
 from pathlib import Path
 from statistics import mean
 
-POSITION_RMSE_M = 0.015
+POSITION_RMSE_M, WORSE = 0.015, 0.03
+STORE = Path(__file__).with_name("bench_errors.json")
 MODELS, TRAJECTORIES, SEEDS = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane"), range(5)
 
 runs = [run for run in json.loads(Path(sys.argv[1]).read_text())["runs"] if run["horizon"] == 30]
-found = {(run["model"], run["trajectory"], run["seed"]) for run in runs}
+errors = {
+    f"{run['model']} {run['trajectory']} {run['seed']}": round(run["position_rmse_m"], 6) for run in reversed(runs)
+}
+found = {(run["model"], run["trajectory"], run["seed"]) for run in reversed(runs)}
 complaints = [f"{case} is missing" for case in itertools.product(MODELS, TRAJECTORIES, SEEDS) if case not in found]
 for run in runs:
     case = f"{run['model']} {run['trajectory']} {run['seed']}"
@@ -20,10 +29,26 @@ for run in runs:
         complaints.append(f"{case}: {run['fallbacks']} fallbacks")
     if run["model"] in MODELS and run["in_band_percent"] < 100.0:
         complaints.append(f"{case}: {run['in_band_percent']:.1f} % in band")
+stored = json.loads(STORE.read_text()) if STORE.is_file() else {}
+if "--store" in sys.argv:
+    kept = {case: error for case, error in errors.items() if case.split()[0] in MODELS}
+    STORE.write_text(json.dumps(kept, indent=0) + "\n")
+    sys.exit()
 for model in MODELS:
     rmse = mean([run["position_rmse_m"] for run in runs if run["model"] == model] or [float("nan")])
     print(f"{model}: position RMSE {rmse:.4f} m, mean over {len(TRAJECTORIES)} trajectories and {len(SEEDS)} seeds")
     if not rmse <= POSITION_RMSE_M:
         complaints.append(f"{model}: position RMSE {rmse:.4f} m, at most {POSITION_RMSE_M} m is promised")
+    pairs = [(errors[case], error) for case, error in stored.items() if case.split()[0] == model and case in errors]
+    if not pairs:
+        complaints.append(f"{model}: nothing in {STORE.name} to compare with; write it with --store")
+        continue
+    ratio = sum(now for now, _ in pairs) / sum(before for _, before in pairs)
+    print(f"{model}: {100 * (ratio - 1):+.1f} % against {STORE.name}, {len(pairs)} pairs")
+    if ratio > 1 + WORSE:
+        complaints.append(
+            f"{model}: {100 * (ratio - 1):.1f} % worse than {STORE.name}, at most {100 * WORSE:g} % passes; "
+            "write it anew with --store in this commit if that is meant"
+        )
 if complaints:
     sys.exit("\n".join(complaints))

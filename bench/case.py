@@ -141,7 +141,7 @@ class Case:
     and `overrides`, values that replace those of the configuration. `top_speed` lays the trajectory's segments anew so
     that the fastest of them has this speed [m/s]; `scaled` fits them to size and limits of the configuration's robot;
     `late` is by how many ticks the plant's dead time is longer than the controller was told: that many are added to the
-    plant's; where it is negative, `overrides` tell of more.
+    plant's; where it is negative, `overrides` tell of more; `gains` replace those of a peer.
     """
 
     controller: str = _dimension(
@@ -193,6 +193,7 @@ class Case:
     top_speed: float | None = None
     scaled: bool = False
     late: int = 0
+    gains: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Give the run the name of its plant as trajectory if it asks for none and the plant has its own."""

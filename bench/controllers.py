@@ -189,7 +189,7 @@ def make_controller(case: Case) -> TrackingController:
     Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
     if case.controller in PEERS:
-        return make_peer(case.controller, dict(settings_of(case)))
+        return make_peer(case.controller, dict(settings_of(case)), dict(case.gains))
     if case.controller != "mpc":
         if case.controller in known_packages().get("peers", {}):
             raise MissingPackageError(missing_part("peers", case.controller))

@@ -26,8 +26,6 @@ from diffdrive_mpc.sim.plants.plug_ins import columns_of
 _VISIBLE = 0.12
 """Maximum error of a magnified path in a figure, in units of the path's extent."""
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
-_DRAWN_TOGETHER = 3
-"""Maximum number of controllers whose paths are drawn in one chart; of more only the best one is drawn."""
 _CHARTS_IN_A_ROW = 3
 _TICKS_OF_A_RUN = 2000
 
@@ -36,7 +34,7 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
     """Return every figure by file name, the overview first. Only runs of the first seed are drawn singly."""
     made = charts(results)
     first = [name for name in ("speed.png", "dead-time.png") if name in made]
-    overview = [*_path_charts(results.main), error_chart(results.main), step_time_chart(results.main)]
+    overview = [*_error_charts(results.main), error_chart(results.main), step_time_chart(results.main)]
     figures: dict[str, Draw | Charts] = {"overview.png": partial(draw_charts, overview, columns=_CHARTS_IN_A_ROW)}
     figures |= {name: made[name] for name in [*first, *(name for name in made if name not in first)]}
     for name, rows in predictive(by(results.main, COMPARED)).items():
@@ -48,22 +46,27 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
     return figures
 
 
-def _path_charts(main: DataFrame) -> list[Chart]:
-    """Return a chart of the driven paths for each trajectory: of all controllers, or of the best if there are many."""
+def _error_charts(main: DataFrame) -> list[Chart]:
+    """Return a chart of the position error over time for each trajectory, on one scale: the best MPC and peer."""
     compared = by(main, COMPARED)
-    best = best_of(predictive(compared))
-    drawn = list(compared) if len(compared) <= _DRAWN_TOGETHER else [best]
+    styles, ours = list(compared), predictive(compared)
+    peers = {name: rows for name, rows in compared.items() if name not in ours}
+    drawn = [best_of(part) for part in (ours, peers) if part]
+    rows = {name: by(compared[name], "trajectory") for name in drawn}
+    runs = {path: {name: rows[name][path]["run"].iloc[0] for name in drawn} for path in rows[drawn[0]]}
+    errors = {path: {name: 1e3 * run.errors.position for name, run in of.items()} for path, of in runs.items()}
+    top = 1.05 * max(float(np.percentile(error, 99)) for of in errors.values() for error in of.values())
     made = []
-    for trajectory in by(compared[best], "trajectory"):
-        rows = {name: by(compared[name], "trajectory")[trajectory] for name in drawn}
-        runs = {name: part["run"].iloc[0] for name, part in rows.items()}
-        factor = min(magnification(run) for run in runs.values())
-        reference = next(iter(runs.values())).reference_pose
-        series = [_in_plane("reference", reference, 0, "reference")]
-        series += [_in_plane(name, magnified(run, factor), list(compared).index(name)) for name, run in runs.items()]
-        error = f"{best}: RMSE {1e3 * mean(rows[best], 'position_rmse_m'):.1f} mm"
-        title = f"{trajectory}, errors x {factor:g}\n{error}"
-        made.append(Chart(title, Axis("x [m]"), Axis("y [m]"), series, equal=True))
+    for path, of in errors.items():
+        series = [
+            Series(name, rounded_list(runs[path][name].time, 3), rounded_list(error, 2), styles.index(name), "line")
+            for name, error in of.items()
+        ]
+        means = [f"{name} {1e3 * mean(rows[name][path], 'position_rmse_m'):.1f}" for name in drawn]
+        stopped = [f"{name} did not complete" for name, run in runs[path].items() if run.ended]
+        title = f"{path}: {', '.join([*means, *stopped])}"
+        axes = Axis("time [s]"), Axis("position error [mm]", range=(0.0, top))
+        made.append(Chart(title, *axes, series))
     return made
 
 

@@ -23,6 +23,7 @@ from diffdrive_mpc.bench.case import (
     label,
     split_numbers,
 )
+from diffdrive_mpc.bench.comparison.other_robots import dynamics_cases, population_cases
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model, controller_config
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
@@ -38,6 +39,7 @@ class ComparisonSettings(StrictModel):
     scaled: bool = Field(False, description="whether paths are scaled to the configuration's robot")
     osqp: bool = Field(True, description="whether OSQP at every tick is compared with the other solvers, too")
     beyond: bool = Field(False, description="other speeds, dead times and seeds beside the tables, see `CasePlan`")
+    robots: bool = Field(False, description="other robots beside the tables, see `other_robots`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
         """Values of a dimension by its name in the plural."""
@@ -117,6 +119,7 @@ def read_options(
     if config is not None:
         options = {"config": str(config), "models": (chosen_model(None, config),)} | options
     options["beyond"] = sweeps
+    options["robots"] = not (quick or scaled or settings or set(options) - {"osqp", "beyond", "horizons"})
     if quick:
         options.setdefault("seeds", default.values("seeds")[:1])
     return chosen.model_copy(update=options)
@@ -145,6 +148,8 @@ class CasePlan:
         cannot be told of a longer dead time has later plants only.
     other_seeds
         `main` over other seeds.
+    population, dynamics
+        Other robots, see `other_robots`.
     """
 
     main: tuple[Case, ...]
@@ -152,6 +157,8 @@ class CasePlan:
     speed: tuple[Case, ...] = ()
     dead_time: tuple[Case, ...] = ()
     other_seeds: tuple[Case, ...] = ()
+    population: tuple[Case, ...] = ()
+    dynamics: tuple[Case, ...] = ()
 
     @property
     def all(self) -> tuple[Case, ...]:
@@ -161,7 +168,7 @@ class CasePlan:
     @property
     def beyond(self) -> tuple[Case, ...]:
         """Every other case once, in order."""
-        cases = (*self.speed, *self.dead_time, *self.other_seeds)
+        cases = (*self.speed, *self.dead_time, *self.other_seeds, *self.population, *self.dynamics)
         return tuple(case for case in dict.fromkeys(cases) if case not in set(self.all))
 
 
@@ -218,6 +225,8 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
                 dict.fromkeys(replace(case, seed=seed) for case, seed in itertools.product(main, OTHER_SEEDS))
             ),
         )
+    if settings.robots:
+        plan = replace(plan, population=population_cases(), dynamics=dynamics_cases())
     check_cases((*plan.all, *plan.beyond))
     return plan
 

@@ -30,6 +30,10 @@ TIMING = (
 )
 
 
+BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
+"""Parts of the plan of which rows are kept and no runs."""
+
+
 @dataclass(frozen=True)
 class ComparisonResults:
     """What a comparison gave.
@@ -46,7 +50,7 @@ class ComparisonResults:
         How the machine was while all was timed.
     properties
         Of the models on the plants.
-    speed, dead_time, other_seeds
+    speed, dead_time, other_seeds, population, dynamics
         Rows without runs, see `CasePlan`; empty where they were not driven.
     """
 
@@ -58,6 +62,8 @@ class ComparisonResults:
     speed: DataFrame = field(default_factory=DataFrame)
     dead_time: DataFrame = field(default_factory=DataFrame)
     other_seeds: DataFrame = field(default_factory=DataFrame)
+    population: DataFrame = field(default_factory=DataFrame)
+    dynamics: DataFrame = field(default_factory=DataFrame)
 
     @property
     def all(self) -> DataFrame:
@@ -81,7 +87,7 @@ class ComparisonResults:
 
     def content(self) -> dict[str, object]:
         """Everything as rows of plain values by name; parts that were not run are left out."""
-        scored = {"speed": self.speed, "dead_time": self.dead_time, "other_seeds": self.other_seeds}
+        scored = {name: getattr(self, name) for name in BEYOND}
         rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
         rows |= {
             name: [beyond_row(one, self.silent) for one in part.to_dict("records")] for name, part in scored.items()

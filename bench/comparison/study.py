@@ -13,13 +13,14 @@ from diffdrive_mpc.bench.comparison.page import shown
 from diffdrive_mpc.bench.comparison.plan import CasePlan, ComparisonSettings, plan_cases
 from diffdrive_mpc.bench.comparison.properties import measure_properties
 from diffdrive_mpc.bench.comparison.results import (
+    BEYOND,
     TIMING,
     ComparisonResults,
     chosen_configuration,
     describe,
     labelled,
 )
-from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table, screen_table
+from diffdrive_mpc.bench.comparison.tables import other_robot_tables, report_tables, scenario_table, screen_table
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -61,13 +62,12 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         def of(listed: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in listed)
 
-        results = ComparisonResults(self.settings, of(plan.main), of(plan.horizon), timing)
+        beyond = {name: of(getattr(plan, name)) for name in BEYOND}
+        results = ComparisonResults(self.settings, of(plan.main), of(plan.horizon), timing, **beyond)
         if not self.settings.beyond:
             return results
         # In one process: another pool takes longer to start.
-        properties = tuple(measure_properties(plan.main, 1))
-        beyond = {"speed": of(plan.speed), "dead_time": of(plan.dead_time), "other_seeds": of(plan.other_seeds)}
-        return replace(results, properties=properties, **beyond)
+        return replace(results, properties=tuple(measure_properties(plan.main, 1)))
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
         """The overview above the tables, the runs of the first seed one by one below."""
@@ -103,6 +103,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             screen=[
                 *([scenario_table(results.main)] if "scenario" not in results.silent else []),
                 screen_table(results.main),
+                *other_robot_tables(results),
             ],
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.experiment import COMPARED, by, mean, values
 from diffdrive_mpc.bench.grouped_tables import Cell, TableSpec, cell, grouped_table, load_tables
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import ahead_and_left
 
 _PATHS_ON_SCREEN = 4
 """Columns of single paths for which 80 letters have room."""
@@ -88,6 +89,8 @@ def report_tables(results: ComparisonResults) -> list[Table]:
         tables.insert(1, side_by_side_table(main))
     if "scenario" not in results.silent:
         tables.append(scenario_table(main))
+    tables[1:1] = other_robot_tables(results)
+    tables += [error_parts_table(main)] if main["seed"].nunique() > 1 else []
     tables += [horizon_table(results.horizon)] if len(results.horizon) else []
     if several:
         tables.append(order_table(main, results.other_seeds))
@@ -124,6 +127,40 @@ _DRAWN = {"max": "max", "mean": "rms"}
 def scenario_table(rows: DataFrame) -> Table:
     """How the controllers come back from the disturbances, by scenario."""
     return table_specs()["scenarios"].table(rows, CELLS)
+
+
+def other_robot_tables(results: ComparisonResults) -> list[Table]:
+    """What other robots did, where they were driven: see `bench.comparison.other_robots`."""
+    parts = {"population": results.population, "dynamics": results.dynamics}
+    return [table_specs()[name].table(rows) for name, rows in parts.items() if len(rows)]
+
+
+def error_parts_table(rows: DataFrame) -> Table:
+    """Errors along and across the path, each in what repeats with every seed and what differs from seed to seed."""
+    columns = {
+        f"{way} the path, {part} [m]": partial(error_part, way=i, repeats=part == "repeats")
+        for i, way in enumerate(("along", "across"))
+        for part in ("repeats", "noise")
+    }
+    note = "RMS over time, means over trajectories. Repeats: the mean over seeds at each time; noise: the rest."
+    return grouped_table("What the error consists of", rows, {"controller": COMPARED}, columns, note)
+
+
+def error_part(rows: DataFrame, *, way: int, repeats: bool) -> str:
+    """RMS [m] of the part of the error along (0) or across (1) the reference that repeats with every seed, or not."""
+    parts = []
+    for one in by(rows, "trajectory").values():
+        runs = [run for run in one["run"] if not run.ended]
+        length = min((int(run.counted.sum()) for run in runs), default=0)
+        gaps = [run.true_pose[:length] - run.reference_pose[:length] for run in runs]
+        headings = [run.reference_pose[:length, 2] for run in runs]
+        errors = np.array([ahead_and_left(gap, at)[way] for gap, at in zip(gaps, headings, strict=True)])
+        if len(errors) < 2:
+            return "-"
+        spread = float(np.mean(np.var(errors, axis=0, ddof=1)))
+        square = float(np.mean(errors.mean(axis=0) ** 2)) - spread / len(errors)  # the mean has noise, too
+        parts.append(math.sqrt(max(square, 0.0)) if repeats else math.sqrt(spread))
+    return number(float(np.mean(parts)), 4)
 
 
 def time_table(rows: DataFrame) -> Table:

@@ -49,7 +49,9 @@ def takes_settings(name: str) -> bool:
     return isinstance(find_peer(name), TrackingLaw)
 
 
-def make_peer(name: str, overrides: Mapping[str, object] | None = None) -> TrackingController:
+def make_peer(
+    name: str, overrides: Mapping[str, object] | None = None, gains: Mapping[str, float] | None = None
+) -> TrackingController:
     """Make the peer of a name.
 
     Parameters
@@ -59,13 +61,16 @@ def make_peer(name: str, overrides: Mapping[str, object] | None = None) -> Track
     overrides
         Configuration values of the robot by dotted key, for a tracking law: its estimate then knows as much of the
         robot as the predictive controller. Other peers know the papers' robot only.
+    gains
+        Gains in place of the shipped ones.
     """
     peer = find_peer(name)
     if not isinstance(peer, TrackingLaw):
         return peer()
-    from diffdrive_mpc.bench.peers.tracking_peer import make_tracking_peer  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.peers import tracking_peer  # noqa: PLC0415 - --help does without it
 
-    return make_tracking_peer(name, overrides=overrides)
+    chosen = tracking_peer.law_kind(name).gains(**gains) if gains else None
+    return tracking_peer.make_tracking_peer(name, chosen, overrides=overrides)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,17 +19,19 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
     rim[1] = value[3];
 }
 
-/* The smallest and largest speeds that commands have demanded of each wheel over the last lag plus short_for, in the
- * directions `sign`, and the largest |v| that they have demanded of the robot. Returns 0 if the stored commands do not
- * reach back that far. Wheels turn as the model states: the body slips, not they. In a turn on the spot they may also turn
- * with the estimated gain; elsewhere a saturated wheel has the same effect on the estimate as a smaller gain. */
+/* The smallest and largest speeds that commands have demanded of each wheel, in the directions `sign`, and the largest |v|
+ * that they have demanded of the robot: over the last lag plus short_for, or plus 4/3 of the lag where that is longer, as
+ * slow wheels that are still speeding up fall short of nothing. Returns 0 if the stored commands do not reach back that far.
+ * Wheels turn as the model states: the body slips, not they. In a turn on the spot they may also turn with the estimated
+ * gain; elsewhere a saturated wheel has the same effect on the estimate as a smaller gain. */
 static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2],
                            real *forward_most)
 {
     const real *G = c->constants->inverse_gain, *slip = c->result.estimate.mean + STATES(c);
     const real determinant = G[0] * G[3] - G[1] * G[2], gain = c->on_spot ? slip[OMEGA_GAIN] * slip[YAW_GAIN] : R(1.0);
     const int newest = COMMANDS(c) - 1;
-    const int since = LONGEST_LAG(c) + (int)(c->constants->short_for / (real)c->constants->sample_time);
+    const int steady = (int)(c->constants->short_for / (real)c->constants->sample_time), settling = 4 * LONGEST_LAG(c) / 3;
+    const int since = LONGEST_LAG(c) + (steady > settling ? steady : settling);
     if (since > newest)
         return 0;
     least[0] = least[1] = (real)HUGE_VAL;

@@ -84,6 +84,16 @@ def test_a_structure_of_one_s_own_goes_all_the_way(lags, log, tmp_path):
     assert "LAGS from drive" in str(found)
 
 
+def test_two_delays_are_the_dead_times_and_lags_of_sm(log, tmp_path):
+    fits = {name: identify(log, tmp_path / "map.yaml", name) for name in ("sm", "two_delays")}
+    sm, delays = (fit.report.fitted.identified.model for fit in fits.values())
+    assert delays.dead_time == pytest.approx(sm.lag, abs=1e-3)
+    assert delays.lag - delays.dead_time == pytest.approx([1 / 900, 1 / 900], rel=0.01)
+    np.testing.assert_allclose(np.diag(delays.dc_gain), np.diag(sm.dc_gain), rtol=1e-6)
+    fits["two_delays"].write(tmp_path / "mine")
+    assert load_model(tmp_path / "mine" / "model.yaml").structure == "two_delays"
+
+
 def test_only_what_is_registered_is_known(log, tmp_path):
     with pytest.raises(ConfigError, match="structure 'lags': give one of mbm, sm, ssm"):
         identify(log, tmp_path / "map.yaml", "lags")

@@ -28,7 +28,7 @@ class WheelReach:
         self.dt, self.gain, self.enabled = config.sample_time, gain, config.monitor.wheel_limits
         self.half_track, self.most = config.wheels.track / 2, config.limits.wheel_speed
         self.wheel_yaw_ratio = config.wheels.track / config.wheels.encoder_track / gain[1, 1]
-        self.window = lag + int(_FOR / self.dt) + 1
+        self.window = lag + max(int(_FOR / self.dt), 4 * lag // 3) + 1
         self.restart()
 
     def restart(self) -> None:

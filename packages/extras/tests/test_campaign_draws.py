@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from diffdrive_mpc.bench.comparison.other_robots import other_robots
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
@@ -101,3 +102,8 @@ def test_half_of_the_seeds_are_reserved():
         assert {seed % RESERVED for seed in seeds} == {int(tuning)}
         drawn = range(int(tuning), seeds[-1] + 1, RESERVED)
         assert seeds == [seed for seed in drawn if can_drive(draw_robot(seed), spot_turns=True)]
+
+
+def test_robots_of_the_bench_are_the_first_reserved_ones_that_can_drive():
+    robots = other_robots().population.robots
+    assert list(robots) == driving_seeds(len(robots), spot_turns=False)

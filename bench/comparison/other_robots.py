@@ -1,0 +1,97 @@
+"""Robots beside the one that the shipped models are of: a drawn population, and two whose dynamics matter.
+
+Of a drawn robot the controllers know what its user states, which is often wrong. For the other two, models were
+identified from three drives of each, and the peers were tuned on it with the same estimate.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from diffdrive_mpc.bench.case import NO_MODEL, Case
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.sim.plants.names import DRAWN, PHYSICS
+
+MODELS = Path(__file__).with_name("robots")
+"""Identified models by robot and structure."""
+
+
+class Population(StrictModel):
+    """Seeds of drawn robots, and what drives them where."""
+
+    robots: tuple[int, ...]
+    trajectories: tuple[str, ...]
+    controllers: tuple[str, ...]
+
+
+class KnownRobot(StrictModel):
+    """A robot of plant `mujoco` with identified models.
+
+    Attributes
+    ----------
+    models
+        Structures, of which there are files in `MODELS`; the peers' estimate is that of the last one.
+    settings
+        Configuration values that its user states.
+    gains
+        Of each peer.
+    """
+
+    models: tuple[str, ...]
+    settings: dict[str, float]
+    gains: dict[str, dict[str, float]]
+
+
+class OtherRobots(StrictModel):
+    """Content of `other_robots.yaml`."""
+
+    population: Population
+    trajectories: tuple[str, ...]
+    seeds: tuple[int, ...]
+    robots: dict[str, KnownRobot]
+
+
+@cache
+def other_robots() -> OtherRobots:
+    """Read the file beside this one; raises ConfigError on a mistake in it."""
+    return load_checked(OtherRobots, Path(__file__).with_suffix(".yaml"))
+
+
+def population_cases() -> tuple[Case, ...]:
+    """Every controller on every drawn robot along every trajectory."""
+    stated = other_robots().population
+    drives = itertools.product(stated.controllers, stated.trajectories, stated.robots)
+    return tuple(
+        Case(**_driver(name), trajectory=trajectory, plant=f"{DRAWN}:{seed}", seed=seed)
+        for name, trajectory, seed in drives
+    )
+
+
+def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
+    """Identified models and tuned peers on the robots whose dynamics matter; `seeds` replaces those of the file."""
+    stated, cases = other_robots(), []
+    for name, robot in stated.robots.items():
+        files = {model: str(MODELS / name / f"{model}.yaml") for model in robot.models}
+        settings = tuple(robot.settings.items())
+        drivers = [Case(model=file, overrides=settings) for file in files.values()]
+        drivers += [
+            Case(
+                controller=peer,
+                model=NO_MODEL,
+                overrides=(*settings, ("model", files[robot.models[-1]])),
+                gains=tuple(gains.items()),
+            )
+            for peer, gains in robot.gains.items()
+        ]
+        for driver, trajectory, seed in itertools.product(drivers, stated.trajectories, seeds or stated.seeds):
+            cases.append(replace(driver, plant=f"{PHYSICS}:{name}", trajectory=trajectory, seed=seed))
+    return tuple(cases)
+
+
+def _driver(name: str) -> dict[str, str]:
+    """Return controller and model of a case for the name of a peer or of a model."""
+    return {"controller": name, "model": NO_MODEL} if name in PEERS else {"controller": "mpc", "model": name}
