@@ -31,8 +31,8 @@ for run in runs:
         complaints.append(f"{case}: {run['in_band_percent']:.1f} % in band")
 stored = json.loads(STORE.read_text()) if STORE.is_file() else {}
 if "--store" in sys.argv:
-    kept = {case: error for case, error in errors.items() if case.split()[0] in MODELS}
-    STORE.write_text(json.dumps(kept, indent=0) + "\n")
+    of_models = {case: error for case, error in errors.items() if case.split()[0] in MODELS}
+    STORE.write_text(json.dumps(of_models, indent=0) + "\n")
     sys.exit()
 for model in MODELS:
     rmse = mean([run["position_rmse_m"] for run in runs if run["model"] == model] or [float("nan")])

@@ -34,7 +34,7 @@ COMPARED = (
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
 """Model that `bench` without options compares with OSQP at every tick, too, and what asks for it."""
-HORIZONS = (5, 10, 20, 30, 50)
+HORIZONS = (7, 10, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model with the first seed [steps]."""
 
 

@@ -54,13 +54,13 @@ def _error_charts(main: DataFrame) -> list[Chart]:
     drawn = [best_of(part) for part in (ours, peers) if part]
     rows = {name: by(compared[name], "trajectory") for name in drawn}
     runs = {path: {name: rows[name][path]["run"].iloc[0] for name in drawn} for path in rows[drawn[0]]}
-    errors = {path: {name: 1e3 * run.errors.position for name, run in of.items()} for path, of in runs.items()}
-    top = 1.05 * max(float(np.percentile(error, 99)) for of in errors.values() for error in of.values())
+    errors = {path: {name: 1e3 * run.errors.position for name, run in part.items()} for path, part in runs.items()}
+    top = 1.05 * max(float(np.percentile(error, 99)) for part in errors.values() for error in part.values())
     made = []
-    for path, of in errors.items():
+    for path, part in errors.items():
         series = [
             Series(name, rounded_list(runs[path][name].time, 3), rounded_list(error, 2), styles.index(name), "line")
-            for name, error in of.items()
+            for name, error in part.items()
         ]
         means = [f"{name} {1e3 * mean(rows[name][path], 'position_rmse_m'):.1f}" for name in drawn]
         stopped = [f"{name} did not complete" for name, run in runs[path].items() if run.ended]

@@ -62,17 +62,17 @@ def other_robots() -> OtherRobots:
 
 
 def population_cases() -> tuple[Case, ...]:
-    """Every controller on every drawn robot along every trajectory."""
+    """Return the cases of every controller on every drawn robot along every trajectory."""
     stated = other_robots().population
     drives = itertools.product(stated.controllers, stated.trajectories, stated.robots)
     return tuple(
-        Case(**_driver(name), trajectory=trajectory, plant=f"{DRAWN}:{seed}", seed=seed)
+        replace(_driver(name), trajectory=trajectory, plant=f"{DRAWN}:{seed}", seed=seed)
         for name, trajectory, seed in drives
     )
 
 
 def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
-    """Identified models and tuned peers on the robots whose dynamics matter; `seeds` replaces those of the file."""
+    """Return the cases of identified models and tuned peers on known robots; `seeds` replaces those of the file."""
     stated, cases = other_robots(), []
     for name, robot in stated.robots.items():
         files = {model: str(MODELS / name / f"{model}.yaml") for model in robot.models}
@@ -92,6 +92,6 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
     return tuple(cases)
 
 
-def _driver(name: str) -> dict[str, str]:
-    """Return controller and model of a case for the name of a peer or of a model."""
-    return {"controller": name, "model": NO_MODEL} if name in PEERS else {"controller": "mpc", "model": name}
+def _driver(name: str) -> Case:
+    """Return a case of a peer or of a model."""
+    return Case(controller=name, model=NO_MODEL) if name in PEERS else Case(model=name)

@@ -130,13 +130,13 @@ def scenario_table(rows: DataFrame) -> Table:
 
 
 def other_robot_tables(results: ComparisonResults) -> list[Table]:
-    """What other robots did, where they were driven: see `bench.comparison.other_robots`."""
+    """Return tables of other robots, where they were driven: see `bench.comparison.other_robots`."""
     parts = {"population": results.population, "dynamics": results.dynamics}
     return [table_specs()[name].table(rows) for name, rows in parts.items() if len(rows)]
 
 
 def error_parts_table(rows: DataFrame) -> Table:
-    """Errors along and across the path, each in what repeats with every seed and what differs from seed to seed."""
+    """Split errors along and across the path into what repeats with every seed and what differs from seed to seed."""
     columns = {
         f"{way} the path, {part} [m]": partial(error_part, way=i, repeats=part == "repeats")
         for i, way in enumerate(("along", "across"))
@@ -147,14 +147,14 @@ def error_parts_table(rows: DataFrame) -> Table:
 
 
 def error_part(rows: DataFrame, *, way: int, repeats: bool) -> str:
-    """RMS [m] of the part of the error along (0) or across (1) the reference that repeats with every seed, or not."""
+    """Return the RMS [m] of the error along (0) or across (1) the reference that repeats with every seed, or not."""
     parts = []
-    for one in by(rows, "trajectory").values():
-        runs = [run for run in one["run"] if not run.ended]
+    for group in by(rows, "trajectory").values():
+        runs = [run for run in group["run"] if not run.ended]
         length = min((int(run.counted.sum()) for run in runs), default=0)
         gaps = [run.true_pose[:length] - run.reference_pose[:length] for run in runs]
         headings = [run.reference_pose[:length, 2] for run in runs]
-        errors = np.array([ahead_and_left(gap, at)[way] for gap, at in zip(gaps, headings, strict=True)])
+        errors = np.array([ahead_and_left(*pair)[way] for pair in zip(gaps, headings, strict=True)])
         if len(errors) < 2:
             return "-"
         spread = float(np.mean(np.var(errors, axis=0, ddof=1)))

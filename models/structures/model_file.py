@@ -201,13 +201,13 @@ class Gain(TransferFunction):
 
     @staticmethod
     def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """One state, the output: (1, 1), (1, 1), (1, 1)."""
-        one = np.ones((1, 1), dtype=values.dtype)
-        return -_AT_ONCE * one, _AT_ONCE * values[:, None], one
+        """Return A, B, C (1, 1) of one state, the output."""
+        unit = np.ones((1, 1), dtype=values.dtype)
+        return -_AT_ONCE * unit, _AT_ONCE * values[:, None], unit
 
     @staticmethod
     def lag(values: Sequence[float] | FloatArray) -> float:
-        """That of the pole [s]."""
+        """Return the lag of the pole [s]."""
         del values
         return 1.0 / _AT_ONCE
 
@@ -290,7 +290,7 @@ class TwoDelaysFile(ModelFile):
     channels: DelayChannels
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Of each channel."""
+        """Return the gain of each channel."""
         return dict(self.channels)
 
 

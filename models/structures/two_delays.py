@@ -20,7 +20,7 @@ FROM_SM = "; its lag is taken as dead time, and its gain is kept"
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """See `Structure.identify`."""
+    """Identify, see `Structure.identify`."""
     sm = identify_sm(records, yaw=conditions.yaw)
 
     def collapsed(row: FloatArray) -> FloatArray:

@@ -293,11 +293,13 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
 
 def _two_delays(sm: Mapping[str, Any]) -> dict[str, Any]:
     poles = {name: TwoPoles.model_validate(channel) for name, channel in sm["channels"].items()}
-    late = {name: sm["dead_time"][name] + TwoPoles.lag([*one.model_dump().values()]) for name, one in poles.items()}
+    late = {
+        name: sm["dead_time"][name] + TwoPoles.lag([*numbers.model_dump().values()]) for name, numbers in poles.items()
+    }
     return {
         "warnings": [],
         "dead_time": {name: round(time, 5) for name, time in late.items()},
-        "channels": {name: {"gain": one.gain} for name, one in poles.items()},
+        "channels": {name: {"gain": numbers.gain} for name, numbers in poles.items()},
     }
 
 
