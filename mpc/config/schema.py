@@ -220,7 +220,7 @@ class Estimator(Group):
     omega_gain_drift: Positive = Field(0.01, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
     longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
-    yaw_gain_drift: Positive = Field(0.03, description="random walk of that gain [1 per sqrt(s)]")
+    yaw_gain_drift: Positive = Field(0.015, description="random walk of that gain [1 per sqrt(s)]")
     side_slip: NotNegative = Field(0.0, description="lateral speed, outward, over v omega, at the start [s]")
     side_slip_uncertainty: Positive = Field(0.05, description="lateral speed over v omega, at the start [s]")
     side_slip_drift: Positive = Field(0.02, description="random walk of the side-slip [s per sqrt(s)]")
