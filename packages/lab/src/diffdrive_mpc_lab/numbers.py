@@ -224,7 +224,7 @@ def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
     overrides: dict[str, object] = {
         "reentry.enabled": False,
         "compensation.delay": False,
-        "weights.v_increment": 20.0,
+        "weights.v_increment": 5.0,
         "weights.omega_increment": float(default_of("smooth")),
     }
     for name, value in choices.items():

@@ -7,7 +7,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -89,7 +89,7 @@ class Definition:
     @property
     def factors(self) -> dict[str, Value | None]:
         """All of it by name of the factors; what has its default, too. `of` gives it back."""
-        of_case = {of.name: getattr(self.case, of.name) for of in fields(Case) if of.name != "overrides"}
+        of_case = {name: getattr(self.case, name) for name in FACTORS_OF_A_CASE}
         grouped = {f"{group}.{key}": value for group in GROUPS for key, value in self._group(group)}
         return of_case | grouped
 
