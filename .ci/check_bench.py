@@ -19,7 +19,7 @@ runs = [run for run in json.loads(Path(sys.argv[1]).read_text())["runs"] if run[
 errors = {
     f"{run['model']} {run['trajectory']} {run['seed']}": round(run["position_rmse_m"], 6) for run in reversed(runs)
 }
-found = {(run["model"], run["trajectory"], run["seed"]) for run in reversed(runs)}
+found = {(run["model"], run["trajectory"], run["seed"]) for run in runs}
 complaints = [f"{case} is missing" for case in itertools.product(MODELS, TRAJECTORIES, SEEDS) if case not in found]
 for run in runs:
     case = f"{run['model']} {run['trajectory']} {run['seed']}"
@@ -29,11 +29,11 @@ for run in runs:
         complaints.append(f"{case}: {run['fallbacks']} fallbacks")
     if run["model"] in MODELS and run["in_band_percent"] < 100.0:
         complaints.append(f"{case}: {run['in_band_percent']:.1f} % in band")
-stored = json.loads(STORE.read_text()) if STORE.is_file() else {}
 if "--store" in sys.argv:
     of_models = {case: error for case, error in errors.items() if case.split()[0] in MODELS}
     STORE.write_text(json.dumps(of_models, indent=0) + "\n")
     sys.exit()
+stored = json.loads(STORE.read_text()) if STORE.is_file() else {}
 for model in MODELS:
     rmse = mean([run["position_rmse_m"] for run in runs if run["model"] == model] or [float("nan")])
     print(f"{model}: position RMSE {rmse:.4f} m, mean over {len(TRAJECTORIES)} trajectories and {len(SEEDS)} seeds")

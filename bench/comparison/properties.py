@@ -78,7 +78,7 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
 
 
 def _property_case(case: Case) -> Case:
-    """What the properties depend on: neither what is driven nor the solver."""
+    """Return the case without what the properties do not depend on: where it is driven, and the solver."""
     plain = {
         dimension.name: dimension.default
         for dimension in DIMENSIONS

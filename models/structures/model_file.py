@@ -265,15 +265,21 @@ class SmChannels(StrictModel):
     omega: TwoPoles
 
 
-class SmFile(ModelFile):
+class ChannelsFile(ModelFile):
+    """Common part of files with one transfer function for each channel."""
+
+    channels: StrictModel
+
+    def transfer_functions(self) -> Mapping[str, TransferFunction]:
+        """Return that of each channel."""
+        return dict(self.channels)
+
+
+class SmFile(ChannelsFile):
     """SM: v_ref to v and omega_ref to omega (Guffanti et al., Sensors 2025, 25(11), 3553)."""
 
     structure: Literal["sm"]
     channels: SmChannels
-
-    def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Of each channel."""
-        return dict(self.channels)
 
 
 class DelayChannels(StrictModel):
@@ -283,15 +289,11 @@ class DelayChannels(StrictModel):
     omega: Gain
 
 
-class TwoDelaysFile(ModelFile):
+class TwoDelaysFile(ChannelsFile):
     """A gain and a dead time for each channel: what it is worth to know when the robot answers, and not how."""
 
     structure: Literal["two_delays"]
     channels: DelayChannels
-
-    def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Return the gain of each channel."""
-        return dict(self.channels)
 
 
 class SsmFile(ModelFile):

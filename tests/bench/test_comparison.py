@@ -185,28 +185,28 @@ def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
     """SM is always 1 mm behind MBM; SSM is as often ahead of SM as behind."""
     base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
     ahead = 4e-4 * np.array([1, -1, 2, 1, -1, -1])
-    found = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + ahead))
-    places = order(found.assign(completed=False))
+    rows = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + ahead))
+    places = order(rows.assign(completed=False))
     assert places[2].behind == pytest.approx(interval(ahead))
     assert [place.name for place in places] == ["MBM", "SM", "SSM"]
     assert places[1].behind == pytest.approx([1e-3, 1e-3])
     assert places[1].told_apart and not places[2].told_apart
     assert places[0].rmse == pytest.approx(base.mean())
-    unknown = found.assign(position_rmse_m=[np.nan, *found["position_rmse_m"][1:]])
+    unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
     assert [place.name for place in order(unknown)] == ["SM", "SSM"]
     assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 
 def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: RunOutcome) -> None:
     path = np.array([0.0, 4e-3] * 2)  # the second path is harder
-    one = scores(outcome, mbm=list(5e-3 + path), sm=list(6e-3 + path), ssm=list(path + [6.1e-3, 5.95e-3] * 2))
-    other = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
-    certain, open_ = reversed_pairs(one, other)
+    these = scores(outcome, mbm=list(5e-3 + path), sm=list(6e-3 + path), ssm=list(path + [6.1e-3, 5.95e-3] * 2))
+    others = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
+    certain, uncertain = reversed_pairs(these, others)
     assert certain == ["MBM and SM", "MBM and SSM"]
-    assert open_ == ["SM and SSM"]
-    assert "The order of MBM and SM, MBM and SSM is reversed" in order_table(one, other).note
-    assert "The order is the same over the other seeds" in order_table(one, one).note
-    assert [row[0] for row in order_table(one, other).rows] == ["2 (these)"] * 3 + ["2 (others)"] * 3
+    assert uncertain == ["SM and SSM"]
+    assert "The order of MBM and SM, MBM and SSM is reversed" in order_table(these, others).note
+    assert "The order is the same over the other seeds" in order_table(these, these).note
+    assert [row[0] for row in order_table(these, others).rows] == ["2 (these)"] * 3 + ["2 (others)"] * 3
 
 
 def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
