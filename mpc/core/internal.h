@@ -153,7 +153,7 @@ typedef struct {
 } ddmpc_estimator;
 
 /* Sums of motion since some instant: dead reckoning by wheels and gyro [m, rad], and what each says of its own. */
-enum { FORWARD, LEFT, HEADING, WHEEL_DISTANCE, WHEEL_TURN, GYRO_TURN, MODEL_DISTANCE, MODEL_TURN, MOTIONS };
+enum { FORWARD, LEFT, HEADING, WHEEL_DISTANCE, WHEEL_TURN, GYRO_TURN, TURNED, MODEL_DISTANCE, MODEL_TURN, MOTIONS };
 enum {
     MONITORED = 96,       /* instants at which the monitor keeps the motion */
     MONITORED_POSES = 36, /* poses that it keeps */

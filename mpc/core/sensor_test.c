@@ -152,6 +152,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     sum[WHEEL_DISTANCE] += speed * dt;
     sum[WHEEL_TURN] += wheel_turn;
     sum[GYRO_TURN] += gyro_turn;
+    sum[TURNED] += ddmpc_fabs(turn);
     m->now.time = t;
     const ddmpc_time reach = (ddmpc_time)(k->windows[LONG] + k->pose_spacing + k->latest + k->stamp_history);
     if (m->moves == 0 || t - past(m, 0)->time >= reach / (MONITORED - 2)) {
@@ -191,10 +192,11 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *found)
 
 /* What each says of the motion between two instants, seen from the heading halfway. */
 typedef struct {
-    real pose, wheels, model;            /* forward [m], by wheels with slip */
+    real pose, wheels, model;            /* forward [m], by wheels and commands with the slip known */
     real left;                           /* of the pose, beyond dead reckoning [m] */
     real pose_turn, wheel_turn, gyro_turn, model_turn; /* of the body, with the gains seen so far [rad] */
-    real wheel_advance, wheel_excess;    /* of the wheels beyond what was commanded, without slip [m, rad] */
+    real turned;                         /* to either side [rad] */
+    real chord;                          /* share of its way by which the robot got forward */
     real heading;                        /* of the pose halfway [rad] */
     real late[2];                        /* by which commands differ if wheels answer later than modelled [m, rad] */
 } motions;
@@ -212,8 +214,7 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     by.gyro_turn = sum[GYRO_TURN];
     by.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
     by.model_turn = quotient(m->body_by_model) * sum[MODEL_TURN];
-    by.wheel_advance = sum[WHEEL_DISTANCE] - sum[MODEL_DISTANCE];
-    by.wheel_excess = sum[WHEEL_TURN] - quotient(m->wheels_by_model) * sum[MODEL_TURN];
+    by.turned = ddmpc_max(sum[TURNED], ddmpc_max(ddmpc_fabs(by.gyro_turn), ddmpc_fabs(by.model_turn)));
     by.heading = before[2] + R(0.5) * by.pose_turn;
     const real reckoned = from->sum[HEADING] + R(0.5) * sum[HEADING];
     const real cosine[2] = {ddmpc_cos(by.heading), ddmpc_cos(reckoned)};
@@ -222,10 +223,8 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     by.pose = cosine[0] * dx + sine[0] * dy;
     by.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
     by.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
-    by.model = sum[MODEL_DISTANCE];
-    /* The chord of its way, as of the wheels'. */
-    if (ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]))
-        by.model *= ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]);
+    by.chord = ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]) ? ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]) : R(1.0);
+    by.model = by.wheels + by.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
     return by;
 }
 
@@ -278,8 +277,10 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     const real way_noise[4] = {square(noise[0]), R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
     /* Gains are learned from turning. */
     const real unsure = square(k->gains[3] * turned) * k->gains[0];
-    const real apart = variance(k->slip_turning, turned) + unsure / m->body_by_wheels[1];
-    const real follow = variance(k->following, turned) + unsure / m->wheels_by_model[1] + square(by->late[1]);
+    /* Of an S the two turns do not cancel where one side slips more than the other. */
+    const real both = square(k->uneven * (by->turned - turned));
+    const real apart = variance(k->slip_turning, turned) + unsure / m->body_by_wheels[1] + both;
+    const real follow = variance(k->following, turned) + unsure / m->wheels_by_model[1] + square(by->late[1]) + both;
     const real off = variance(k->slip_driving, gone);
     const left_over a = explain(turn, turn_noise, apart, follow);
     const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
@@ -298,10 +299,8 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
 /* Squared deviations by which poses go away from dead reckoning as steadily as no slope and no slip takes a robot. */
 static real drift(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
 {
-    /* Of an S the two turns do not cancel: each moves the robot. */
-    const real turned = ddmpc_fabs(half->gyro_turn) + ddmpc_fabs(whole->gyro_turn - half->gyro_turn);
     const real spread = R(0.5) * square(noise) + square(R(0.5) * k->sliding[0] * whole->wheels) +
-                        square(R(0.5) * k->sliding[1] * turned) + square(k->slip_driving[ABSOLUTE]);
+                        square(R(0.5) * k->sliding[1] * whole->turned) + square(k->slip_driving[ABSOLUTE]);
     /* A push or a correction comes at once: of the two halves the one with less of it counts. */
     const real half_off = half->pose - half->wheels, off = whole->pose - whole->wheels;
     const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
@@ -360,7 +359,7 @@ static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const ddmpc_time later = (ddmpc_time)k->answer;
     ddmpc_motion before, after;
     if (motion_at(m, begin.time - later, &before) && motion_at(m, end.time - later, &after)) {
-        by->late[0] = by->model - (after.sum[MODEL_DISTANCE] - before.sum[MODEL_DISTANCE]);
+        by->late[0] = by->chord * (end.sum[MODEL_DISTANCE] - begin.sum[MODEL_DISTANCE] - after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
         by->late[1] = by->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
     }
     return 1;

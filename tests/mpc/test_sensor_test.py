@@ -67,7 +67,7 @@ class Both(InnerController):
         lib.ddmpc_monitor_move(c, t, twists, 0 if wheels is None else 2, len(values))
         self.oracle.move(t, wheels, rate, np.array(slip), theta)
         assert lib.ddmpc_monitor_doubts(c, t) == bits(self.oracle.doubts(t))
-        assert max(abs(c.monitor.now.sum[i]) for i in range(8)) <= max(self.oracle.k.far, np.pi)
+        assert max(abs(c.monitor.now.sum[i]) for i in range(9)) <= max(self.oracle.k.far, np.pi)
 
     def pose(self, stamp, value, covariance):
         """Judge a pose in both, with thresholds on either side of the coming evidence of the oracle."""
@@ -123,7 +123,7 @@ class Both(InnerController):
         flags = [lib.DDMPC_POSES_SCATTER, lib.DDMPC_POSES_LATE, lib.DDMPC_TURNS_OTHERWISE]
         pairs = {
             "motion": (
-                [m.now.sum[i] - m.last_motion.sum[i] for i in range(8)] if m.seen else [],
+                [m.now.sum[i] - m.last_motion.sum[i] for i in range(9)] if m.seen else [],
                 [moved[0].real, moved[0].imag, *moved[1:].real] if o.last else [],
             ),
             "counts": (

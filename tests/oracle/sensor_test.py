@@ -20,13 +20,14 @@ from oracle.commands import PastCommands
 from oracle.motion import arc, sideways, slid, wrapped
 
 WHEELS, GYRO, POSE = 0, 1, 2
-# Sums of motion: where wheels and gyro lead (complex: x + i y), and how far wheels, gyro and model go and turn.
-PLACE, HEADING, DISTANCE, WHEEL_TURN, GYRO_TURN, MODEL_DISTANCE, MODEL_TURN = range(7)
+# Sums of motion: where wheels and gyro lead (complex: x + i y), how far wheels, gyro and model go and turn, and how far
+# the robot turns to either side.
+PLACE, HEADING, DISTANCE, WHEEL_TURN, GYRO_TURN, TURNED, MODEL_DISTANCE, MODEL_TURN = range(8)
 KEPT_MOTIONS, KEPT_POSES, DELAYS = 96, 36, 7
 
 
 class Motion(NamedTuple):
-    """The sums (7,) up to an instant."""
+    """The sums (8,) up to an instant."""
 
     time: float
     sums: FloatArray
@@ -45,11 +46,13 @@ class Window(NamedTuple):
 
     turns: tuple[float, float, float, float]
     ways: tuple[float, float, float]
-    """By pose, wheels and model; turns by pose, gyro, wheels and model."""
+    """By pose, wheels and model, the latter two with the slip known; turns by pose, gyro, wheels and model."""
     left: float
     heading: float
     wheels_turned: float
     model_turned: float
+    turned: float
+    chord: float
     late: tuple[float, float] = (0.0, 0.0)
 
 
@@ -89,7 +92,7 @@ class SensorTest:
     def __init__(self, k: SimpleNamespace, model, wheel_yaw_ratio: float) -> None:
         self.k, self.model, self.ratio = k, model, wheel_yaw_ratio
         self.state, self.slip = np.zeros(model.order), np.zeros(10)
-        self.now = Motion(0.0, np.zeros(7, dtype=complex))
+        self.now = Motion(0.0, np.zeros(8, dtype=complex))
         self.path: list[Motion] = []
         self.poses: list[SeenPose] = []
         self.last: SeenPose | None = None
@@ -114,7 +117,7 @@ class SensorTest:
         self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ older
         mean = 0.5 * (before + self.model.C @ self.state)
         # A motion that is kept does not change.
-        self.now = Motion(self.now.time, self.now.sums + np.array([0, 0, 0, 0, 0, *(self.model.dt * mean)]))
+        self.now = Motion(self.now.time, self.now.sums + np.array([0, 0, 0, 0, 0, 0, *(self.model.dt * mean)]))
 
     def move(self, t: float, wheels, rate, slip: FloatArray, theta: float) -> None:
         """Dead reckoning with trapezoids of what wheels (2) and gyro (1) read; None: nothing came."""
@@ -134,7 +137,8 @@ class SensorTest:
         sums = self.now.sums.copy()
         if dt > 0.0:
             sums[PLACE] += cmath.exp(1j * (sums[HEADING].real - theta)) * self._arc(theta, v, turn / dt, dt)
-        sums[[HEADING, DISTANCE, WHEEL_TURN, GYRO_TURN]] += [turn, v * dt, wheel_rate * dt, gyro_rate * dt]
+        moved = [turn, v * dt, wheel_rate * dt, gyro_rate * dt, abs(turn)]
+        sums[[HEADING, DISTANCE, WHEEL_TURN, GYRO_TURN, TURNED]] += moved
         self.now = Motion(t, sums)
         reach = k.windows[2] + k.pose_spacing + k.latest + k.stamp_history
         if is_first or t - self.path[-1].time >= reach / (KEPT_MOTIONS - 2):
@@ -165,16 +169,17 @@ class SensorTest:
     def compare(self, begin: Motion, end: Motion, a: SeenPose, b: SeenPose) -> Window:
         """What poses, gyro, wheels and model say of the motion between two instants."""
         sums = end.sums - begin.sums
-        reckoned, distance, wheels, gyro, way, model = sums[1:].real
+        reckoned, distance, wheels, gyro, turned, way, model = sums[1:].real
         turn = reckoned + wrapped(b.heading - a.heading - reckoned)
         heading = a.heading + 0.5 * turn
         by_pose = (b.place - a.place) * cmath.exp(-1j * heading)
         by_wheels = sums[PLACE] * cmath.exp(-1j * (begin.sums[HEADING].real + 0.5 * reckoned))
-        # A chord is shorter than its arc, the model's by as much as that of the wheels.
+        # A chord is shorter than its arc, the model's by as much as that of the wheels; and both slip alike.
         chord = min(abs(by_wheels.real / distance), 1.0) if distance else 1.0
         turns = (turn, gyro, self.body_by_wheels.value * wheels, self.body_by_model.value * model)
-        ways = (by_pose.real, by_wheels.real, way * chord)
-        return Window(turns, ways, by_pose.imag - by_wheels.imag, heading, wheels, model)
+        ways = (by_pose.real, by_wheels.real, by_wheels.real + chord * (way - distance))
+        turned = max(turned, abs(gyro), abs(turns[3]))
+        return Window(turns, ways, by_pose.imag - by_wheels.imag, heading, wheels, model, turned, chord)
 
     def seconds(self, delay: int) -> float:
         """Of the delay with this index."""
@@ -190,8 +195,9 @@ class SensorTest:
         earlier = [self.motion_at(motion.time - self.k.answer) for motion in (begin, end)]
         if None in earlier:
             return window
-        way, turn = (earlier[1].sums - earlier[0].sums).real[[MODEL_DISTANCE, MODEL_TURN]]
-        return window._replace(late=(window.ways[2] - way, window.turns[3] - self.body_by_model.value * turn))
+        then = end.sums - begin.sums - earlier[1].sums + earlier[0].sums
+        way, turn = then.real[[MODEL_DISTANCE, MODEL_TURN]]
+        return window._replace(late=(window.chord * way, self.body_by_model.value * turn))
 
     # Hypotheses.
 
@@ -204,9 +210,9 @@ class SensorTest:
         def variance(deviation, size):
             return deviation[absolute] ** 2 + (deviation[share] * size) ** 2
 
-        unsure = (k.gains[3] * turned) ** 2 * k.gains[0]
-        follows = variance(k.following, turned) + unsure / self.wheels_by_model.sure + window.late[1] ** 2
-        apart = variance(k.slip_turning, turned) + unsure / self.body_by_wheels.sure
+        unsure, uneven = (k.gains[3] * turned) ** 2 * k.gains[0], (k.uneven * (window.turned - turned)) ** 2
+        follows = variance(k.following, turned) + unsure / self.wheels_by_model.sure + window.late[1] ** 2 + uneven
+        apart = variance(k.slip_turning, turned) + unsure / self.body_by_wheels.sure + uneven
         turning = [(POSE, pose, noise[1] ** 2), (WHEELS, wheels, 0.0), (None, model, follows)]
         turning.append((GYRO, gyro, (k.gyro[absolute] * duration) ** 2 + (k.gyro[share] * gyro) ** 2))
         driving = [(POSE, place, noise[0] ** 2), (WHEELS, way, 0.0)]
@@ -233,9 +239,8 @@ class SensorTest:
     def _drift(self, half: Window, whole: Window, noise: float) -> float:
         """Poses that leave dead reckoning in both halves alike, by more than a floor moves the robot unnoticed."""
         k = self.k
-        turned = abs(half.turns[1]) + abs(whole.turns[1] - half.turns[1])
         spread = 0.5 * noise**2 + k.slip_driving[0] ** 2
-        spread += (0.5 * k.sliding[0] * whole.ways[1]) ** 2 + (0.5 * k.sliding[1] * turned) ** 2
+        spread += (0.5 * k.sliding[0] * whole.ways[1]) ** 2 + (0.5 * k.sliding[1] * whole.turned) ** 2
         first, both = (
             complex(window.ways[0] - window.ways[1], window.left) * cmath.exp(1j * window.heading)
             for window in (half, whole)
