@@ -143,11 +143,25 @@ class SpeedResponse(PoseResponse):
         return self.delay + self.lag
 
 
+def _turned(sign: int) -> int:
+    if not sign:
+        raise ValueError("it is 1, or -1 for a gyro that is mounted upside down")
+    return sign
+
+
+class YawRateResponse(SpeedResponse):
+    """Properties of a gyro."""
+
+    sign: Annotated[int, Field(ge=-1, le=1), AfterValidator(_turned)] = Field(
+        1, description="-1 for one that is mounted upside down [-]"
+    )
+
+
 class SensorResponses(Group):
     """Differences between the readings of sensors and the motion at their stamps."""
 
     wheels: SpeedResponse = SpeedResponse()
-    yaw_rate: SpeedResponse = SpeedResponse()
+    yaw_rate: YawRateResponse = YawRateResponse()
     pose: PoseResponse = PoseResponse()
 
 

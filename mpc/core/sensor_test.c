@@ -171,8 +171,14 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *found)
 {
     /* The newest that is not later lies from `low` to `high`. */
     int low = 0, high = m->moves - 1;
-    if (high < 0 || past(m, high)->time > time)
+    if (high < 0)
         return 0;
+    if (past(m, high)->time > time) {
+        /* Before the first of all it was at rest. */
+        *found = *past(m, high);
+        found->time = time;
+        return m->moves < MONITORED;
+    }
     /* The range is halved: seven rounds for MONITORED instants. */
     while (low < high) {
         const int middle = (low + high) / 2;
@@ -230,7 +236,8 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
 
 /* What a window tells for each sensor's fault, beside every honest explanation. */
 typedef struct {
-    real evidence[SENSES]; /* squared deviations by which the fault explains more than the best honest explanation */
+    real fault[SENSES];    /* squared deviations that a fault of each sensor leaves */
+    int heard[SENSES];     /* whether it was heard, so that it can be at fault */
     int slips;             /* whether that is another than that all agree */
     real honest;           /* squared deviations that the best honest explanation leaves */
 } verdict;
@@ -286,13 +293,12 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
     verdict result;
     result.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
-    for (int i = 0; i < SENSES; i++)
+    for (int i = 0; i < SENSES; i++) {
         /* The gyro says nothing of driving. */
-        result.evidence[i] = result.honest - a.fault[i] - (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
+        result.fault[i] = a.fault[i] + (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
+        result.heard[i] = i == DDMPC_OF_POSE || (heard & 1 << i);
+    }
     result.slips = result.honest < a.usual + b.usual;
-    for (int i = 0; i < SENSES; i++)
-        if (i != DDMPC_OF_POSE && !(heard & 1 << i))
-            result.evidence[i] = R(0.0);
     return result;
 }
 
@@ -442,19 +448,26 @@ static const ddmpc_seen_pose *seen_before(const ddmpc_monitor *m, ddmpc_time sta
     return 0;
 }
 
-/* The evidence of a window, at the delay of poses that leaves least of it: one that is late is no fault. */
+/* A window by each hypothesis at the delay of poses that leaves least: one that is late is no fault. Of a pose at fault the delay
+ * means nothing, so the others have to agree at each of them. */
 static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
                           const ddmpc_motion *now, const real *pose, int heard, const real noise[2], int window)
 {
-    verdict least = {{R(0.0), R(0.0), R(0.0)}, 0, R(0.0)};
-    for (int i = 0, first = 1; i < MONITORED_DELAYS; i++) {
+    verdict least;
+    int first = 1;
+    memset(&least, 0, sizeof least);
+    for (int i = 0; i < MONITORED_DELAYS; i++) {
         motions by;
         /* Delays that have been excluded so far explain nothing. */
         if (m->misfit[i] > m->misfit[m->delay] + k->scatter[2] || !compare_late(k, m, from, now, i, pose, &by))
             continue;
         const verdict result = weigh(k, m, &by, heard, noise, k->windows[window]);
-        if (first || result.honest < least.honest)
+        if (first)
             least = result;
+        for (int j = 0; j < SENSES; j++)
+            least.fault[j] = j == DDMPC_OF_POSE ? ddmpc_max(least.fault[j], result.fault[j]) : ddmpc_min(least.fault[j], result.fault[j]);
+        least.slips = result.honest < least.honest ? result.slips : least.slips;
+        least.honest = ddmpc_min(least.honest, result.honest);
         first = 0;
     }
     return least;
@@ -478,7 +491,8 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
             continue;
         const verdict result = weigh_late(k, m, from, now, pose->value, heard, noise, window);
         for (int i = 0; i < SENSES; i++)
-            evidence[i] = ddmpc_max(evidence[i], result.evidence[i]);
+            if (result.heard[i])
+                evidence[i] = ddmpc_max(evidence[i], result.honest - result.fault[i]);
         if (window == LONG) {
             m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
             /* Dead reckoning is by wheels and gyro: it tells of a drift only where these agree with all else. */

@@ -77,8 +77,8 @@ def numeric_fields():
     """Yield keys and defaults of all numbers in the groups."""
     for group in GROUPS:
         for name, field in type(attrgetter(group)(ControllerConfig())).model_fields.items():
-            # Curved slip, a least turn radius and dead reckoning are not the oracle's: they have tests of their own.
-            own = (*CURVED_SLIPS, "dead_reckoning")
+            # Curved slip, dead reckoning and the sign of a gyro are not the oracle's: they have tests of their own.
+            own = (*CURVED_SLIPS, "dead_reckoning", "sign")
             default = dict(zip(("v_increment", "omega_increment"), LIGHTEST.tolist(), strict=True)).get(
                 name, field.default
             )

@@ -146,6 +146,24 @@ def test_sensor_contradicted_by_two_others_is_not_used(fault, model):
     assert apart.max() < 0.1
 
 
+UPSIDE_DOWN = {"sensors.yaw_rate.sign": -1}
+
+
+@pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
+@pytest.mark.parametrize("trajectory", ["circle", "square", "figure8", "k_turn"])
+def test_gyro_upside_down_is_found_and_no_pose_is_blamed(trajectory, model):
+    """Poses may be late, and a delay explains what a turned gyro says; a pose at fault has to be one at every delay."""
+
+    def turned(_, m):
+        return replace(m, yaw_rate=replace(m.yaw_rate, value=-m.yaw_rate.value))
+
+    results, apart = run(turned, trajectory, model)
+    assert accused(results) == {"yaw rate"}
+    assert apart.max() < 0.1
+    told, upright = (run(change, trajectory, model, **keys)[0] for change, keys in ((turned, UPSIDE_DOWN), (None, {})))
+    np.testing.assert_array_equal([result.command for result in told], [result.command for result in upright])
+
+
 POSE_FAULTS = {
     "frozen": (stuck("pose"), "s", 0.5),
     "frozen, straight on": (stuck("pose"), "cane", 0.5),

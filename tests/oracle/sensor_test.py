@@ -158,9 +158,11 @@ class SensorTest:
         return complex(dx + more_x, dy + more_y)
 
     def motion_at(self, time: float) -> Motion | None:
-        """Between the instants that are kept, and now."""
-        if not self.path or self.path[0].time > time:
+        """Between the instants that are kept, and now; at rest before the first of all."""
+        if not self.path:
             return None
+        if self.path[0].time > time:
+            return Motion(time, self.path[0].sums) if len(self.path) < KEPT_MOTIONS else None
         later = bisect_right(self.path, time, key=lambda motion: motion.time)
         a, b = self.path[later - 1], self.path[later] if later < len(self.path) else self.now
         share = min((time - a.time) / (b.time - a.time), 1.0) if b.time > a.time else 0.0
@@ -202,7 +204,7 @@ class SensorTest:
     # Hypotheses.
 
     def weigh(self, window: Window, heard: set[int], noise: Sequence[float], duration: float):
-        """Evidence (3,) against each sensor, what the best honest hypothesis leaves, and whether it is another one."""
+        """What a fault of each sensor leaves (inf: not heard), what the best honest hypothesis does, and if it is another."""
         k, absolute, share = self.k, 0, 1
         (pose, gyro, wheels, model), (place, way, commanded) = window.turns, window.ways
         turned, gone = max(abs(gyro), abs(model)), max(abs(place), abs(commanded))
@@ -233,8 +235,8 @@ class SensorTest:
 
         usual = left()
         honest = min(usual, left(slips=True) + k.odds[0], left(without=(None,)) + k.odds[1])
-        evidence = [honest - left(without=(s,)) if s in (POSE, *heard) else 0.0 for s in range(3)]
-        return evidence, honest, honest < usual
+        faults = [left(without=(s,)) if s in (POSE, *heard) else math.inf for s in range(3)]
+        return faults, honest, honest < usual
 
     def _drift(self, half: Window, whole: Window, noise: float) -> float:
         """Poses that leave dead reckoning in both halves alike, by more than a floor moves the robot unnoticed."""
@@ -333,11 +335,15 @@ class SensorTest:
         return old[-1] if old and stamp - old[-1].motion.time < 2.0 * length else None
 
     def _weigh_late(self, a: SeenPose, b: SeenPose, heard: set[int], noise: Sequence[float], window: int):
-        """At the delay, of those that are not excluded, at which the honest are likeliest."""
+        """Each hypothesis at its likeliest delay that is not excluded; a pose at fault has none, and all have to agree."""
         rest = [i for i in range(DELAYS) if not self.misfit[i] > self.misfit[self.delay] + self.k.scatter[2]]
         compared = [self.compare_late(a, b, delay) for delay in rest]
         results = [self.weigh(c, heard, noise, self.k.windows[window]) for c in compared if c]
-        return min(results, key=lambda result: result[1], default=([0.0] * 3, 0.0, False))
+        if not results:
+            return [math.inf] * 3, 0.0, False
+        faults = [(max if sensor == POSE else min)(result[0][sensor] for result in results) for sensor in range(3)]
+        _, honest, is_another = min(results, key=lambda result: result[1])
+        return faults, honest, is_another
 
     def evidence(self, seen: SeenPose, noise: Sequence[float]) -> tuple[FloatArray, set[int]]:
         """Evidence (3,) against each sensor, and the sensors that all others confirm."""
@@ -354,7 +360,7 @@ class SensorTest:
                 half = window
                 continue
             result = self._weigh_late(kept, seen, there - self.accused, noise, number)
-            evidence = np.maximum(evidence, result[0])
+            evidence = np.maximum(evidence, result[1] - np.array(result[0]))
             self.honest.append(result[1])
             is_plausible = result[1] < k.plausible
             if number == 2:

@@ -82,6 +82,14 @@ def test_turning_the_other_way_is_no_fault_of_a_sensor(seed: int) -> None:
     assert not [message for message in run.messages if " not used: " in message]
 
 
+@pytest.mark.parametrize("trajectory", ["circle", "s", "k_turn"])
+def test_poses_late_from_the_first_metre_on_are_no_fault_of_a_sensor(trajectory: str) -> None:
+    """Before the first reading the robot was at rest, so that their delay can be told from the first turn on."""
+    run = run_case(Case(trajectory=trajectory, sensors="poses_200ms_arrival"))
+    assert run.metrics.completed
+    assert not [message for message in run.messages if " not used: " in message]
+
+
 @pytest.mark.parametrize("name", ["default", "biased_gyro"])
 def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
     condition = CONDITIONS.conditions[name]
