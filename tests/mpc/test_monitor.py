@@ -160,8 +160,10 @@ def test_gyro_upside_down_is_found_and_no_pose_is_blamed(trajectory, model):
     results, apart = run(turned, trajectory, model)
     assert accused(results) == {"yaw rate"}
     assert apart.max() < 0.1
-    told, upright = (run(change, trajectory, model, **keys)[0] for change, keys in ((turned, UPSIDE_DOWN), (None, {})))
-    np.testing.assert_array_equal([result.command for result in told], [result.command for result in upright])
+    corrected, upright = (
+        run(change, trajectory, model, **keys)[0] for change, keys in ((turned, UPSIDE_DOWN), (None, {}))
+    )
+    np.testing.assert_array_equal([result.command for result in corrected], [result.command for result in upright])
 
 
 POSE_FAULTS = {

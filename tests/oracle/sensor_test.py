@@ -204,7 +204,7 @@ class SensorTest:
     # Hypotheses.
 
     def weigh(self, window: Window, heard: set[int], noise: Sequence[float], duration: float):
-        """What a fault of each sensor leaves (inf: not heard), what the best honest hypothesis does, and if it is another."""
+        """Squared deviations that a fault of each sensor leaves (inf: not heard) and the best honest one; or slip."""
         k, absolute, share = self.k, 0, 1
         (pose, gyro, wheels, model), (place, way, commanded) = window.turns, window.ways
         turned, gone = max(abs(gyro), abs(model)), max(abs(place), abs(commanded))
@@ -335,7 +335,7 @@ class SensorTest:
         return old[-1] if old and stamp - old[-1].motion.time < 2.0 * length else None
 
     def _weigh_late(self, a: SeenPose, b: SeenPose, heard: set[int], noise: Sequence[float], window: int):
-        """Each hypothesis at its likeliest delay that is not excluded; a pose at fault has none, and all have to agree."""
+        """Each hypothesis at its likeliest delay that is not excluded; at a pose at fault all delays have to agree."""
         rest = [i for i in range(DELAYS) if not self.misfit[i] > self.misfit[self.delay] + self.k.scatter[2]]
         compared = [self.compare_late(a, b, delay) for delay in rest]
         results = [self.weigh(c, heard, noise, self.k.windows[window]) for c in compared if c]

@@ -76,7 +76,7 @@ def test_no_sensor_of_honest_robots_of_the_market_is_given_up() -> None:
 
 @pytest.mark.parametrize("seed", [712, 1009, 2289, 4536])
 def test_turning_the_other_way_is_no_fault_of_a_sensor(seed: int) -> None:
-    """In an S what a floor does changes sides; its two turns add up to nothing, what they moved and slipped does not."""
+    """In an S slip changes sides; its two turns add up to nothing, what they moved and slipped does not."""
     run = run_case(Case(trajectory="s", plant=f"drawn:{seed}", seed=seed))
     assert run.metrics.completed
     assert not [message for message in run.messages if " not used: " in message]
