@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,12 +56,18 @@ class RunOutcome:
     """A case and all of its run.
 
     Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the
-    others are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`.
+    others are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`. NaN: it was not timed.
     """
 
     case: Case
     run: Run
     clean_share: float = 1.0
+
+    @property
+    def untimed(self) -> RunOutcome:
+        """Without the times of the run, which neighbours disturbed."""
+        nothing = np.full(len(self.run.time), np.nan)
+        return replace(self, run=self.run.with_step_time(nothing, nothing), clean_share=math.nan)
 
     @property
     def row(self) -> Row:

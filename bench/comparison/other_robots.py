@@ -18,6 +18,8 @@ from diffdrive_mpc.sim.plants.names import DRAWN, PHYSICS
 
 MODELS = Path(__file__).with_name("robots")
 """Identified models by robot and structure."""
+PATHS = Path(__file__).with_name("paths")
+"""Paths of these robots."""
 
 
 class Population(StrictModel):
@@ -36,14 +38,17 @@ class KnownRobot(StrictModel):
     models
         Structures, of which there are files in `MODELS`; the peers' estimate is that of the last one.
     settings
-        Configuration values that its user states.
+        Configuration values that its user states, or that `identify` wrote.
     gains
         Of each peer.
+    weights
+        Of the predictive controller, tuned by the same search.
     """
 
     models: tuple[str, ...]
     settings: dict[str, float]
     gains: dict[str, dict[str, float]]
+    weights: dict[str, float]
 
 
 class OtherRobots(StrictModel):
@@ -77,7 +82,8 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
     for name, robot in stated.robots.items():
         files = {model: str(MODELS / name / f"{model}.yaml") for model in robot.models}
         settings = tuple(robot.settings.items())
-        drivers = [Case(model=file, overrides=settings) for file in files.values()]
+        weights = tuple((f"weights.{name}", value) for name, value in robot.weights.items())
+        drivers = [Case(model=file, overrides=(*settings, *weights)) for file in files.values()]
         drivers += [
             Case(
                 controller=peer,
@@ -88,7 +94,8 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
             for peer, gains in robot.gains.items()
         ]
         for driver, trajectory, seed in itertools.product(drivers, stated.trajectories, seeds or stated.seeds):
-            cases.append(replace(driver, plant=f"{PHYSICS}:{name}", trajectory=trajectory, seed=seed))
+            file = str(PATHS / f"{trajectory}.yaml")
+            cases.append(replace(driver, plant=f"{PHYSICS}:{name}", trajectory=file, seed=seed))
     return tuple(cases)
 
 

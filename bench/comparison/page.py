@@ -75,13 +75,15 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
 
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
-    ranked = sorted(errors, key=lambda name: errors[name] if errors[name] == errors[name] else float("inf"))
-    listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked)
+    ranked = sorted((name for name, rows in drivers.items() if rows["completed"].all()), key=errors.__getitem__)
+    listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
+    others = ", ".join(name for name in drivers if name not in ranked)
     done = total(main, "completed")
     first = "All" if done == len(main) else f"{done} of"
     return [
         f"{first} {len(main)} runs came to their end. "
         f"Position RMSE [mm], mean over paths and seeds, the least first: {listed}."
+        + (f" Not ranked, with runs that did not complete: {others}." if others else "")
     ]
 
 

@@ -62,6 +62,8 @@ LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
 """By how many samples the plant's dead time is longer than the configured one, and what is driven there."""
 OTHER_SEEDS = (10, 11)
 """Seeds over which the order of the controllers is looked at once more."""
+ROBOT_SEEDS = tuple(range(0, 40, 2))
+"""Seeds with which robots of known dynamics are driven in a sweep."""
 
 _DIMENSIONS: dict[str, Any] = {
     one.several: (Annotated[tuple[one.kind, ...], Field(min_length=1)], one.compared)  # type: ignore[name-defined]
@@ -135,7 +137,7 @@ def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class CasePlan:
-    """Cases of a comparison. A case may belong to both parts that are timed; it is run once.
+    """Cases of a comparison. A case may belong to several parts; it is run once.
 
     Attributes
     ----------
@@ -162,8 +164,13 @@ class CasePlan:
 
     @property
     def all(self) -> tuple[Case, ...]:
-        """Every case that is timed once, in order."""
+        """Every case of which the whole run is kept once, in order."""
         return tuple(dict.fromkeys((*self.main, *self.horizon)))
+
+    @property
+    def timed(self) -> tuple[Case, ...]:
+        """Those with the first seed: a step takes as long with the others, and timing has one core."""
+        return tuple(case for case in self.all if case.seed == self.main[0].seed)
 
     @property
     def beyond(self) -> tuple[Case, ...]:
@@ -226,8 +233,9 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
             ),
         )
     check_cases((*plan.all, *plan.beyond))
+    dynamics = dynamics_cases(ROBOT_SEEDS if settings.beyond else None)
     # Other robots are shipped, and a hundred of them take seconds to build: what is asked for is checked without them.
-    return replace(plan, population=population_cases(), dynamics=dynamics_cases()) if settings.robots else plan
+    return replace(plan, population=population_cases(), dynamics=dynamics) if settings.robots else plan
 
 
 def _late(case: Case, ticks: int) -> Case:

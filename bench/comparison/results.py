@@ -24,9 +24,9 @@ from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = (
-    "replays of the recorded measurements on one core, one BLAS thread, garbage collection off; controllers take turns "
-    f"every {BLOCK} ticks, the first of which is not timed; blocks that counters or the yardstick call disturbed are "
-    f"measured again, up to {AGAIN} times"
+    "replays of the measurements of the first seed on one core, one BLAS thread, garbage collection off; controllers "
+    f"take turns every {BLOCK} ticks, the first of which is not timed; blocks that counters or the yardstick call "
+    f"disturbed are measured again, up to {AGAIN} times"
 )
 
 

@@ -51,12 +51,13 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
         cases = (*plan.all, *plan.beyond)
         bar.begin(f"running, {jobs} at a time", len(cases))
-        # Of the cases that are timed the whole run is kept, of the others their row.
+        # Of the cases of tables and figures the whole run is kept, of the others their row.
         driven = run_tasks([partial(_drive, case, whole=case in plan.all) for case in cases], jobs, bar.advance)
-        recorded = [run for run in driven if isinstance(run, RunOutcome)]
-        bar.begin("timing, in turns", len(recorded))
-        timed, timing = time_outcomes(recorded, bar.advance)
-        rows: dict[Case, Row] = {outcome.case: outcome.row for outcome in timed}
+        recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
+        bar.begin("timing, in turns", len(plan.timed))
+        timed, timing = time_outcomes([recorded[case] for case in plan.timed], bar.advance)
+        recorded = {case: outcome.untimed for case, outcome in recorded.items()} | {run.case: run for run in timed}
+        rows: dict[Case, Row] = {case: outcome.row for case, outcome in recorded.items()}
         rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
 
         def of(listed: Iterable[Case]) -> DataFrame:

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.case import DIMENSIONS
-from diffdrive_mpc.bench.comparison.order import order_table
-from diffdrive_mpc.bench.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.case import DIMENSIONS, label
+from diffdrive_mpc.bench.comparison.order import CERTAINTY, interval, order_table
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, values
 from diffdrive_mpc.bench.grouped_tables import Cell, TableSpec, cell, grouped_table, load_tables
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.run_row import model_name
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
@@ -49,8 +51,10 @@ def time_percentile(times: FloatArray, percent: float) -> float:
 
 
 def disturbed_share(rows: DataFrame) -> float:
-    """Share of the ticks of several runs that could not be timed undisturbed."""
-    return float(np.average(1.0 - values(rows, "clean_share"), weights=[len(run.time) for run in rows["run"]]))
+    """Share of the ticks that could not be timed undisturbed, of the runs that were timed; 0 without any."""
+    timed = rows[np.isfinite(values(rows, "clean_share"))]
+    ticks = [len(run.time) for run in timed["run"]]
+    return float(np.average(1.0 - values(timed, "clean_share"), weights=ticks)) if ticks else 0.0
 
 
 def _time(name: str, percent: float, digits: int = 2) -> Cell:
@@ -131,8 +135,24 @@ def scenario_table(rows: DataFrame) -> Table:
 
 def other_robot_tables(results: ComparisonResults) -> list[Table]:
     """Return tables of other robots, where they were driven: see `bench.comparison.other_robots`."""
-    parts = {"population": results.population, "dynamics": results.dynamics}
-    return [table_specs()[name].table(rows) for name, rows in parts.items() if len(rows)]
+    parts = {"population": (results.population, ""), "dynamics": (results.dynamics, _ahead(results.dynamics))}
+    return [table_specs()[name].table(rows, note=note) for name, (rows, note) in parts.items() if len(rows)]
+
+
+def _ahead(rows: DataFrame) -> str:
+    """State by how much the best identified model is ahead of the best peer on each robot and path, paired by seed."""
+    leads, delays = [], model_name("two_delays")
+    for (robot, path), part in rows.groupby(["plant", "trajectory"], sort=False) if len(rows) else ():
+        complete = {name: runs for name, runs in by(part, "driver").items() if runs["completed"].all()}
+        peers = {name: runs for name, runs in complete.items() if name in PEERS}
+        models = {name: runs for name, runs in complete.items() if name not in peers and name != delays}
+        if models and peers:
+            ours, theirs = best_of(models), best_of(peers)
+            before, now = (complete[name].sort_values("seed")["position_rmse_m"].to_numpy() for name in (theirs, ours))
+            low, high = 100.0 * interval(before - now) / before.mean()
+            share = 100.0 * (1.0 - now.mean() / before.mean())
+            leads.append(f"{ours} {share:.0f} % ({low:.0f} to {high:.0f}) ahead of {theirs} ({label(robot)}, {path})")
+    return f" With a paired bootstrap interval of {CERTAINTY:g} %: {'; '.join(leads)}." if leads else ""
 
 
 def error_parts_table(rows: DataFrame) -> Table:
@@ -226,7 +246,7 @@ def _disturbed_note(rows: DataFrame) -> str:
     if not share:
         return ""
     finite = np.array([np.isfinite(run.step_time).mean() for run in rows["run"]])
-    left_out = bool((finite <= values(rows, "clean_share")).all())
+    left_out = not (finite > values(rows, "clean_share")).any()
     rest = "and are left out" if left_out else "of one controller none could, so all are kept"
     return f" *: something else ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, {rest}."
 

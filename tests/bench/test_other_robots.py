@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,21 +13,23 @@ import numpy as np
 import pytest
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.comparison.other_robots import dynamics_cases, other_robots, population_cases
-from diffdrive_mpc.bench.comparison.tables import error_part
+from diffdrive_mpc.bench.comparison.other_robots import PATHS, dynamics_cases, other_robots, population_cases
+from diffdrive_mpc.bench.comparison.tables import error_part, other_robot_tables
 from diffdrive_mpc.bench.controllers import run_case
 
 ROOT = Path(__file__).parents[2]
 
 
 def drive(robot, trajectory, driver, seed):
-    cases = [case for case in dynamics_cases((seed,)) if case.plant.endswith(robot) and case.trajectory == trajectory]
-    (case,) = (case for case in cases if case.labels["model"] == driver)
+    cases = {replace(case, trajectory=trajectory) for case in dynamics_cases((seed,)) if case.plant.endswith(robot)}
+    (case,) = (case for case in cases if driver in (case.labels["model"], case.controller))
     return run_case(case).metrics
 
 
-def test_identified_model_tracks_a_ringing_robot_better_than_two_delays():
-    model, delays = (drive("ringing", "k_turn", name, 0) for name in ("ssm", "two_delays"))
+@pytest.mark.parametrize(("robot", "name"), [("hauler", "sm"), ("ringing", "ssm")])
+@pytest.mark.parametrize("path", other_robots().trajectories)
+def test_identified_model_tracks_slow_and_ringing_robots_better_than_two_delays(robot, name, path):
+    model, delays = (drive(robot, str(PATHS / f"{path}.yaml"), driver, 0) for driver in (name, "two_delays"))
     assert model.completed
     assert model.position_rmse_m < 0.8 * delays.position_rmse_m
 
@@ -37,6 +40,17 @@ def test_slow_wheels_that_are_still_speeding_up_are_not_at_their_end():
     assert metrics.completed
     assert metrics.position_rmse_m < 0.03
     assert metrics.behind_max_s < 0.2
+
+
+def test_lead_over_the_best_complete_peer_is_stated_with_its_interval():
+    errors = {"two delays": 5.0, "SM": 12.0, "SSM": 6.0, "lqr+slip": 10.0, "kanayama+slip": 8.0, "pursuit+slip": 1.0}
+    rows = DataFrame(itertools.product(errors, range(5)), columns=["driver", "seed"]).assign(
+        plant="mujoco:a", trajectory="s"
+    )
+    rows["position_rmse_m"] = 1e-3 * rows["driver"].map(errors) + 1e-4 * rows["seed"]
+    rows["completed"] = (rows["driver"] != "pursuit+slip") | (rows["seed"] > 0)
+    table = other_robot_tables(SimpleNamespace(population=DataFrame(), dynamics=rows))[0]
+    assert "SSM 24 % (24 to 24) ahead of kanayama+slip (mujoco:a, s)" in table.note
 
 
 def test_every_controller_drives_every_drawn_robot():

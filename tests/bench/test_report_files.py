@@ -181,7 +181,9 @@ def test_tables_show_means_over_all_runs_however_long_they_are_and_end(outcome: 
 def test_least_error_is_that_of_any_controller_that_completed_every_run(results, ours, peer, value, note) -> None:
     main, errors = results.main.iloc[[0, 1, 0, 1]].reset_index(drop=True), 1e-3 * np.array([ours[0], peer[0]] * 2)
     main = main.assign(position_rmse_m=errors, completed=[True, True, ours[1], peer[1]])
-    card = shown(replace(results, main=main)).key_figures[1]
+    page = shown(replace(results, main=main))
+    card = page.key_figures[1]
+    assert ("Not ranked" in page.summary[0]) is not (ours[1] and peer[1])
     assert (card.label, card.value, card.note) == ("least position error, RMSE", value, note)
 
 
@@ -197,6 +199,7 @@ def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marke
     half = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
     table = summary_table(rows_of(half))
     assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
+    assert times_in(summary_table(rows_of(half, whole.untimed))) == times_in(table)
     assert "*: something else ran; 50.0 % of the ticks" in table.note
     assert json_row(half.row, SILENT)["timed_clean_percent"] == 50.0
     assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
