@@ -27,7 +27,7 @@ STRETCH = 2e-3
 whose turn takes a millisecond."""
 AGAIN = 4
 """How many more times all is replayed where blocks were disturbed, at most."""
-PATIENCE = 1.0
+PATIENCE = 0.5
 """How long that may go on, in units of the time that the wanted replays took."""
 
 

@@ -66,13 +66,18 @@ def other_robots() -> OtherRobots:
     return load_checked(OtherRobots, Path(__file__).with_suffix(".yaml"))
 
 
-def population_cases() -> tuple[Case, ...]:
-    """Return the cases of every controller on every drawn robot along every trajectory."""
+def population_cases(*, whole: bool = False) -> tuple[Case, ...]:
+    """Return the cases of every controller on every drawn robot, along one trajectory each or the `whole`."""
     stated = other_robots().population
-    drives = itertools.product(stated.controllers, stated.trajectories, stated.robots)
+    paths = stated.trajectories
+    drives = [
+        (trajectory, seed)
+        for i, seed in enumerate(stated.robots)
+        for trajectory in (paths if whole else (paths[i % len(paths)],))
+    ]
     return tuple(
         replace(_driver(name), trajectory=trajectory, plant=f"{DRAWN}:{seed}", seed=seed)
-        for name, trajectory, seed in drives
+        for name, (trajectory, seed) in itertools.product(stated.controllers, drives)
     )
 
 

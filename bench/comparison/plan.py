@@ -235,7 +235,8 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     check_cases((*plan.all, *plan.beyond))
     dynamics = dynamics_cases(ROBOT_SEEDS if settings.beyond else None)
     # Other robots are shipped, and a hundred of them take seconds to build: what is asked for is checked without them.
-    return replace(plan, population=population_cases(), dynamics=dynamics) if settings.robots else plan
+    population = population_cases(whole=settings.beyond)
+    return replace(plan, population=population, dynamics=dynamics) if settings.robots else plan
 
 
 def _late(case: Case, ticks: int) -> Case:

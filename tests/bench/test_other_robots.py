@@ -55,8 +55,9 @@ def test_lead_over_the_best_complete_peer_is_stated_with_its_interval():
 
 def test_every_controller_drives_every_drawn_robot():
     population = other_robots().population
-    cases = population_cases()
-    assert len(set(cases)) == len(population.robots) * len(population.trajectories) * len(population.controllers)
+    cases, whole = population_cases(), population_cases(whole=True)
+    assert set(cases) < set(whole)
+    assert len(set(whole)) == 2 * len(set(cases)) == 2 * len(population.robots) * len(population.controllers)
     assert {case.seed for case in cases} == {int(case.plant.partition(":")[2]) for case in cases}
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 _DOMAINS = 101
 # Fast DDS 2.14 may lock up where several participants of one process leave at once: here they talk like processes.
 # https://github.com/eProsima/Fast-DDS/issues/6193
-_PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-<library_settings><intraprocess_delivery>OFF</intraprocess_delivery></library_settings>
-</dds>"""
+_PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><library_settings>
+<intraprocess_delivery>OFF</intraprocess_delivery></library_settings></dds>"""
 
 
 @cache
