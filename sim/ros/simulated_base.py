@@ -292,8 +292,9 @@ class SimulatedBase:
         """Warn once about publishers of the other command type."""
         heard, other = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
         infos = self.node.get_publishers_info_by_topic(self.command_topic)
-        names = sorted({info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{other}"})
-        misheard = " and ".join(names)
+        names = {info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{other}"}
+        # Discovery may bring a publisher before the name of its node.
+        misheard = " and ".join(sorted(names - {"_NODE_NAME_UNKNOWN_"}))
         if misheard and misheard != self._misheard:
             option, parameter = ("--unstamped", "true") if self._settings.stamped else ("--stamped", "false")
             self.node.get_logger().warning(
