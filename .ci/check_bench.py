@@ -19,8 +19,8 @@ runs = [run for run in json.loads(Path(sys.argv[1]).read_text())["runs"] if run[
 errors = {
     f"{run['model']} {run['trajectory']} {run['seed']}": round(run["position_rmse_m"], 6) for run in reversed(runs)
 }
-found = {(run["model"], run["trajectory"], run["seed"]) for run in runs}
-complaints = [f"{case} is missing" for case in itertools.product(MODELS, TRAJECTORIES, SEEDS) if case not in found]
+promised = [" ".join(map(str, case)) for case in itertools.product(MODELS, TRAJECTORIES, SEEDS)]
+complaints = [f"{case} is missing" for case in promised if case not in errors]
 for run in runs:
     case = f"{run['model']} {run['trajectory']} {run['seed']}"
     if not run["completed"]:

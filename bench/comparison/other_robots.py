@@ -87,7 +87,7 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
     for name, robot in stated.robots.items():
         files = {model: str(MODELS / name / f"{model}.yaml") for model in robot.models}
         settings = tuple(robot.settings.items())
-        weights = tuple((f"weights.{name}", value) for name, value in robot.weights.items())
+        weights = tuple((f"weights.{error}", value) for error, value in robot.weights.items())
         drivers = [Case(model=file, overrides=(*settings, *weights)) for file in files.values()]
         drivers += [
             Case(
@@ -98,9 +98,9 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
             )
             for peer, gains in robot.gains.items()
         ]
-        for driver, trajectory, seed in itertools.product(drivers, stated.trajectories, seeds or stated.seeds):
-            file = str(PATHS / f"{trajectory}.yaml")
-            cases.append(replace(driver, plant=f"{PHYSICS}:{name}", trajectory=file, seed=seed))
+        paths = [str(PATHS / f"{trajectory}.yaml") for trajectory in stated.trajectories]
+        for driver, path, seed in itertools.product(drivers, paths, seeds or stated.seeds):
+            cases.append(replace(driver, plant=f"{PHYSICS}:{name}", trajectory=path, seed=seed))
     return tuple(cases)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import pandas as pd
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, predictive
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, complete, predictive
 from diffdrive_mpc.bench.comparison.tables import solve_times, step_times, time_percentile
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, total
 from diffdrive_mpc.bench.html_report.origin import case_config, configuration
@@ -75,7 +75,7 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
 
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
-    ranked = sorted((name for name, rows in drivers.items() if rows["completed"].all()), key=errors.__getitem__)
+    ranked = sorted(complete(drivers), key=errors.__getitem__)
     listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked) or "none completed every run"
     others = ", ".join(name for name in drivers if name not in ranked)
     done = total(main, "completed")
@@ -111,14 +111,14 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
 
 def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
     """Return the least error of the controllers that completed every run; next to that of a peer, the best MPC."""
-    complete = {name: rows for name, rows in drivers.items() if rows["completed"].all()}
-    errors = {name: mean(rows, "position_rmse_m") for name, rows in complete.items()}
+    ranked = complete(drivers)
+    errors = {name: mean(rows, "position_rmse_m") for name, rows in ranked.items()}
     shown = {name: f"{number(1e3 * error, 1)} mm" for name, error in errors.items()}
     label = "least position error, RMSE"
-    if not complete:
+    if not ranked:
         return KeyFigure(label, "-", "no controller completed every run", "bad")
-    best, worst = best_of(complete), max(errors, key=errors.__getitem__)
-    ours = {name: rows for name, rows in predictive(drivers).items() if name in complete}
+    best, worst = best_of(ranked), max(errors, key=errors.__getitem__)
+    ours = {name: rows for name, rows in predictive(drivers).items() if name in ranked}
     if best in ours:
         note = f"worst: {worst} {shown[worst]}" if worst != best else "mean over paths and seeds"
     else:

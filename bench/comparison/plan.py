@@ -233,10 +233,14 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
             ),
         )
     check_cases((*plan.all, *plan.beyond))
-    dynamics = dynamics_cases(ROBOT_SEEDS if settings.beyond else None)
+    if not settings.robots:
+        return plan
     # Other robots are shipped, and a hundred of them take seconds to build: what is asked for is checked without them.
-    population = population_cases(whole=settings.beyond)
-    return replace(plan, population=population, dynamics=dynamics) if settings.robots else plan
+    population, dynamics = (
+        population_cases(whole=settings.beyond),
+        dynamics_cases(ROBOT_SEEDS if settings.beyond else None),
+    )
+    return replace(plan, population=population, dynamics=dynamics)
 
 
 def _late(case: Case, ticks: int) -> Case:

@@ -141,6 +141,11 @@ def predictive(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
     return ours or dict(compared)
 
 
+def complete(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
+    """Return the groups that completed every run: only their errors compare."""
+    return {name: rows for name, rows in compared.items() if rows["completed"].all()}
+
+
 def best_of(compared: Mapping[str, DataFrame]) -> str:
     """The name with the least mean position RMSE."""
     return min(compared, key=lambda name: np.nan_to_num(mean(compared[name], "position_rmse_m"), nan=np.inf))

@@ -49,13 +49,13 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
-        cases = (*plan.all, *plan.beyond)
+        cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
         bar.begin(f"running, {jobs} at a time", len(cases))
         # Of the cases of tables and figures the whole run is kept, of the others their row.
-        driven = run_tasks([partial(_drive, case, whole=case in plan.all) for case in cases], jobs, bar.advance)
+        driven = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
         recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
-        bar.begin("timing, in turns", len(plan.timed))
-        timed, timing = time_outcomes([recorded[case] for case in plan.timed], bar.advance)
+        bar.begin("timing, in turns", len(timed_cases))
+        timed, timing = time_outcomes([recorded[case] for case in timed_cases], bar.advance)
         recorded = {case: outcome.untimed for case, outcome in recorded.items()} | {run.case: run for run in timed}
         rows: dict[Case, Row] = {case: outcome.row for case, outcome in recorded.items()}
         rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}

@@ -11,7 +11,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS, label
 from diffdrive_mpc.bench.comparison.order import CERTAINTY, interval, order_table
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, complete
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, values
 from diffdrive_mpc.bench.grouped_tables import Cell, TableSpec, cell, grouped_table, load_tables
 from diffdrive_mpc.bench.peers import PEERS
@@ -143,12 +143,12 @@ def _ahead(rows: DataFrame) -> str:
     """State by how much the best identified model is ahead of the best peer on each robot and path, paired by seed."""
     leads, delays = [], model_name("two_delays")
     for (robot, path), part in rows.groupby(["plant", "trajectory"], sort=False) if len(rows) else ():
-        complete = {name: runs for name, runs in by(part, "driver").items() if runs["completed"].all()}
-        peers = {name: runs for name, runs in complete.items() if name in PEERS}
-        models = {name: runs for name, runs in complete.items() if name not in peers and name != delays}
+        ranked = complete(by(part, "driver"))
+        peers = {name: runs for name, runs in ranked.items() if name in PEERS}
+        models = {name: runs for name, runs in ranked.items() if name not in peers and name != delays}
         if models and peers:
             ours, theirs = best_of(models), best_of(peers)
-            before, now = (complete[name].sort_values("seed")["position_rmse_m"].to_numpy() for name in (theirs, ours))
+            before, now = (ranked[name].sort_values("seed")["position_rmse_m"].to_numpy() for name in (theirs, ours))
             low, high = 100.0 * interval(before - now) / before.mean()
             share = 100.0 * (1.0 - now.mean() / before.mean())
             leads.append(f"{ours} {share:.0f} % ({low:.0f} to {high:.0f}) ahead of {theirs} ({label(robot)}, {path})")

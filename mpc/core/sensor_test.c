@@ -237,7 +237,6 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
 /* What a window tells for each sensor's fault, beside every honest explanation. */
 typedef struct {
     real fault[SENSES];    /* squared deviations that a fault of each sensor leaves */
-    int heard[SENSES];     /* whether it was heard, so that it can be at fault */
     int slips;             /* whether that is another than that all agree */
     real honest;           /* squared deviations that the best honest explanation leaves */
 } verdict;
@@ -293,11 +292,9 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
     verdict result;
     result.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
-    for (int i = 0; i < SENSES; i++) {
+    for (int i = 0; i < SENSES; i++)
         /* The gyro says nothing of driving. */
         result.fault[i] = a.fault[i] + (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
-        result.heard[i] = i == DDMPC_OF_POSE || (heard & 1 << i);
-    }
     result.slips = result.honest < a.usual + b.usual;
     return result;
 }
@@ -491,7 +488,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
             continue;
         const verdict result = weigh_late(k, m, from, now, pose->value, heard, noise, window);
         for (int i = 0; i < SENSES; i++)
-            if (result.heard[i])
+            if ((heard | BY_POSE) & 1 << i)
                 evidence[i] = ddmpc_max(evidence[i], result.honest - result.fault[i]);
         if (window == LONG) {
             m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);

@@ -146,6 +146,7 @@ class Publishers:
 
 _PACKAGE = "geometry_msgs/msg/"
 _UNKNOWN = "_UNKNOWN_"
+NAMELESS = "a node not known by name yet"
 _COMMANDS = {"TwistStamped": "stamped:=true", "Twist": "stamped:=false"}
 
 
@@ -186,8 +187,12 @@ def _reliability(qos: Any) -> str:  # noqa: ANN401 - rclpy's profile has no type
 
 
 def _names(infos: Sequence[Any]) -> str:
-    names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
-    return " and ".join(sorted("a node not known by name yet" if _UNKNOWN in name else name for name in names))
+    return " and ".join(sorted({full_name(info) for info in infos}))
+
+
+def full_name(info: Any) -> str:  # noqa: ANN401 - rclpy has no types
+    """Return the full name of the node of a publisher or subscription; `NAMELESS` until discovery brings it."""
+    return NAMELESS if _UNKNOWN in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 ESTIMATE = "~/estimate"

@@ -16,16 +16,14 @@ from diffdrive_mpc.mpc.ros.command_output import command_topic
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopTick, RefusedError
 from diffdrive_mpc.mpc.ros.conversions import take_waiting
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
-from diffdrive_mpc.mpc.ros.publishers import deaf_to_commands, publishers_of
+from diffdrive_mpc.mpc.ros.publishers import NAMELESS, deaf_to_commands, full_name, publishers_of
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 _CLAIM = "_diffdrive_mpc"
 """Below the topic of the commands: whoever of this project drives by it has a publisher there, which never sends."""
 _POLL = 0.02
-_UNKNOWN = "_UNKNOWN_"
-"""In the name of a node whose publisher was found before it; it takes so long at most until both are [s]."""
 _CHRISTENING = 4.0
-_NAMELESS = "a node not known by name yet"
+"""Until a node whose publisher was found before its name is known by name, at most [s]."""
 _PERIOD = 0.2
 """Period of looking for rivals while the node is active [s]."""
 
@@ -72,7 +70,7 @@ class Rivals:
         rivals = self.others()
         began = time.monotonic()
         while (not rivals.project and time.monotonic() - self._born < wait) or (
-            _NAMELESS in rivals.project and time.monotonic() - began < _CHRISTENING
+            NAMELESS in rivals.project and time.monotonic() - began < _CHRISTENING
         ):
             time.sleep(_POLL)
             rivals = self.others()
@@ -94,17 +92,12 @@ class Rivals:
         return Others(tuple(project), tuple(foreign))
 
     def _beside_own(self, topic: str) -> list[str]:
-        names = sorted(map(_name, self._node.get_publishers_info_by_topic(topic)))
+        names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         own = self._node.get_fully_qualified_name()
         # One of that name is this node; a second one is another.
         if own in names:
             names.remove(own)
         return names
-
-
-def _name(info: Any) -> str:  # noqa: ANN401 - rclpy has no types
-    """Return the full name of the node of a publisher."""
-    return _NAMELESS if _UNKNOWN in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
@@ -114,14 +107,14 @@ def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
     only if both send, or if the middleware does not tell their messages apart.
     """
     infos, series = node.get_publishers_info_by_topic(topic), watch.series
-    names = sorted({*map(_name, infos)} - {_NAMELESS})
+    names = sorted({*map(full_name, infos)} - {NAMELESS})
     if len(names) < 2:
         if len({bytes(info.endpoint_gid) for info in infos}) < 2:
             series.restart()
             return ""
         if series.is_numbered and not series.is_shared:
             return ""
-    who = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or _NAMELESS}"
+    who = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or NAMELESS}"
     return f"{who} publish on {topic}, and nobody knows whose message is true; stop all but one"
 
 

@@ -294,7 +294,7 @@ class SimulatedBase:
         infos = self.node.get_publishers_info_by_topic(self.command_topic)
         names = {info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{other}"}
         # Discovery may bring a publisher before the name of its node.
-        misheard = " and ".join(sorted(names - {"_NODE_NAME_UNKNOWN_"}))
+        misheard = " and ".join(sorted(name for name in names if "_UNKNOWN_" not in name))
         if misheard and misheard != self._misheard:
             option, parameter = ("--unstamped", "true") if self._settings.stamped else ("--stamped", "false")
             self.node.get_logger().warning(

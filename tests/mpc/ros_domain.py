@@ -16,7 +16,7 @@ _PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 @cache
 def own_domain() -> str:
-    """Return the number of a domain that belongs to this process until it ends."""
+    """Return the number of a domain that belongs to this process until it ends, and set its profile of Fast DDS."""
     folder = Path(tempfile.gettempdir(), f"diffdrive-mpc-ros-domains-{os.getuid()}")
     folder.mkdir(exist_ok=True)
     for number in range(_DOMAINS):
