@@ -67,6 +67,8 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "reversed wheel": _SIGN,
     "swapped sides": _SIGN,
     "mirrored pose": _SIGN,
+    "late sensor": _no("`identify` puts it right"),
+    "scaled sensor": _no("`identify` puts it right"),
     "turned pose": _yes("where the robot drives would be told beside its path"),
     "order change": _SIGN,
     "gain drift": _yes("the robot may drive faster or slower than the model says"),

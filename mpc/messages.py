@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,11 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
+
+_HONEST = 0.1
+"""By which what a sound sensor reads differs from what poses say [-]."""
+_ASIDE = 15.0
+"""Angle between way and heading that no side-slip explains [deg]."""
 
 
 class MessageFormatter:
@@ -138,7 +144,7 @@ class MessageFormatter:
         for subject, (bit, name) in enumerate(self._accused.items()):
             if c.reasons & bit:
                 repeats = "it repeats itself, and " if c.repeating >> subject & 1 else ""
-                words.append(f"{name} not used: {repeats}the other sensors contradict it")
+                words.append(f"{name} not used: {repeats}the other sensors contradict it{_wiring(name, c)}")
         if c.reasons & lib.DDMPC_POSES_SCATTER:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
         if c.reasons & lib.DDMPC_POSES_LATE:
@@ -179,6 +185,24 @@ class MessageFormatter:
             lib.DDMPC_TOO_MANY: "more arrived for one sample than is kept",
         }
         return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
+
+
+def _wiring(name: str, c: Any) -> str:  # noqa: ANN401
+    """Return how a sensor seems to be built in, if not as configured, and the remedy; empty where nothing fits."""
+    turn, way, rolled = (float(ratio) for ratio in c.reads)
+    off = math.degrees(c.direction)
+    if name == "yaw rate" and turn and abs(turn - 1) > _HONEST:
+        remedies = ["sensors.yaw_rate.sign: -1"] if turn < -_HONEST else []
+        if abs(abs(turn) - 1) > _HONEST:
+            remedies.append(f"sensors.yaw_rate.scale: {abs(turn):.2f}")
+        return f"; it turns {turn:.2f} times as far as poses: set {' and '.join(remedies)}, or mend its axis"
+    if name == "wheel speed" and (abs(way - 1) > _HONEST or rolled < 0):
+        wired = "exchange their sides, or mend their signs"
+        remedy = wired if min(way, rolled) < 0 else "mend ticks and radius, or set sensors.wheels.scale"
+        return f"; wheels go {way:.2f} and turn {rolled:.2f} times as far as poses: {remedy}"
+    if name == "pose" and abs(off) > _ASIDE:
+        return f"; they move at {off:.0f} deg to their own heading: turn or mirror their frame"
+    return ""
 
 
 def _repeated(c: Any) -> str:  # noqa: ANN401

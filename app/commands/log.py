@@ -1,4 +1,4 @@
-"""`diffdrive-mpc log`: work with logs of drives."""
+"""`diffdrive-mpc log`: check and replay logs of drives."""
 
 from __future__ import annotations
 
@@ -6,16 +6,44 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+import yaml
 
-from diffdrive_mpc.app.commands.options import ConfigFile, Settings, TrustedFolders
+from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.one_line_errors import FAILED
+from diffdrive_mpc.app.commands.options import ConfigFile, Mapping, Settings, TrustedFolders
 from diffdrive_mpc.app.former_names import WithFormerNames
 
-log_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="Replay logs of drives.")
+log_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="Check and replay logs of drives.")
 
 
 @log_app.callback()
 def _log() -> None:
-    """Replay logs of drives."""
+    """Check and replay logs of drives."""
+
+
+@log_app.command(epilog="Example: diffdrive-mpc log check drive.mcap")
+def check(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV file, or ROS 2 bag.")], *, mapping: Mapping = None
+) -> None:
+    """Check a log: what is wrong with it, and which sensor is reversed, swapped, scaled, turned or late [s].
+
+    The last line is what a configuration has to say of the sensors. The exit code is 1 where a model would be wrong.
+    """
+    from diffdrive_mpc.models.identification.fit.sensors import find_corrections  # noqa: PLC0415 - --help does without
+    from diffdrive_mpc.models.logs import read_log  # noqa: PLC0415
+    from diffdrive_mpc.models.logs.diagnosis import summary  # noqa: PLC0415
+    from diffdrive_mpc.models.logs.mapping import load_mapping  # noqa: PLC0415
+    from diffdrive_mpc.models.logs.record import counted  # noqa: PLC0415
+
+    loaded = None if mapping is None else load_mapping(mapping)
+    content = read_log(log, loaded)
+    corrections = find_corrections(content.name, content.records, loaded)
+    for line in (*summary(content), *counted([*content.findings, *corrections.findings])):
+        echo(line)
+    stated = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
+    echo(stated.rstrip() if corrections.settings else "sensors: as they are")
+    if content.errors:
+        raise typer.Exit(FAILED)
 
 
 @log_app.command(epilog="Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")

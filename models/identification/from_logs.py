@@ -298,6 +298,7 @@ def identify_data(
         report.slip,
         stated=data.stated_track,
         every_sample=predictor is not None,
+        sensors=data.corrections.settings,
     )
     if robot is not None:
         configuration = within_stated(configuration, robot)

@@ -46,6 +46,15 @@ class StackSettings(StrictModel):
     slow_speed: Positive = Field(description="speed of the least look-ahead [m/s]")
 
 
+class SensorSettings(StrictModel):
+    """From when on a sensor is said to be late or scaled."""
+
+    least_delay: Positive = Field(description="[s]")
+    least_scale: Positive = Field(description="of the gyro, beside one [-]")
+    least_wheel_scale: Positive = Field(description="of the encoders, logarithm [-]")
+    certain: Positive = Field(description="[standard deviations]")
+
+
 class SlipSettings(StrictModel):
     """Mean of a slip, its standard deviation, and that between surfaces."""
 
@@ -77,6 +86,7 @@ class IdentificationSettings(StrictModel):
     lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
     expert: tuple[str, ...] = Field(description="groups and keys of a configuration that stand under `expert:` in it")
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
+    sensors: SensorSettings
     slip: SlipSettings = Field(description="prior of what the filter of a configuration begins with")
     stack: StackSettings = Field(description="parameters for other packages")
     warn: JudgementSettings

@@ -123,19 +123,36 @@ class Wheels(Group):
     )
 
 
-class PoseResponse(Group):
-    """Properties of poses."""
+def _turned(sign: int) -> int:
+    if not sign:
+        raise ValueError("it is 1, or -1 for a sensor that reads the other way round")
+    return sign
+
+
+Sign = Annotated[int, Field(ge=-1, le=1), AfterValidator(_turned)]
+
+
+class SensorResponse(Group):
+    """Properties of every sensor."""
 
     delay: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="a reading is so much older than its stamp [s]")
 
 
-class SpeedResponse(PoseResponse):
+class PoseResponse(SensorResponse):
+    """Properties of poses."""
+
+    heading: Annotated[float, Field(ge=-4, le=4)] = Field(
+        0.0, description="angle by which the heading of poses is ahead of the robot's [rad]"
+    )
+
+
+class SpeedResponse(SensorResponse):
     """Properties of a sensor of speed."""
 
     lag: Annotated[float, Field(ge=0, le=1)] = Field(
         0.0, description="by which its own filter trails what it measures: time constants, all added [s]"
     )
-    scale: Annotated[float, Field(ge=0.5, le=2)] = Field(1.0, description="reading over what is [-]")
+    scale: Annotated[float, Field(ge=0.01, le=100)] = Field(1.0, description="size of a reading over what is [-]")
 
     @property
     def late(self) -> float:
@@ -143,24 +160,25 @@ class SpeedResponse(PoseResponse):
         return self.delay + self.lag
 
 
-def _turned(sign: int) -> int:
-    if not sign:
-        raise ValueError("it is 1, or -1 for a gyro that is mounted upside down")
-    return sign
+class WheelResponse(SpeedResponse):
+    """Properties of the encoders."""
+
+    sign: Sign = Field(1, description="-1 where forward reads backward [-]")
+    turn_sign: Sign = Field(
+        1, description="-1 where a turn to the left reads to the right, as with sides exchanged [-]"
+    )
 
 
 class YawRateResponse(SpeedResponse):
     """Properties of a gyro."""
 
-    sign: Annotated[int, Field(ge=-1, le=1), AfterValidator(_turned)] = Field(
-        1, description="-1 for one that is mounted upside down [-]"
-    )
+    sign: Sign = Field(1, description="-1 for one that is mounted upside down [-]")
 
 
 class SensorResponses(Group):
     """Differences between the readings of sensors and the motion at their stamps."""
 
-    wheels: SpeedResponse = SpeedResponse()
+    wheels: WheelResponse = WheelResponse()
     yaw_rate: YawRateResponse = YawRateResponse()
     pose: PoseResponse = PoseResponse()
 

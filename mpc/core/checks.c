@@ -86,6 +86,7 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     estimator->pose_stamp = checked->stated = pose->stamp;
     checked->stamp = pose->stamp - constants->sensor_delay[DDMPC_OF_POSE];
     memcpy(checked->value, pose->value, sizeof checked->value);
+    checked->value[2] -= constants->sensor_heading;
     checked->doubt[0] = checked->doubt[1] = R(1.0);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
@@ -100,20 +101,22 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
                        ddmpc_time t, const ddmpc_stamped *stamped, ddmpc_checked_twist *checked)
 {
     const ddmpc_constants *constants = c->constants;
-    real a = R(0.0), b = R(0.0);
+    real a = R(0.0), b = R(0.0), value[2];
     if (!stamped->present)
         return 0;
+    for (int i = 0; i < count; i++)
+        value[i] = stamped->value[i] / constants->sensor_scale[first + i];
     int fault = stamp_fault(constants, subject, stamped->stamp, t, *last_stamp, &a);
     if (!all_finite(stamped->value, count)) {
         fault = DDMPC_NOT_NUMBERS;
     } else {
         /* The first number out of range, of `count` at most. */
         int excess = 0;
-        while (excess < count && !(ddmpc_fabs(stamped->value[excess]) > constants->largest_twist[first + excess]))
+        while (excess < count && !(ddmpc_fabs(value[excess]) > constants->largest_twist[first + excess]))
             excess++;
         if (excess < count) {
             fault = DDMPC_TOO_LARGE;
-            a = stamped->value[excess];
+            a = value[excess];
             b = constants->largest_twist[first + excess];
         } else if (stamped->has_covariance && !possible_covariance(constants, stamped->covariance, count)) {
             fault = DDMPC_BAD_COVARIANCE;
@@ -121,14 +124,14 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     }
     for (int i = 0; i < count && fault == DDMPC_NO_FAULT; i++)
         /* The speed of a wheel that hits a wall does jump, but then stays there: the next sample confirms it. */
-        if (ddmpc_fabs(stamped->value[i] - last[i]) > constants->largest_twist_jump[first + i]) {
+        if (ddmpc_fabs(value[i] - last[i]) > constants->largest_twist_jump[first + i]) {
             fault = DDMPC_JUMPS;
             a = last[i];
-            b = stamped->value[i];
+            b = value[i];
         }
     if (fault == DDMPC_NO_FAULT || fault == DDMPC_JUMPS) {
         *last_stamp = stamped->stamp;
-        memcpy(last, stamped->value, (size_t)count * sizeof(real));
+        memcpy(last, value, (size_t)count * sizeof(real));
     }
     if (fault != DDMPC_NO_FAULT) {
         ddmpc_reject(&c->result, subject, fault, a, b);
@@ -137,8 +140,9 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     for (int i = 0; i < count; i++) {
         checked[i].sensor = first + i;
         checked[i].stamp = stamped->stamp - constants->sensor_delay[subject];
-        checked[i].value = stamped->value[i] / constants->sensor_scale[subject];
-        checked[i].variance = stamped->has_covariance ? stamped->covariance[i * (count + 1)]
+        const real scale = constants->sensor_scale[first + i];
+        checked[i].value = value[i];
+        checked[i].variance = stamped->has_covariance ? stamped->covariance[i * (count + 1)] / (scale * scale)
                                                       : constants->twist_variance[first + i];
     }
     return count;

@@ -71,7 +71,8 @@ typedef struct {
     real pose_variance[3];           /* where a pose states no covariance */
     real twist_variance[3];          /* wheel speed, wheel yaw rate, yaw rate */
     ddmpc_time sensor_delay[3];      /* by subject: by how much older than its stamp a reading is [s] */
-    real sensor_scale[2];            /* by subject: reading over what is */
+    real sensor_scale[3];            /* reading over what is, with its sign: wheel speed, wheel yaw rate, yaw rate */
+    real sensor_heading;             /* by which headings of poses are ahead of the robot [rad] */
     real largest_twist[3], largest_twist_jump[3];
     real largest_position_jump, largest_heading_jump;
     /* see mpc/config/core_thresholds.yaml, by these names */
@@ -85,7 +86,7 @@ typedef struct {
     /* of the test: see mpc/config/sensor_test.yaml, by these names */
     real windows[3], silence, pose_spacing, latest, lasting, often;
     real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, uneven, sliding[2], frozen[2], odds[2];
-    real doubtful[2], margin, plausible, memory, gains[4], held, scatter[5], late[2], far;
+    real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held, scatter[5], late[2], far;
     /* of wheels at the end of their speed, and of what is no reason to leave the path */
     real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, slower, stuck, steady, trial[2], smoothed, slowed, retry, regain[2];
     real on_spot, far_below;
@@ -294,6 +295,8 @@ typedef struct {
     real pose_delay;    /* by which poses are later than stamped, see DDMPC_POSES_LATE [s] */
     real pose_interval; /* between the stamps of accepted poses, see DDMPC_POSES_RARE [s] */
     real pose_latency;  /* from a pose's stamp to its arrival, see DDMPC_POSES_RARE and DDMPC_POSES_TOO_OLD [s] */
+    real reads[3];      /* turn by the gyro, way and turn by wheels over those by poses [-]; 0 where not known */
+    real direction;     /* angle from the heading of poses to their last way [rad] */
     real turn_ratio[2]; /* turning of wheels over commands and of body over wheels, see DDMPC_TURNS_OTHERWISE [-] */
     ddmpc_report solver;
     ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */

@@ -193,9 +193,17 @@ typedef struct {
     int residuals;
     real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* of turning, as quotients of sums */
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
-    int delay;                      /* the one that fits best */
+    real turns[MONITORED_DELAYS][2], turned; /* sums that it is made of: turns by the gyro times those by poses, and squared; by poses */
+    ddmpc_time delay;               /* by which they are later than stamped, as far as motion says so [s] */
     int creeping;                   /* whether poses and gyro begin to differ */
     ddmpc_time slipped, stood;      /* when wheels last slipped; when poses last said that it stands though it is told to move */
+    real turning[2];                /* sums of gyro times wheels while these turn as told, with sign and by size [rad^2/s] */
+    real direction;                 /* angle from the heading of poses to their last way that was long enough [rad] */
+    real apart, anchor[3];          /* turn of the gyro less that of poses in all [rad]; direction, its variance and that turn at an earlier course */
+    int anchored;
+    real witness, settled;          /* squared deviations by which the course tells that the heading of poses is right, below 0 the gyro; up to the anchor */
+    real went[6];                   /* sums over windows: of the way told, squared, and times that of wheels and poses [m^2]; its size [m]; of turns by
+                                       poses, squared, and times those by wheels [rad^2] */
     int contradictions[3];          /* in a row, by subject */
     ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
     int accused, repeating;         /* bits 1 << subject */

@@ -17,6 +17,7 @@ typedef float real;
 #define ddmpc_floor floorf
 #define ddmpc_rint rintf
 #define ddmpc_hypot hypotf
+#define ddmpc_atan2 atan2f
 #else
 typedef double real;
 #define R(number) number
@@ -28,6 +29,7 @@ typedef double real;
 #define ddmpc_floor floor
 #define ddmpc_rint rint
 #define ddmpc_hypot hypot
+#define ddmpc_atan2 atan2
 #endif
 
 /* Instants stay double: a float counts hours in steps of milliseconds. */

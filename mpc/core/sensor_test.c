@@ -12,7 +12,8 @@ enum { ABSOLUTE, SHARE };
 
 static real square(real x) { return x * x; }
 
-static real quotient(const real sums[2]) { return sums[0] / sums[1]; }
+/* A gain; none of a robot is below the least, and none turns it round. */
+static real quotient(const real sums[2]) { return ddmpc_max(sums[0] / sums[1], R(0.1)); }
 
 /* Variance of what differs by an absolute deviation and by a share of `size`. */
 static real variance(const real deviation[2], real size)
@@ -84,7 +85,9 @@ int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
     const int gyro = is_doubtful(k, m->gyro.value[0], body_turn);
     const int wheels_repeat = t - m->wheels.heard <= silence && t - m->wheels.changed > silence;
     const int gyro_repeats = t - m->gyro.heard <= silence && t - m->gyro.changed > silence;
-    return (wheels && wheels_repeat ? BY_WHEELS : 0) | (gyro && gyro_repeats ? BY_GYRO : 0);
+    /* Wheels that turn as they are told, and a gyro that says the opposite all along. */
+    const int gyro_opposes = m->turning[1] > k->gyro[ABSOLUTE] && m->turning[0] < R(-0.5) * m->turning[1];
+    return (wheels && wheels_repeat ? BY_WHEELS : 0) | ((gyro && gyro_repeats) || gyro_opposes ? BY_GYRO : 0);
 }
 
 /* Count a sum from nought again, wherever it is kept. */
@@ -148,6 +151,13 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
         sum[FORWARD] += cosine * moved[0] - sine * moved[1];
         sum[LEFT] += sine * moved[0] + cosine * moved[1];
     }
+    real model_now[2];
+    ddmpc_velocity_output(c, m->state, model_now, 0);
+    if (m->wheels.value[1] * model_now[1] > R(0.0)) {
+        const real left = ddmpc_max(R(1.0) - dt / k->memory, R(0.0)), both = m->gyro.value[0] * m->wheels.value[1];
+        m->turning[0] = left * m->turning[0] + dt * both;
+        m->turning[1] = left * m->turning[1] + dt * ddmpc_fabs(both);
+    }
     sum[HEADING] += turn;
     sum[WHEEL_DISTANCE] += speed * dt;
     sum[WHEEL_TURN] += wheel_turn;
@@ -202,7 +212,7 @@ typedef struct {
     real left;                           /* of the pose, beyond dead reckoning [m] */
     real pose_turn, wheel_turn, gyro_turn, model_turn; /* of the body, with the gains seen so far [rad] */
     real turned;                         /* to either side [rad] */
-    real chord;                          /* share of its way by which the robot got forward */
+    real chord, way;                     /* share of its way by which the robot got forward; that way by wheels [m] */
     real heading;                        /* of the pose halfway [rad] */
     real late[2];                        /* by which commands differ if wheels answer later than modelled [m, rad] */
 } motions;
@@ -230,6 +240,7 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     by.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
     by.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
     by.chord = ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]) ? ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]) : R(1.0);
+    by.way = sum[WHEEL_DISTANCE];
     by.model = by.wheels + by.chord * (sum[MODEL_DISTANCE] - sum[WHEEL_DISTANCE]);
     return by;
 }
@@ -290,11 +301,16 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     const real off = variance(k->slip_driving, gone);
     const left_over a = explain(turn, turn_noise, apart, follow);
     const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
+    /* Without the gyro nobody knows when it turned: before or after its way, or all along. */
+    const real least = by->way * ddmpc_cos(R(0.5) * by->pose_turn);
+    const real bent = ddmpc_max(ddmpc_min(by->pose, ddmpc_max(least, by->way)), ddmpc_min(least, by->way));
+    const real free_way[4] = {by->pose, R(0.0), bent, by->model + bent - by->wheels};
+    const left_over unbent = explain(free_way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
     verdict result;
     result.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
     for (int i = 0; i < SENSES; i++)
         /* The gyro says nothing of driving. */
-        result.fault[i] = a.fault[i] + (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
+        result.fault[i] = a.fault[i] + (i == DDMPC_OF_YAW_RATE ? ddmpc_min(unbent.usual, unbent.slip + k->odds[0]) : b.fault[i]);
     result.slips = result.honest < a.usual + b.usual;
     return result;
 }
@@ -352,11 +368,11 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
 }
 
 /* The motion between two instants that are earlier by a delay; 0 if it is not kept. */
-static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to, int delay,
-                        const real pose[3], motions *by)
+static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to,
+                        ddmpc_time delay, const real pose[3], motions *by)
 {
     ddmpc_motion begin, end;
-    if (!motion_at(m, from->then.time - delay_of(k, delay), &begin) || !motion_at(m, to->time - delay_of(k, delay), &end))
+    if (!motion_at(m, from->then.time - delay, &begin) || !motion_at(m, to->time - delay, &end))
         return 0;
     *by = compare(m, &begin, &end, from->value, pose);
     const ddmpc_time later = (ddmpc_time)k->answer;
@@ -368,37 +384,61 @@ static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     return 1;
 }
 
-/* Learn how far wheels and body turn for what is commanded, and how late poses are. */
-static void learn(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now, const real pose[3],
-                  const real noise[2])
+/* Learn how far wheels and body turn for what is commanded. */
+static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by)
+{
+    const real turn = R(0.5) * (by->pose_turn + by->gyro_turn);
+    const real wheels = by->wheel_turn / quotient(m->body_by_wheels);
+    const real model = by->model_turn / quotient(m->body_by_model);
+    /* Of a robot that is held nothing is learned. */
+    if (ddmpc_fabs(turn) >= k->held * ddmpc_fabs(wheels)) {
+        learn_gain(m->body_by_wheels, k->gains[2], wheels, turn);
+        learn_gain(m->body_by_model, k->gains[2], model, turn);
+    }
+    learn_gain(m->wheels_by_model, k->gains[2], model, wheels);
+}
+
+/* Learn how late poses are from turning, by least squares at each delay, with a scale of its own, so that a gyro of a wrong scale
+ * makes none. Of driving it cannot be told: a body follows its wheels late, by its tyres. */
+static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now,
+                        const real pose[3], const real noise[2])
 {
     motions by;
-    if (!m->creeping && compare_late(k, m, from, now, m->delay, pose, &by)) {
-        const real turn = R(0.5) * (by.pose_turn + by.gyro_turn);
-        const real wheels = by.wheel_turn / quotient(m->body_by_wheels);
-        const real model = by.model_turn / quotient(m->body_by_model);
-        /* Of a robot that is held nothing is learned. */
-        if (ddmpc_fabs(turn) >= k->held * ddmpc_fabs(wheels)) {
-            learn_gain(m->body_by_wheels, k->gains[2], wheels, turn);
-            learn_gain(m->body_by_model, k->gains[2], model, turn);
-        }
-        learn_gain(m->wheels_by_model, k->gains[2], model, wheels);
+    const ddmpc_time step = (ddmpc_time)k->latest / (MONITORED_DELAYS - 1);
+    const real noise_of_turn = k->gyro[ABSOLUTE] + noise[1], weight = R(1.0) / square(noise_of_turn);
+    real turn[MONITORED_DELAYS], off = HUGE_VAL;
+    for (int i = 0; i < MONITORED_DELAYS; i++) {
+        if (!compare_late(k, m, from, now, step * i, pose, &by))
+            return;
+        turn[i] = by.gyro_turn;
+        const real scale = m->turns[i][1] > R(0.0) ? m->turns[i][0] / m->turns[i][1] : R(1.0);
+        off = ddmpc_min(off, ddmpc_fabs(by.pose_turn - scale * by.gyro_turn));
     }
-    for (int i = 0; i < MONITORED_DELAYS && compare_late(k, m, from, now, i, pose, &by); i++) {
-        const real forward = (by.pose - by.wheels) / (k->slip_driving[ABSOLUTE] + noise[0] + k->slip_driving[SHARE] * ddmpc_fabs(by.wheels));
-        const real turn = (by.pose_turn - by.gyro_turn) / (k->gyro[ABSOLUTE] + noise[1] + k->gyro[SHARE] * ddmpc_fabs(by.gyro_turn));
-        m->misfit[i] = k->late[1] * m->misfit[i] + ddmpc_min(square(forward), k->scatter[2]) +
-                       ddmpc_min(square(turn), k->scatter[2]);
+    /* A gyro that fails all at once is late at no delay. */
+    if (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || (m->turned > k->plausible && off > R(1.5) * noise_of_turn + k->uneven * ddmpc_fabs(by.pose_turn)))
+        return;
+    for (int i = 0; i < MONITORED_DELAYS; i++) {
+        real *sums = m->turns[i];
+        sums[0] = k->late[1] * sums[0] + weight * by.pose_turn * turn[i];
+        sums[1] = k->late[1] * sums[1] + weight * square(turn[i]);
     }
-    /* Stamps are believed until motion says otherwise, and so is then a delay: steady motion tells of none. */
-    int best = 0;
-    for (int i = 1; i < MONITORED_DELAYS; i++)
-        if (m->misfit[i] < m->misfit[best])
-            best = i;
-    if (m->misfit[best] + k->late[0] < m->misfit[0])
-        m->delay = best;
-    else if (m->misfit[0] + k->late[0] < m->misfit[m->delay])
-        m->delay = 0;
+    m->turned = k->late[1] * m->turned + weight * square(by.pose_turn);
+    int best = 1;
+    for (int i = 0; i < MONITORED_DELAYS; i++) {
+        m->misfit[i] = m->turned - (m->turns[i][1] > R(0.0) ? square(m->turns[i][0]) / m->turns[i][1] : R(0.0));
+        if (i < MONITORED_DELAYS - 1 && m->misfit[i] < m->misfit[best])
+            best = i > 1 ? i : 1;
+    }
+    /* Between delays by a parabola. Stamps are believed until motion says otherwise, and so is then a delay: steady motion tells
+     * of none. */
+    const real *misfit = &m->misfit[best], slope = misfit[-1] - misfit[1], curved = misfit[-1] - R(2.0) * misfit[0] + misfit[1];
+    if (!(curved > R(0.0)))
+        return;
+    const real between = R(0.5) * slope / curved, least = misfit[0] - R(0.25) * slope * between;
+    if (least + k->late[0] < m->misfit[0] && least < R(0.5) * m->turned && m->turns[best][1] > R(0.05) * m->turned)
+        m->delay = step * (ddmpc_time)ddmpc_max(ddmpc_min((real)best + between, (real)(MONITORED_DELAYS - 1)), R(0.0));
+    else if ((real)best + between < R(0.2))
+        m->delay = 0.0;
 }
 
 /* Which sensors have come without a pause since `time`. */
@@ -452,11 +492,14 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
 {
     verdict least;
     int first = 1;
+    real best = m->misfit[0];
     memset(&least, 0, sizeof least);
+    for (int i = 1; i < MONITORED_DELAYS; i++)
+        best = ddmpc_min(best, m->misfit[i]);
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         motions by;
         /* Delays that have been excluded so far explain nothing. */
-        if (m->misfit[i] > m->misfit[m->delay] + k->scatter[2] || !compare_late(k, m, from, now, i, pose, &by))
+        if (m->misfit[i] > best + k->scatter[2] || !compare_late(k, m, from, now, delay_of(k, i), pose, &by))
             continue;
         const verdict result = weigh(k, m, &by, heard, noise, k->windows[window]);
         if (first)
@@ -470,6 +513,75 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
     return least;
 }
 
+/* The direction of the way between two poses, seen from their heading halfway, and its variance; 0 if it is too short to tell. */
+static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const ddmpc_motion *to, const real pose[3], real noise,
+                  real *direction, real *spread)
+{
+    const real dx = pose[0] - from->value[0], dy = pose[1] - from->value[1], way = ddmpc_hypot(dx, dy);
+    const real distance = to->sum[WHEEL_DISTANCE] - from->then.sum[WHEEL_DISTANCE];
+    if (!(way > R(4.0) * noise) || !(way > k->frozen[0]))
+        return 0;
+    const real turned = ddmpc_wrap(pose[2] - from->value[2]), heading = from->value[2] + R(0.5) * turned;
+    *direction = ddmpc_wrap(ddmpc_atan2(dy, dx) - heading - (distance < R(0.0) ? DDMPC_PI : R(0.0)));
+    /* The chord of a way that is no arc lies anywhere between both headings. */
+    *spread = square(k->course[0]) + square(noise / way) + square(k->course[3] * turned) + square(R(0.5) * *direction);
+    return ddmpc_fabs(turned) < k->course[4];
+}
+
+/* Let the course say whose heading is right where gyro and poses have turned apart: the way turns with the right one. */
+static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
+{
+    const ddmpc_seen_pose *from = seen_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
+    real direction, spread;
+    if (!from || !course(k, from, now, pose, noise, &direction, &spread))
+        return;
+    m->direction = direction;
+    const real apart = m->apart - m->anchor[2], turned = ddmpc_wrap(direction - m->anchor[0]), all = spread + m->anchor[1];
+    if (m->anchored && ddmpc_fabs(apart) > k->course[1]) {
+        const real evidence = (square(ddmpc_wrap(turned - apart)) - square(turned)) / all, most = k->course[2];
+        m->witness = ddmpc_max(ddmpc_min(m->settled + evidence, most), -most);
+    }
+    if (!m->anchored || ddmpc_fabs(apart) > R(3.0) * k->course[1]) {
+        m->settled = R(0.5) * m->witness;
+        m->anchored = 1;
+        m->anchor[0] = direction;
+        m->anchor[1] = spread;
+        m->anchor[2] = m->apart;
+    }
+}
+
+/* Squared deviations by which poses go sideways, in both of two windows in a row: a push comes once. */
+static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now,
+                     const real pose[3], real noise)
+{
+    const ddmpc_seen_pose *middle = seen_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
+    motions by[2];
+    if (!middle || middle == from || !compare_late(k, m, from, &middle->then, m->delay, middle->value, &by[0]) ||
+        !compare_late(k, m, middle, now, m->delay, pose, &by[1]) || !(by[0].left * by[1].left + by[0].pose * by[1].pose > R(0.0)))
+        return R(0.0);
+    real least = HUGE_VAL;
+    for (int i = 0; i < 2; i++) {
+        /* Backwards, too, no floor takes it against its wheels and its commands. */
+        const real back = by[i].pose * by[i].wheels < R(0.0) && by[i].model * by[i].wheels > R(0.0) ? square(by[i].pose) : R(0.0);
+        const real way = ddmpc_hypot(by[i].pose, by[i].left), distance = ddmpc_fabs(by[i].wheels);
+        /* A floor that takes a robot along does not take it as far as its wheels go. */
+        if (!(ddmpc_fabs(way - distance) < R(2.0) * noise + R(2.0) * k->slip_driving[SHARE] * distance))
+            return R(0.0);
+        least = ddmpc_min(least, (square(by[i].left) + back) / (square(noise) + variance(k->sideways, by[i].wheels) + square(k->sliding[1] * by[i].turned)));
+    }
+    return R(2.0) * least;
+}
+
+/* Evidence that wheels tell another way than poses and commands, which agree: by all ways since a while ago. */
+static real scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
+{
+    if (!(m->went[3] > k->scales[0]))
+        return R(0.0);
+    const real wheels = m->went[1] / m->went[0], body = m->went[2] / m->went[0];
+    const real follow = square((wheels - R(1.0)) / k->scales[2]), driven = square((body - R(1.0)) / k->scales[3]);
+    return ddmpc_min(follow, square((wheels - body) / k->scales[1]) + driven) - driven;
+}
+
 /* Evidence against each sensor by the motion up to this pose; `agreeing` gets those whom the others confirm in motion. */
 static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, const real noise[2],
                   real evidence[SENSES], int *agreeing)
@@ -478,18 +590,35 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
     ddmpc_monitor *m = &c->monitor;
     const int accused = m->accused, both = BY_WHEELS | BY_GYRO;
     motions half, whole;
+    if (heard_since(k, m, now->time) & BY_GYRO)
+        follow_course(k, m, now, pose->value, noise[0]);
     for (int window = SHORT; window < WINDOWS; window++) {
         const ddmpc_seen_pose *from = seen_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
         motions *by = window == LONG ? &whole : &half;
         if (!from || !compare_late(k, m, from, now, m->delay, pose->value, by))
             break;
-        const int there = heard_since(k, m, from->then.time - delay_of(k, m->delay)), heard = there & ~accused;
-        if (window == MIDDLE)
+        const int there = heard_since(k, m, from->then.time - m->delay), heard = there & ~accused;
+        if (window == MIDDLE) {
+            const ddmpc_seen_pose *oldest = seen_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
+            if (oldest && heard & BY_WHEELS)
+                evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], sideways(k, m, oldest, now, pose->value, noise[0]));
             continue;
-        const verdict result = weigh_late(k, m, from, now, pose->value, heard, noise, window);
+        }
+        verdict result = weigh_late(k, m, from, now, pose->value, heard, noise, window);
+        result.fault[DDMPC_OF_POSE] += ddmpc_max(m->witness, R(0.0));
+        result.fault[DDMPC_OF_YAW_RATE] += ddmpc_max(-m->witness, R(0.0));
         for (int i = 0; i < SENSES; i++)
             if ((heard | BY_POSE) & 1 << i)
                 evidence[i] = ddmpc_max(evidence[i], result.honest - result.fault[i]);
+        if (window == SHORT && pose->stamp >= m->next_pose) {
+            const real way = by->model, left = R(1.0) - k->pose_spacing / k->memory;
+            const real add[6] = {way * way, way * by->wheels, way * by->pose, k->pose_spacing / k->windows[SHORT] * ddmpc_fabs(way),
+                                 square(by->pose_turn), by->pose_turn * by->wheel_turn / quotient(m->body_by_wheels)};
+            for (int i = 0; i < 6; i++)
+                m->went[i] = left * m->went[i] + add[i];
+        }
+        if (window == SHORT && heard & BY_WHEELS)
+            evidence[DDMPC_OF_WHEELS] = ddmpc_max(evidence[DDMPC_OF_WHEELS], scaled(k, m));
         if (window == LONG) {
             m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
             /* Dead reckoning is by wheels and gyro: it tells of a drift only where these agree with all else. */
@@ -499,19 +628,26 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         }
         const verdict with_accused = accused ? weigh(k, m, by, there, noise, k->windows[window]) : result;
         const int moves = ddmpc_fabs(by->pose) > k->frozen[0] || ddmpc_fabs(by->pose_turn) > k->frozen[1];
+        const int goes_along = square(by->wheels - by->pose) < square(noise[0]) + variance(k->slip_driving, by->pose);
+        const int turns = ddmpc_max(ddmpc_fabs(by->pose_turn), ddmpc_fabs(by->gyro_turn)) > k->frozen[1];
         const real far = k->frozen[0] + R(2.0) * noise[0], turned = k->frozen[1] + R(2.0) * noise[1];
         const real gone = ddmpc_fabs(by->pose), went = ddmpc_fabs(by->pose_turn);
         const int commanded = ddmpc_fabs(by->model) - gone > k->frozen[0] || ddmpc_fabs(by->model_turn) - went > R(2.0) * k->frozen[1];
         if (commanded && !(gone > far || went > turned))
             m->stood = pose->stamp;
         if (with_accused.honest < k->plausible)
-            *agreeing = (moves ? there : 0) | BY_POSE;
+            *agreeing = (moves ? there & ~(turns ? 0 : BY_GYRO) & ~(goes_along ? 0 : BY_WHEELS) : 0) | BY_POSE;
         if (result.slips)
             m->slipped = pose->stamp;
         const ddmpc_time changed = m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed;
         const int alive = m->now.time - changed <= (ddmpc_time)k->silence;
-        if (!accused && alive && there == both && pose->stamp >= m->next_pose && result.honest < k->plausible)
-            learn(k, m, from, now, pose->value, noise);
+        if (pose->stamp < m->next_pose)
+            continue;
+        const int alike = square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
+        if (!accused && alive && there == both && alike && result.honest < k->plausible && !m->creeping)
+            learn_gains(k, m, by);
+        if (!(accused & BY_POSE) && there & BY_GYRO && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
+            learn_delay(k, m, from, now, pose->value, noise);
     }
     /* A reading that repeats itself against the commands is no witness against poses. */
     if (ddmpc_monitor_doubts(c, m->now.time) & ~accused)
@@ -533,7 +669,9 @@ static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreein
         real other = R(0.0);
         for (int j = 0; j < SENSES; j++)
             other = j == i ? other : ddmpc_max(other, evidence[j]);
-        if (evidence[i] > k->enough && evidence[i] > other + k->margin) {
+        /* The one at fault has to stand out the more, the further two are apart: by gains that one of them taught, a third tells
+         * little. */
+        if (evidence[i] > k->enough && evidence[i] > other + k->margin + ddmpc_min(k->share[0] * other, k->share[1])) {
             if (m->contradictions[i]++ == 0)
                 m->since[i] = stamp;
             const ddmpc_time lasting = stamp - m->since[i];
@@ -579,6 +717,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
             m->poses = m->residuals = 0;
         else if (passed <= R(0.25) && m->same == 0)
             learn_scatter(k, m, pose, &by);
+        m->apart += by.gyro_turn - ddmpc_wrap(pose->value[2] - m->last.value[2]);
         judge(c, pose, &now, noise, evidence, &agreeing);
         decide(c, evidence, agreeing, pose->stamp, passed < 0.25 ? passed : 0.25);
     } else {
@@ -592,7 +731,9 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     if (m->accused & ~before) {
         /* What was made of the delay by a wrong sensor. */
         memset(m->misfit, 0, sizeof m->misfit);
-        m->delay = 0;
+        memset(m->turns, 0, sizeof m->turns);
+        m->turned = R(0.0);
+        m->delay = 0.0;
     }
     if (m->poses == 0 || pose->stamp >= m->next_pose) {
         m->newest_pose = (m->newest_pose + 1) % MONITORED_POSES;
@@ -628,7 +769,7 @@ void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose)
             pose->covariance[i][j] *= by[i / 2] * by[j / 2];
 }
 
-ddmpc_time ddmpc_monitor_delay(const ddmpc_controller *c) { return delay_of(c->constants, c->monitor.delay); }
+ddmpc_time ddmpc_monitor_delay(const ddmpc_controller *c) { return c->monitor.delay; }
 
 void ddmpc_monitor_report(ddmpc_controller *c)
 {
@@ -639,12 +780,17 @@ void ddmpc_monitor_report(ddmpc_controller *c)
     result->reasons |= (unsigned int)m->accused * DDMPC_WHEELS_ACCUSED;
     result->repeating = m->repeating & m->accused;
     result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
-    result->pose_delay = (real)delay_of(c->constants, m->delay);
+    result->pose_delay = (real)m->delay;
+    const int late = (int)ddmpc_rint((real)(m->delay / delay_of(c->constants, 1)));
+    result->reads[0] = m->turned > R(0.0) ? m->turns[late][0] / m->turned : R(0.0);
+    result->reads[1] = ddmpc_fabs(m->went[2]) > R(0.0) ? m->went[1] / m->went[2] : R(0.0);
+    result->reads[2] = m->went[4] > R(0.0) ? m->went[5] / m->went[4] : R(0.0);
+    result->direction = m->direction;
     result->turn_ratio[0] = wheels;
     result->turn_ratio[1] = body;
     if (square(result->pose_scatter) > c->constants->scatter[3])
         result->reasons |= DDMPC_POSES_SCATTER;
-    if (m->delay > 0)
+    if (m->delay > 0.015)
         result->reasons |= DDMPC_POSES_LATE;
     if (m->body_by_wheels[1] > c->constants->gains[1] && m->wheels_by_model[1] > c->constants->gains[1] &&
         !(wheels < most && wheels * most > R(1.0) && body < most && body * most > R(1.0)))

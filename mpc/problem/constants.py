@@ -209,7 +209,9 @@ class Problem:
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
             "sensor_delay": [known.wheels.late, known.yaw_rate.late, known.pose.delay],
-            "sensor_scale": [known.wheels.scale, known.yaw_rate.sign * known.yaw_rate.scale],
+            "sensor_scale": np.array([known.wheels.sign, known.wheels.turn_sign, known.yaw_rate.sign])
+            * [known.wheels.scale, known.wheels.scale, known.yaw_rate.scale],
+            "sensor_heading": known.pose.heading,
             "largest_twist": [s.max_wheel_speed, s.max_yaw_rate, s.max_yaw_rate],
             "largest_twist_jump": [s.max_wheel_speed_jump, s.max_yaw_rate_jump, s.max_yaw_rate_jump],
             "largest_position_jump": s.max_position_jump,

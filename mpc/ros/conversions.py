@@ -28,6 +28,8 @@ NANOSECONDS = 1_000_000_000
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 # Rounding to single precision on the way here does not bring a quaternion's norm further from 1.
 _NORM_TOLERANCE = 1e-2
+# An axis that points up by a smaller share has no part in a yaw rate [-].
+_ALIGNED = 1e-3
 
 
 class MessageError(DiffdriveMpcError, ValueError):
@@ -88,11 +90,16 @@ def odometry_twist(message: Odometry, epoch: int) -> Stamped:
     return Stamped(value, seconds(nanoseconds(message.header.stamp), epoch))
 
 
-def imu_yaw_rate(message: Imu, epoch: int) -> Stamped:
-    """Yaw rate [rad/s] of the gyro; raises MessageError if it is not finite."""
-    if not math.isfinite(message.angular_velocity.z):
+def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Stamped:
+    """Yaw rate [rad/s] about the axis `up` of the gyro's frame; raises MessageError if it is not finite."""
+    rate = message.angular_velocity
+    # An IMU with one axis leaves the others at nought, or not finite.
+    yaw_rate = sum(
+        axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _ALIGNED
+    )
+    if not math.isfinite(yaw_rate):
         raise MessageError("its yaw rate is not finite")
-    return Stamped(message.angular_velocity.z, seconds(nanoseconds(message.header.stamp), epoch))
+    return Stamped(yaw_rate, seconds(nanoseconds(message.header.stamp), epoch))
 
 
 def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance: bool) -> Stamped:

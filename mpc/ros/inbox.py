@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -21,7 +22,7 @@ from diffdrive_mpc.mpc.ros.conversions import (
 )
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
-from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformBuffer, TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 
 
@@ -38,12 +39,18 @@ class Inbox:
         Where the controller's time begins on that clock [ns].
     frames
         Transforms, where they are heard.
+
+    Attributes
+    ----------
+    mounts
+        Transforms that say how the gyro is mounted; None: its z axis points up.
     """
 
     def __init__(
         self, settings: NodeSettings, clock: Callable[[], int], epoch: int, frames: Frames | None = None
     ) -> None:
         self._settings, self._clock, self._epoch, self.frames = settings, clock, epoch, frames
+        self.mounts: TransformBuffer | None = None
         self.odometry, self.imu = TopicWatch("odometry"), TopicWatch("imu")
         by_tf = settings.poses_from == "tf"
         self.pose = TopicWatch(f"transform {settings.map_frame} -> {settings.base_frame}" if by_tf else "pose")
@@ -118,12 +125,19 @@ class Inbox:
     def take_imu(self, message: Imu) -> None:
         """Take in the yaw rate of the gyro."""
         try:
-            yaw_rate = imu_yaw_rate(message, self._epoch)
+            yaw_rate = imu_yaw_rate(message, self._epoch, self._upward(message.header.frame_id))
             self.imu.accept(yaw_rate.time, self.now, self._settings.odom_timeout)
         except MessageError as error:
             self.imu.refuse(str(error))
             return
         self._yaw_rate = yaw_rate
+
+    def _upward(self, frame: str) -> tuple[float, float, float]:
+        """Return the axis of the gyro's frame that points up; z where no transform says otherwise."""
+        if self.mounts is not None:
+            with suppress(TransformError):
+                return self.mounts.lookup(self._settings.base_frame, frame, self._clock()).transform.vertical
+        return 0.0, 0.0, 1.0
 
     def take_pose(self, message: PoseWithCovarianceStamped) -> None:
         """Take in a pose, such as that of a SLAM."""

@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.bond import BondPart
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
-from diffdrive_mpc.mpc.ros.conversions import subscribe_bounded
+from diffdrive_mpc.mpc.ros.conversions import message_type, subscribe_bounded
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.follow_part import FollowPathPart
 from diffdrive_mpc.mpc.ros.inbox import Inbox
@@ -254,12 +254,14 @@ class TrackingNode(PartHost):
             check_speeds(trajectory, config.limits, config.sample_time)
         controller = Controller(config)
         with ExitStack() as built:
-            frames: Frames | None = None
-            if settings.use_tf or settings.poses_from == "tf":
-                frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
-                for subscription in listen(self, frames):
+            hears_tf = settings.use_tf or settings.poses_from == "tf"
+            frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
+            if hears_tf or (settings.use_imu and message_type("tf2_msgs", "TFMessage")):
+                for subscription in listen(self, frames, moving=hears_tf):
                     built.callback(self.destroy_subscription, subscription)
-            self._inbox = Inbox(settings, self._now, self._now(), frames)
+            self._inbox = Inbox(settings, self._now, self._now(), frames if hears_tf else None)
+            if config.sensors.yaw_rate.sign > 0:  # else the configuration says how the gyro is mounted
+                self._inbox.mounts = frames.buffer
             self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
             built.callback(self._outgoing.destroy)
             watched: list[tuple[TopicWatch, Subscription]] = []

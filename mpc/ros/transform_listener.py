@@ -19,8 +19,8 @@ MOST_BYTES = 200_000
 """Of one message: some hundred frames, read in some milliseconds."""
 
 
-def listen(node: Node, frames: Frames) -> list[Subscription]:
-    """Subscribe `node` to both topics, for `frames`.
+def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscription]:
+    """Subscribe `node` to both topics, for `frames`; without `moving` to what never moves.
 
     Raises
     ------
@@ -43,5 +43,5 @@ def listen(node: Node, frames: Frames) -> list[Subscription]:
 
     return [
         subscribe_bounded(node, kind, topic, taking(static=static), qos, refuse=frames.refuse, most=MOST_BYTES)
-        for topic, qos, static in (("/tf", _DYNAMIC, False), ("/tf_static", _STATIC, True))
+        for topic, qos, static in (("/tf_static", _STATIC, True), ("/tf", _DYNAMIC, False))[: 1 + moving]
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,6 +14,9 @@ from diffdrive_mpc.models.named_file import EntryFile
 SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml"))
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
 """A standard deviation [m, rad or rad/s]: beyond a kilometre or a thousand turns nothing is measured."""
+
+
+Scale = Annotated[float, Field(ge=-100, le=100)]
 
 
 class PoseSensor(StrictModel):
@@ -31,6 +34,9 @@ class PoseSensor(StrictModel):
     stamped_on_arrival: bool = Field(
         default=False, description="whether the stamp is the instant of delivery, as if the pose were not late"
     )
+    turned: float = Field(default=0.0, ge=-7, le=7, description="angle by which theta is ahead of the robot [rad]")
+    mirrored: bool = Field(default=False, description="whether y runs the other way, and theta does not")
+    theta_sign: Literal[1, -1] = Field(default=1, description="-1: theta runs clockwise [-]")
 
 
 class Gyro(StrictModel):
@@ -38,12 +44,17 @@ class Gyro(StrictModel):
 
     noise_sd: Deviation = Field(description="standard deviation of the white noise of a sample [rad/s]")
     bias_sd: Deviation = Field(description="standard deviation of the bias over seeds; constant in a run [rad/s]")
+    scale: Scale = Field(default=1.0, description="reading over yaw rate; negative: mounted upside down [-]")
+    largest: float = Field(default=1e3, gt=0, le=1e3, description="size at which readings rest [rad/s]")
 
 
 class Encoders(StrictModel):
     """Speed estimates of the motor drivers."""
 
     speed_sd: Deviation = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
+    left: Scale = Field(default=1.0, description="reading over speed of the left wheels; negative: reversed [-]")
+    right: Scale = Field(default=1.0, description="reading over speed of the right wheels; negative: reversed [-]")
+    swapped: bool = Field(default=False, description="whether the sides are exchanged")
 
 
 class SensorSet(StrictModel):

@@ -83,7 +83,10 @@ class Sensors:
 
     def see_pose(self, time: float, pose: ArrayLike) -> None:
         """The pose sensor looks at the true `pose` (3,) at `time` [s]."""
+        wired = self._parameters.pose
         value = np.asarray(pose, dtype=float) + next(self._pose_noise)
+        value *= [1.0, -1.0 if wired.mirrored else 1.0, wired.theta_sign]
+        value[2] += wired.turned
         value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
         loss = self._parameters.pose.loss
         if loss > 0 and self._losses.random() < loss:
@@ -94,11 +97,15 @@ class Sensors:
 
     def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
         """Encoders and gyro are read at the tick at `time` [s]: wheel speeds (4,) [rad/s], true yaw rate [rad/s]."""
+        wired, gyro = self._parameters.encoders, self._parameters.gyro
         speeds = np.asarray(wheel_speeds, dtype=float) + next(self._encoder_noise)
-        noise = self._gyro_bias + self._parameters.gyro.noise_sd * float(next(self._gyro_noise)[0])
+        # Front left, front right, rear left, rear right.
+        speeds = speeds[[1, 0, 3, 2] if wired.swapped else slice(None)] * ([wired.left, wired.right] * 2)
+        noise = self._gyro_bias + gyro.noise_sd * float(next(self._gyro_noise)[0])
+        rate = min(max(gyro.scale * yaw_rate + noise, -gyro.largest), gyro.largest)
         self._wheel_speeds: Stamped | None = Stamped(speeds, time, self._speed_covariance)
         self._wheel_twist: Stamped | None = Stamped(self._kinematics.twist(speeds), time, self._twist_covariance)
-        self._yaw_rate: Stamped | None = Stamped(np.float64(yaw_rate + noise), time, self._gyro_covariance)
+        self._yaw_rate: Stamped | None = Stamped(np.float64(rate), time, self._gyro_covariance)
 
     def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
         """Everything delivered up to `time` [s] and not collected yet; of several poses the newest."""

@@ -53,6 +53,7 @@ RANGES = {
     "reentry.effort": (0.6, 0.95),
     "finish.timeout": (0.5, 1.5),
     **{f"{sensor}.{late}": (0.002, 0.03) for sensor in SENSORS for late in ("delay", "lag")},
+    "sensors.pose.heading": (0.003, 0.02),
     **{f"{sensor}.scale": (0.9, 1.1) for sensor in SENSORS},
 }
 # Orders 2, 4 and 8, with other dead times in each channel.
@@ -77,8 +78,8 @@ def numeric_fields():
     """Yield keys and defaults of all numbers in the groups."""
     for group in GROUPS:
         for name, field in type(attrgetter(group)(ControllerConfig())).model_fields.items():
-            # Curved slip, dead reckoning and the sign of a gyro are not the oracle's: they have tests of their own.
-            own = (*CURVED_SLIPS, "dead_reckoning", "sign")
+            # Curved slip, dead reckoning and the signs of sensors are not the oracle's: they have tests of their own.
+            own = (*CURVED_SLIPS, "dead_reckoning", "sign", "turn_sign")
             default = dict(zip(("v_increment", "omega_increment"), LIGHTEST.tolist(), strict=True)).get(
                 name, field.default
             )

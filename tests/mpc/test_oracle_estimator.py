@@ -11,7 +11,7 @@ from ideal_robot import IdealRobot, NoisyRobot
 from scipy.stats import chi2
 
 from diffdrive_mpc import Measurement, Stamped, integrate_pose, load_model
-from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, PoseResponse, SensorResponses, SpeedResponse
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, PoseResponse, SensorResponses, WheelResponse
 from diffdrive_mpc.mpc.estimate import SENSORS
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, Slip
 from oracle.estimator import StateEstimator
@@ -206,7 +206,7 @@ def test_late_poses_give_the_estimate_of_punctual_ones(late):
 
 def test_readings_count_when_they_were_true():
     """Poses half a tick old with a stated delay, wheels of the same lag that read too much: all stamped now."""
-    known = SensorResponses(pose=PoseResponse(delay=0.5 * DT), wheels=SpeedResponse(lag=0.5 * DT, scale=1.05))
+    known = SensorResponses(pose=PoseResponse(delay=0.5 * DT), wheels=WheelResponse(lag=0.5 * DT, scale=1.05))
     estimator, robot = StateEstimator(MODEL, Estimator(), sensors=known), IdealRobot(MODEL, np.zeros(3))
     wheels = [np.zeros(2)]
 

@@ -9,10 +9,15 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_parts import CONFIG, DT, Stack
+from sensor_msgs.msg import Imu
 
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformBuffer
+from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
 from diffdrive_mpc.mpc.step_result import Mode
 
 LIMITS = CONFIG.limits
@@ -245,3 +250,20 @@ def test_follow_path_goal_in_the_map_is_driven_in_odom(ros_types):
         assert f.ended("a")["status"] == SUCCEEDED
         np.testing.assert_allclose(robot.in_map()[:2], placed(start, (1.0, 0.0, 0.0))[:2], atol=0.03)
         np.testing.assert_allclose(f.base.plant.true_pose[:2], [1.0, 0.0], atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("mount", "yaw_rate"), [(None, 3.0), ((1.0, 0.0), -3.0), ((math.sqrt(0.5), math.sqrt(0.5)), 2.0)]
+)
+def test_the_gyro_turns_about_the_axis_that_its_frame_points_up(mount, yaw_rate):
+    """Mounts: none, upside down, and on its side, by half and a quarter of a turn about x."""
+    inbox = Inbox(NodeSettings(), lambda: 10**9, 0)
+    inbox.mounts = TransformBuffer()
+    if mount is not None:
+        rigid = Rigid(0.1, 0.0, 0.0, mount[0], 0.0, 0.0, mount[1])
+        inbox.mounts.insert("base_link", "imu_link", 0, rigid, 0, static=True)
+    message = Imu()
+    message.header.frame_id, message.header.stamp = "imu_link", time_message(10**9)
+    message.angular_velocity.x, message.angular_velocity.y, message.angular_velocity.z = math.nan, 2.0, 3.0
+    inbox.take_imu(message)
+    assert inbox.measurement().yaw_rate.value == pytest.approx(yaw_rate)

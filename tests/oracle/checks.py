@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
-from diffdrive_mpc.mpc.config.schema import Estimator, SensorResponses, SpeedResponse
+from diffdrive_mpc.mpc.config.schema import Estimator, PoseResponse, SensorResponses, SpeedResponse
 from oracle.motion import wrapped
 
 _LARGEST_VARIANCE = 1e6
@@ -130,8 +130,9 @@ class PoseRate:
 class PoseGate:
     """Checks poses and remembers those that jumped."""
 
-    def __init__(self, settings: Estimator, rate: PoseRate, delay: float) -> None:
-        self.settings, self.rate, self.now, self.delay = settings, rate, math.nan, delay
+    def __init__(self, settings: Estimator, rate: PoseRate, known: PoseResponse) -> None:
+        self.settings, self.rate, self.now = settings, rate, math.nan
+        self.delay, self.heading = known.delay, known.heading
         self.last_stamp = self.accepted_stamp = -np.inf
         self.jumped: list[CheckedPose] = []
 
@@ -153,6 +154,7 @@ class PoseGate:
                 self.rate.too_old = t - float(pose.time) + self.delay
             return None
         self.last_stamp = float(pose.time)
+        value = value - [0.0, 0.0, self.heading]
         return CheckedPose(value, matrix, self.last_stamp, self.last_stamp - self.delay)
 
     def passes(self, pose: CheckedPose, expected: FloatArray, rejected: list[str]) -> bool:
@@ -215,6 +217,7 @@ class TwistGate:
             return []
         size, last = len(self.sensors), self.last
         values, variances = numbers(stamped.value, size), self.variances
+        values = None if values is None else values / self.known.scale
         fault = stamp_fault(stamped.time, t, self.stamp, self.history, self.delay)
         if values is None:
             fault = "not finite" if size == 1 else f"not {size} finite numbers"
@@ -226,7 +229,7 @@ class TwistGate:
             if matrix is None:
                 fault = "its covariance is not a possible one"
             else:
-                variances = np.diag(matrix)
+                variances = np.diag(matrix) / self.known.scale**2
         if not fault:
             self.stamp, self.last = float(stamped.time), values
             # A wheel that hits a wall does jump, and stays where it is: the next sample confirms it.
@@ -239,7 +242,7 @@ class TwistGate:
             return []
         return [
             CheckedTwist(self.message, *part, self.stamp - self.delay)
-            for part in zip(self.sensors, (values / self.known.scale).tolist(), variances.tolist(), strict=True)
+            for part in zip(self.sensors, values.tolist(), variances.tolist(), strict=True)
         ]
 
 

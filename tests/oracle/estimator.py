@@ -60,7 +60,7 @@ class StateEstimator:
         self.nodes: list[_Node] = []
         self.innovations = dict.fromkeys(SENSORS, np.nan)
         self.rate = PoseRate(self.model.dt, self.max_pose_age, self.settings.history)
-        self.pose_gate = PoseGate(self.settings, self.rate, self.sensors.pose.delay)
+        self.pose_gate = PoseGate(self.settings, self.rate, self.sensors.pose)
         self.twist_gates = TwistGates(self.settings, self.sensors)
 
     @property

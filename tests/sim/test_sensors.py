@@ -56,6 +56,24 @@ def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None
             assert np.asarray(measurement.pose.value)[0] == pytest.approx(max(newest, 0.0), abs=1e-9)
 
 
+def test_a_set_says_how_sensors_are_wired() -> None:
+    wired = load_sensor_set("perfect").model_dump()
+    wired["pose"] |= {"turned": 0.5, "mirrored": True, "theta_sign": -1}
+    wired["gyro"] |= {"scale": -2.0, "largest": 1.0}
+    wired["encoders"] |= {"left": -1.0, "right": 0.5, "swapped": True}
+    sensors = Sensors(check(SensorSet, wired, "set"), KINEMATICS, DT, seed=0, noisy_encoders=True)
+    for rate, read in ((0.3, -0.6), (0.7, -1.0), (-0.7, 1.0)):
+        sensors.see_motion(DT, [1.0, 2.0, 3.0, 4.0], rate)
+        assert sensors.collect(DT, None).yaw_rate.value == pytest.approx(read)  # type: ignore[union-attr]
+    (time,) = sensors.poses_due(DT)
+    sensors.see_pose(time, [1.0, 2.0, 0.1])
+    sensors.see_motion(DT, [1.0, 2.0, 3.0, 4.0], 0.0)
+    measured = sensors.collect(DT, None)
+    assert measured.wheel_speeds is not None and measured.pose is not None
+    assert np.array_equal(measured.wheel_speeds.value, [-2.0, 0.5, -4.0, 1.5])
+    assert np.asarray(measured.pose.value) == pytest.approx([1.0, -2.0, 0.4])
+
+
 def test_noise_has_the_stated_covariance() -> None:
     parameters = SensorSet(
         pose=PoseSensor(period=None, latency=0.0, position_sd=0.01, heading_sd=0.02),

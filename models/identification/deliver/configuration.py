@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +160,7 @@ _NOISE_UNITS = {
     "heading_noise": "rad",
 }
 _UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
+_SENSORS = "as the log and its mapping tell: the robot's node reads the sensor without the mapping"
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _SAME_TRACK = 0.01
 """Tracks that differ by less are the same [-]."""
@@ -203,6 +204,8 @@ class IdentifiedConfiguration:
         Of the model.
     general, limits, wheels, estimator, reentry, failure, free_space
         Settings without a group, and those of groups; the others may be empty.
+    sensors
+        How readings differ from the motion, by input.
     """
 
     name: str
@@ -213,6 +216,7 @@ class IdentifiedConfiguration:
     reentry: tuple[Setting, ...] = ()
     failure: tuple[Setting, ...] = ()
     free_space: tuple[Setting, ...] = ()
+    sensors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def groups(self) -> dict[str, tuple[Setting, ...]]:
@@ -251,7 +255,7 @@ class IdentifiedConfiguration:
         for group, settings in self.groups.items():
             if settings:
                 content[group] = {setting.name: setting.value for setting in settings}
-        return content
+        return {**content, **({"sensors": self.sensors} if self.sensors else {})}
 
     def text(self) -> str:
         """The file, a reason beside each value."""
@@ -265,6 +269,11 @@ class IdentifiedConfiguration:
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
+        stated = {
+            name: ", ".join(f"{key}: {number:.6g}" for key, number in values.items())
+            for name, values in self.sensors.items()
+        }
+        lines += _group("sensors", [Setting(name, f"{{{words}}}", _SENSORS) for name, words in stated.items()])
         lines += _group("failure", self._of("failure", expert=False))
         inner = [line for group in self.groups for line in _group(group, self._of(group, expert=True))]
         lines += ["expert:", *(f"  {line}" for line in inner)] if inner else []
@@ -290,6 +299,7 @@ def configure(
     *,
     stated: float | None = None,
     every_sample: bool = False,
+    sensors: Mapping[str, Mapping[str, float]] | None = None,
 ) -> IdentifiedConfiguration:
     """The controller of an identified robot: limits that the log covers, and the tracks of the wheels.
 
@@ -309,6 +319,8 @@ def configure(
         Track that the mapping states [m]; it counts where the log has no wheel speeds that tell it.
     every_sample
         Whether the model that predicts is for samples of the log and no others.
+    sensors
+        How readings differ from the motion, by input.
 
     Raises
     ------
@@ -342,6 +354,7 @@ def configure(
         (*_noises(train), *_slip(slip)),
         tuple(lengths.get("reentry", ())),
         tuple(lengths.get("failure", ())),
+        sensors=sensors or {},
     )
 
 

@@ -27,6 +27,7 @@ _FEWEST_WINDOWS = 20
 _ROUNDS = 6
 # Share of the settings' window in which a lag is found: it shows at the ends of a window, by how the speed changed.
 _LAG_WINDOW = 0.4
+_SHIFTS = 3
 
 
 class SlipLaw(Protocol):
@@ -338,6 +339,27 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
     return joined(
         [encoders, _lag(gyro, turned, [np.ones_like(turn) for turn in turned]).renamed("gyro").part(["gyro.lag"])]
     )
+
+
+def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
+    """Find by how much poses are later than the gyro, `pose.delay` [s]; below zero the gyro is later.
+
+    The windows are shifted by whole samples to where the rest is less than one, as a lag of the gyro is a shift only
+    while its reading changes little.
+
+    Raises
+    ------
+    ValueError
+        If gyro or poses are missing, or there are too few windows.
+    """
+    dt, steps = records[0].dt, 0
+    for _ in range(_SHIFTS):
+        gyro = pose_windows(records, "yaw_rate", steps * dt, _LAG_WINDOW)
+        turned = [part.displacement[:, 2] for part in gyro]
+        rest = _lag(gyro, turned, [np.ones_like(turn) for turn in turned]).part(["lag"])
+        delay = steps * dt - rest.value("lag")
+        estimate, steps = ParameterEstimate(("pose.delay",), np.array([delay]), rest.covariance), round(delay / dt)
+    return estimate
 
 
 def _lag(

@@ -76,6 +76,12 @@ class Rigid(NamedTuple):
         )
 
     @property
+    def vertical(self) -> tuple[float, float, float]:
+        """The parent's z axis, seen from the child."""
+        x, y, z, w = self[3:]
+        return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+    @property
     def planar(self) -> FloatArray:
         """(3,) x, y [m], yaw [rad]."""
         return np.array([self.x, self.y, self.yaw])

@@ -1,0 +1,165 @@
+"""Sensors of a log that read reversed, scaled or late, as the others tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_delay, calibrate_gyro, calibrate_lags
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.logs.record import Finding, Record
+
+
+@dataclass(frozen=True)
+class SensorCorrections:
+    """Differences between readings and motion, as `sensors` of a controller's configuration states them.
+
+    Attributes
+    ----------
+    stated
+        By input ("wheels", "yaw_rate", "pose") what the log's mapping puts right already: sign [-], delay [s].
+    inferred
+        By input what the readings show beside that: scale [-], delay [s].
+    findings
+        The same in words, with intervals of 95 %.
+    """
+
+    stated: Mapping[str, Mapping[str, float]]
+    inferred: Mapping[str, Mapping[str, float]]
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def settings(self) -> dict[str, dict[str, float]]:
+        """Differences that the robot has to be told, by input."""
+        merged: dict[str, dict[str, float]] = {}
+        for name in ("wheels", "yaw_rate", "pose"):
+            stated, inferred = self.stated.get(name, {}), self.inferred.get(name, {})
+            delay = round(stated.get("delay", 0.0) + inferred.get("delay", 0.0), 3)
+            # Nobody knows a reading before its time: such a delay is that of the log.
+            values = {**stated, **inferred, "delay": delay} if delay > 0.0 else {**stated, **inferred}
+            merged[name] = {key: value for key, value in values.items() if key != "delay" or value > 0.0}
+        return {name: values for name, values in merged.items() if values}
+
+    def mended(self, records: Sequence[Record]) -> tuple[Record, ...]:
+        """Return the records as the sensors would have read without what was inferred."""
+        return tuple(self._mend(record) for record in records)
+
+    def _mend(self, record: Record) -> Record:
+        inferred = self.inferred
+        if "scale" in inferred.get("yaw_rate", {}) and record.yaw_rate is not None:
+            record = replace(record, yaw_rate=record.yaw_rate / inferred["yaw_rate"]["scale"])
+        if "scale" in inferred.get("wheels", {}) and record.twist is not None:
+            record = replace(record, twist=record.twist / inferred["wheels"]["scale"])
+        for name, field in (("yaw_rate", "yaw_rate"), ("pose", "pose")):
+            late = round(inferred.get(name, {}).get("delay", 0.0) / record.dt)
+            value, fresh = getattr(record, field), record.fresh(field)
+            if late > 0 and value is not None and fresh is not None and late < len(value) - 1:
+                rest = record.part(0, len(value) - late)
+                record = replace(rest, name=record.name, **{field: value[late:], f"fresh_{field}": fresh[late:]})
+        return record
+
+
+NO_CORRECTIONS = SensorCorrections({}, {})
+
+
+def stated_corrections(mapping: LogMapping | None) -> dict[str, dict[str, float]]:
+    """Return by input what a mapping puts right of the readings: the robot's node reads them without it."""
+    if mapping is None:
+        return {}
+    columns, topics = mapping.columns, mapping.topics
+    stated: dict[str, dict[str, float]] = {}
+
+    def state(name: str, key: str, value: float, usual: float) -> None:
+        if value != usual:
+            stated.setdefault(name, {})[key] = value
+
+    if columns:
+        if columns.gyro:
+            state("yaw_rate", "sign", columns.gyro.yaw_rate.sign, 1)
+        if columns.pose:
+            state("pose", "heading", columns.pose.heading_offset, 0.0)
+        if columns.encoders and columns.encoders.v and columns.encoders.omega:
+            state("wheels", "sign", columns.encoders.v.sign, 1)
+            state("wheels", "turn_sign", columns.encoders.omega.sign, 1)
+    elif topics:
+        state("yaw_rate", "sign", topics.imu.sign if topics.imu else 1, 1)
+        state("wheels", "turn_sign", topics.odometry.sign if topics.odometry else 1, 1)
+    for name, roles in (("wheels", "encoders odometry"), ("yaw_rate", "gyro imu"), ("pose", "pose")):
+        for role in roles.split():
+            part = getattr(columns or topics, role, None)
+            state(name, "delay", part.delay if part else 0.0, 0.0)
+    return stated
+
+
+def find_corrections(name: str, records: Sequence[Record], mapping: LogMapping | None) -> SensorCorrections:
+    """Compare gyro and encoders with poses, and find how late poses are; nothing where a log has too few of them.
+
+    Parameters
+    ----------
+    name
+        Of the log, for findings.
+    records
+        To be held against each other.
+    mapping
+        By which they were read.
+    """
+    inferred: dict[str, dict[str, float]] = {}
+    findings: list[Finding] = []
+    rule = identification_settings().sensors
+
+    def tell(kind: str, words: str) -> None:
+        findings.append(Finding(kind, "warning", name, f"{words}; `identify` states it under 'sensors' in config.yaml"))
+
+    with_pose = [record for record in records if record.pose is not None]
+    try:
+        has_gyro = bool(with_pose) and all(record.yaw_rate is not None for record in with_pose)
+        if has_gyro and (rest := _level_of_rest(with_pose, rule.least_scale)):
+            words = f"the gyro reads no more than {rest:.3g} rad/s: its range is too small, turn it up or drive without"
+            findings.append(Finding("clipped sensor", "warning", name, words))
+        elif has_gyro:
+            late = calibrate_delay(with_pose)
+            delay, deviation = late.value("pose.delay"), late.deviation("pose.delay")
+            if abs(delay) > max(rule.least_delay, rule.certain * deviation):
+                subject, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
+                inferred[key] = {"delay": round(abs(delay), 3)}
+                tell(
+                    "late sensor", f"{subject} are {abs(delay):.3f} +- {1.96 * deviation:.3f} s later than their stamps"
+                )
+            gyro = calibrate_gyro(with_pose, delay).parameters
+            scale, deviation = gyro.value("gyro_scale"), gyro.deviation("gyro_scale")
+            if abs(scale - 1.0) > max(rule.least_scale, rule.certain * deviation):
+                inferred["yaw_rate"] = {"scale": round(scale, 4), **inferred.get("yaw_rate", {})}
+                tell("scaled sensor", f"the gyro turns {scale:.4f} +- {1.96 * deviation:.4f} times as far as the poses")
+        if with_pose and all(record.twist is not None for record in with_pose):
+            lags = calibrate_lags(SensorCorrections({}, inferred).mended(with_pose))
+            scale, deviation = lags.value("wheels.scale"), lags.deviation("wheels.scale")
+            odd = abs(math.log(scale)) > rule.least_wheel_scale and abs(scale - 1.0) > rule.certain * deviation
+            if odd and _commands_agree_with_poses(with_pose, scale):
+                inferred["wheels"] = {"scale": round(scale, 4)}
+                words = f"the encoders go {scale:.3f} +- {1.96 * deviation:.3f} times as far as poses and commands"
+                tell("scaled sensor", words)
+    except ValueError:  # too few windows: nothing is told
+        pass
+    return SensorCorrections(stated_corrections(mapping), inferred, tuple(findings))
+
+
+def _level_of_rest(records: Sequence[Record], share: float) -> float:
+    """Return the size [rad/s] at which more than a share of the gyro's readings rest; 0 where they do not."""
+    readings = np.abs(np.concatenate([np.asarray(record.yaw_rate)[record.fresh("yaw_rate")] for record in records]))
+    return float(readings.max()) if np.mean(readings == readings.max()) > share else 0.0
+
+
+def _commands_agree_with_poses(records: Sequence[Record], scale: float) -> bool:
+    """Return whether poses follow the commands better than encoders do: wheels that slip do as they are told."""
+    command, wheels = (
+        np.concatenate([np.abs(np.asarray(getattr(record, field))[:, 0]) for record in records])
+        for field in ("command", "twist")
+    )
+    both: FloatArray = np.column_stack([command, wheels])[np.isfinite(wheels)]
+    ratio = math.log(float(both[:, 1].sum()) / max(float(both[:, 0].sum()), 1e-9))
+    return abs(ratio - math.log(scale)) < abs(ratio)

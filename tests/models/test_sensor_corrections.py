@@ -1,0 +1,106 @@
+"""Sensors that are built in otherwise than the log says: they are found, put right, and stated for the robot."""
+
+import numpy as np
+import pytest
+import yaml
+from identification_parts import DT, set_points
+
+from commands import call
+from diffdrive_mpc import identify, load_config, make_plant
+from diffdrive_mpc.models.identification.fit.sensors import find_corrections, stated_corrections
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.pose import integrate_pose
+
+COLUMNS = {
+    "time": "t",
+    "command": {"v": "v", "omega": "w"},
+    "encoders": {"v": "wheels_v", "omega": "wheels_w"},
+    "gyro": {"yaw_rate": "gyro"},
+    "pose": {"time": "seen", "x": "x", "y": "y", "theta": "theta"},
+}
+
+
+def drive(*, gyro=1.0, wheels=1.0, late=0, most=np.inf, seed=0):
+    """Return a record of 60 s in which wheels turn a fifth further than the body, and poses are `late` samples late."""
+    rng = np.random.default_rng(seed)
+    command = set_points(seed, 3000, [0.5, 0.8])
+    body = np.zeros_like(command)
+    for k in range(1, len(command)):
+        body[k] = body[k - 1] + DT / 0.15 * (command[k - 1] - body[k - 1])
+    pose = np.zeros((len(command), 3))
+    for k, (v, omega) in enumerate(0.5 * (body[1:] + body[:-1])):
+        pose[k + 1] = integrate_pose(pose[k], v, omega, DT)
+    pose = np.roll(pose, late, axis=0)[late:] + rng.normal(0.0, [0.005, 0.005, 0.005], (len(pose) - late, 3))
+    read = np.clip(gyro * body[:, 1] + rng.normal(0.0, 0.005, len(body)), -most, most)
+    twist = wheels * body * [1.0, 1.2] + rng.normal(0.0, 0.01, body.shape)
+    return Record("drive", 0.0, DT, command[late:], twist=twist[late:], yaw_rate=read[late:], pose=pose)
+
+
+@pytest.mark.parametrize(
+    ("wired", "expected"),
+    [
+        ({}, {}),
+        ({"gyro": 0.77}, {"yaw_rate": {"scale": 0.77}}),
+        ({"wheels": 0.7}, {"wheels": {"scale": 0.7}}),
+        ({"late": 1}, {"pose": {"delay": DT}}),
+        ({"late": 6, "gyro": 1.3}, {"yaw_rate": {"scale": 1.3}, "pose": {"delay": 6 * DT}}),
+        ({"late": 10}, {"pose": {"delay": 10 * DT}}),
+    ],
+)
+def test_what_is_wired_differently_is_found_and_taken_out(wired, expected):
+    record = drive(**wired)
+    corrections = find_corrections("drive", [record], None)
+    assert corrections.settings.keys() == expected.keys()
+    for name, values in expected.items():
+        assert corrections.settings[name] == pytest.approx(values, rel=0.02, abs=0.004)
+    assert len(corrections.findings) == sum(map(len, expected.values()))
+    again = find_corrections("drive", corrections.mended([record]), None)
+    assert again.settings == {}
+
+
+def test_a_gyro_at_the_end_of_its_range_has_no_scale():
+    corrections = find_corrections("drive", [drive(most=0.3)], None)
+    assert corrections.settings == {}
+    assert ["range is too small" in str(finding) for finding in corrections.findings] == [True]
+
+
+def test_what_the_mapping_turns_the_robot_is_told():
+    columns = COLUMNS | {"gyro": {"yaw_rate": {"column": "gyro", "sign": -1}, "delay": 0.02}}
+    columns["encoders"] = {"v": "wheels_v", "omega": {"column": "wheels_w", "sign": -1}}
+    columns["pose"] = {**COLUMNS["pose"], "delay": 0.1, "heading_offset": 0.5}
+    assert stated_corrections(LogMapping(columns=columns)) == {
+        "yaw_rate": {"sign": -1, "delay": 0.02},
+        "wheels": {"turn_sign": -1},
+        "pose": {"heading": 0.5, "delay": 0.1},
+    }
+    topics = {"imu": {"topic": "/imu", "sign": -1}, "pose": {"topic": "/pose", "delay": 0.05}}
+    assert stated_corrections(LogMapping(topics=topics)) == {"yaw_rate": {"sign": -1}, "pose": {"delay": 0.05}}
+    assert stated_corrections(None) == {}
+
+
+def test_a_log_of_a_wired_robot_becomes_a_configuration_that_drives_it(tmp_path):
+    """From the log of a gyro upside down and poses stamped on arrival to the controller's own settings."""
+    wired = {"gyro": {"scale": -1.0}, "pose": {"latency": 0.11, "stamped_on_arrival": True}}
+    (tmp_path / "sensors.yaml").write_text(yaml.safe_dump(wired), encoding="utf-8")
+    plant = make_plant("mujoco", seed=3, sensors=tmp_path / "sensors.yaml")
+    plant.reset((0.0, 0.0, 0.0))
+    rows = ["t,v,w,wheels_v,wheels_w,gyro,seen,x,y,theta"]
+    for command in set_points(1, 2500, [0.5, 0.8]):
+        m = plant.measure()
+        pose = ["", "", "", ""] if m.pose is None else [m.pose.time, *m.pose.value]
+        cells = [plant.time, *command, *m.wheel_twist.value, m.yaw_rate.value, *pose]
+        rows.append(",".join(str(cell) for cell in cells))
+        plant.advance(command)
+    (tmp_path / "drive.csv").write_text("\n".join(rows), encoding="utf-8")
+    gyro = {"yaw_rate": {"column": "gyro", "sign": -1}}
+    for name, columns in (("plain.yaml", COLUMNS), ("turned.yaml", COLUMNS | {"gyro": gyro})):
+        (tmp_path / name).write_text(yaml.safe_dump({"columns": columns}), encoding="utf-8")
+    output = call("log", "check", tmp_path / "drive.csv", "--mapping", tmp_path / "plain.yaml", code=1)
+    assert "omega of the gyro runs against the command" in output and "`yaw_rate.sign: -1`" in output
+    output = call("log", "check", tmp_path / "drive.csv", "--mapping", tmp_path / "turned.yaml")
+    assert "yaw_rate: {sign: -1}" in output and "pose: {delay: 0.1" in output
+    identify(tmp_path / "drive.csv", tmp_path / "turned.yaml").write(tmp_path / "robot")
+    sensors = load_config(tmp_path / "robot" / "config.yaml").sensors
+    assert sensors.yaw_rate.sign == -1
+    assert sensors.pose.delay == pytest.approx(0.11, abs=0.01)
