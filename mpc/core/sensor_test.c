@@ -96,8 +96,12 @@ static void rebase(ddmpc_monitor *m, int i)
     if (!isfinite(m->now.sum[i])) {
         /* What was summed up is lost, and what it taught. */
         m->now.sum[i] = R(0.0);
-        m->moves = m->poses = m->residuals = m->seen = 0;
+        m->moves = m->poses = m->residuals = m->seen = m->anchored = 0;
+        m->apart = m->witness = m->settled = m->turned = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
+        memset(m->turns, 0, sizeof m->turns);
+        memset(m->turning, 0, sizeof m->turning);
+        memset(m->went, 0, sizeof m->went);
         return;
     }
     /* Of the heading whole turns: places were summed up along it. */
@@ -415,7 +419,8 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         off = ddmpc_min(off, ddmpc_fabs(by.pose_turn - scale * by.gyro_turn));
     }
     /* A gyro that fails all at once is late at no delay. */
-    if (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || (m->turned > k->plausible && off > R(1.5) * noise_of_turn + k->uneven * ddmpc_fabs(by.pose_turn)))
+    const int fits = off <= R(1.5) * noise_of_turn + k->uneven * ddmpc_fabs(by.pose_turn);
+    if (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || (m->turned > k->plausible && !fits))
         return;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         real *sums = m->turns[i];
@@ -536,6 +541,10 @@ static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
     if (!from || !course(k, from, now, pose, noise, &direction, &spread))
         return;
     m->direction = direction;
+    if (now->time >= m->next_pose) {
+        m->witness *= k->late[1];
+        m->settled *= k->late[1];
+    }
     const real apart = m->apart - m->anchor[2], turned = ddmpc_wrap(direction - m->anchor[0]), all = spread + m->anchor[1];
     if (m->anchored && ddmpc_fabs(apart) > k->course[1]) {
         const real evidence = (square(ddmpc_wrap(turned - apart)) - square(turned)) / all, most = k->course[2];
@@ -714,7 +723,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         const real far = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + k->largest_command[0] * (real)passed;
         const real turned = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + k->largest_command[1] * (real)passed;
         if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= far && ddmpc_fabs(by.pose_turn - by.gyro_turn) <= turned))
-            m->poses = m->residuals = 0;
+            m->poses = m->residuals = m->anchored = 0;
         else if (passed <= R(0.25) && m->same == 0)
             learn_scatter(k, m, pose, &by);
         m->apart += by.gyro_turn - ddmpc_wrap(pose->value[2] - m->last.value[2]);
