@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-import yaml
 
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
@@ -29,15 +28,15 @@ def check(
 
     The last line is what a configuration has to say of the sensors. The exit code is 1 where a model would be wrong.
     """
-    from diffdrive_mpc.models.identification.fit.sensors import find_corrections  # noqa: PLC0415 - --help does without
+    import yaml  # noqa: PLC0415 - --help does without these
+
+    from diffdrive_mpc.models.identification.fit.sensors import find_corrections  # noqa: PLC0415
     from diffdrive_mpc.models.logs import read_log  # noqa: PLC0415
     from diffdrive_mpc.models.logs.diagnosis import summary  # noqa: PLC0415
-    from diffdrive_mpc.models.logs.mapping import load_mapping  # noqa: PLC0415
     from diffdrive_mpc.models.logs.record import counted  # noqa: PLC0415
 
-    loaded = None if mapping is None else load_mapping(mapping)
-    content = read_log(log, loaded)
-    corrections = find_corrections(content.name, content.records, loaded)
+    content = read_log(log, mapping)
+    corrections = find_corrections(content.name, content.records, mapping)
     for line in (*summary(content), *counted([*content.findings, *corrections.findings])):
         echo(line)
     stated = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)

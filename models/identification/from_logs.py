@@ -29,6 +29,7 @@ from diffdrive_mpc.models.identification.deliver.trust import refusals
 from diffdrive_mpc.models.identification.fit.fitting import fit, with_predictor
 from diffdrive_mpc.models.identification.fit.poses import from_poses
 from diffdrive_mpc.models.identification.fit.predictor import Predictor, finders
+from diffdrive_mpc.models.identification.fit.sensors import find_corrections
 from diffdrive_mpc.models.identification.fit.slip import SURFACE_FILE, log_surface, slip_prior, surface_text
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
@@ -237,6 +238,16 @@ def identify(
         )
     except UnsoundLogError as error:
         raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
+    corrections = find_corrections(data.logs[0], data.train, known)
+    if on_findings:
+        on_findings(corrections.findings)
+    data = replace(
+        data,
+        train=corrections.mended(data.train),
+        validation=corrections.mended(data.validation),
+        findings=(*data.findings, *corrections.findings),
+        sensors=corrections.settings,
+    )
     advice = advise(selection, data.findings, on_progress)
     data = replace(data, findings=told(data.findings, advice), advice=advice)
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
@@ -298,7 +309,7 @@ def identify_data(
         report.slip,
         stated=data.stated_track,
         every_sample=predictor is not None,
-        sensors=data.corrections.settings,
+        sensors=data.sensors,
     )
     if robot is not None:
         configuration = within_stated(configuration, robot)

@@ -11,7 +11,6 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.doubt import Doubt
-from diffdrive_mpc.models.identification.fit.sensors import NO_CORRECTIONS, SensorCorrections, find_corrections
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
@@ -64,8 +63,8 @@ class LogData:
         What was left out of the logs.
     stated_track
         Track that the mapping states [m]; None where it states none.
-    corrections
-        How sensors read otherwise than the robot moves; `train` and `validation` are without what was found of it.
+    sensors
+        Differences between readings and motion, by input, that the robot has to be told.
     topics
         Topic and type of message by stream, of logs that are bags.
     advice
@@ -80,7 +79,7 @@ class LogData:
     findings: tuple[Finding, ...]
     warnings: tuple[Doubt, ...]
     stated_track: float | None = None
-    corrections: SensorCorrections = NO_CORRECTIONS
+    sensors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     topics: Topics = field(default_factory=dict)
     advice: Advice | None = None
 
@@ -151,18 +150,15 @@ def read_data(
     validation_used = usable(validation, needed, "to validate on", warnings)
     together = compare_logs(fitted)
     admit(together)
-    corrections = find_corrections(fitted[0].name, train_used, loaded)
-    on_findings(corrections.findings)
     data = LogData(
-        train=corrections.mended(train_used),
-        validation=corrections.mended(validation_used),
+        train=train_used,
+        validation=validation_used,
         logs=tuple(log.name for log in fitted),
         held_out=held_out,
         yaw=yaw,
-        findings=(*(finding for log in read for finding in log.findings), *together, *spare, *corrections.findings),
+        findings=(*(finding for log in read for finding in log.findings), *together, *spare),
         warnings=tuple(warnings),
         stated_track=None if geometry is None else geometry.track,
-        corrections=corrections,
         topics=fitted[0].topics,
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])

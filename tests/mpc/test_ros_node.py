@@ -153,7 +153,7 @@ def check_failed_configuration(s, monkeypatch, capfd, *step):
 
 @pytest.mark.parametrize("error", [ValueError("no memory"), RuntimeError("no memory")], ids=type)
 def test_failed_step_of_the_configuration_leaves_the_node_unconfigured(error, monkeypatch, capfd):
-    monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.listen", lambda node, frames: [])
+    monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.listen", lambda *_, **__: [])
     with stack(autostart=False, use_tf=True) as s:
         for target, count in STEPS.values():
             check_failed_configuration(s, monkeypatch, capfd, target, count, error)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_delay, calibrate_gyro, calibrate_lags
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
 
 
@@ -64,9 +65,6 @@ class SensorCorrections:
         return record
 
 
-NO_CORRECTIONS = SensorCorrections({}, {})
-
-
 def stated_corrections(mapping: LogMapping | None) -> dict[str, dict[str, float]]:
     """Return by input what a mapping puts right of the readings: the robot's node reads them without it."""
     if mapping is None:
@@ -96,7 +94,9 @@ def stated_corrections(mapping: LogMapping | None) -> dict[str, dict[str, float]
     return stated
 
 
-def find_corrections(name: str, records: Sequence[Record], mapping: LogMapping | None) -> SensorCorrections:
+def find_corrections(
+    name: str, records: Sequence[Record], mapping: str | Path | LogMapping | None
+) -> SensorCorrections:
     """Compare gyro and encoders with poses, and find how late poses are; nothing where a log has too few of them.
 
     Parameters
@@ -145,7 +145,8 @@ def find_corrections(name: str, records: Sequence[Record], mapping: LogMapping |
                 tell("scaled sensor", words)
     except ValueError:  # too few windows: nothing is told
         pass
-    return SensorCorrections(stated_corrections(mapping), inferred, tuple(findings))
+    loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
+    return SensorCorrections(stated_corrections(loaded), inferred, tuple(findings))
 
 
 def _level_of_rest(records: Sequence[Record], share: float) -> float:
