@@ -37,8 +37,7 @@ def check(
 
     content = read_log(log, mapping)
     corrections = find_corrections(content.name, content.records, mapping)
-    for line in (*summary(content), *counted([*content.findings, *corrections.findings])):
-        echo(line)
+    echo("\n".join([*summary(content), *counted([*content.findings, *corrections.findings])]))
     stated = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
     echo(stated.rstrip() if corrections.settings else "sensors: as they are")
     if content.errors:

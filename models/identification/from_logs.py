@@ -241,15 +241,15 @@ def identify(
     corrections = find_corrections(data.logs[0], data.train, known)
     if on_findings:
         on_findings(corrections.findings)
+    advice = advise(selection, data.findings, on_progress)
     data = replace(
         data,
         train=corrections.mended(data.train),
         validation=corrections.mended(data.validation),
-        findings=(*data.findings, *corrections.findings),
+        findings=(*told(data.findings, advice), *corrections.findings),
         sensors=corrections.settings,
+        advice=advice,
     )
-    advice = advise(selection, data.findings, on_progress)
-    data = replace(data, findings=told(data.findings, advice), advice=advice)
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{structure.upper()} from {paths[0].stem}{more}"
     return identify_data(

@@ -97,10 +97,9 @@ static void rebase(ddmpc_monitor *m, int i)
         /* What was summed up is lost, and what it taught. */
         m->now.sum[i] = R(0.0);
         m->moves = m->poses = m->residuals = m->seen = m->anchored = 0;
-        m->apart = m->witness = m->settled = m->turned = R(0.0);
+        m->apart = m->witness = m->settled = m->turned = m->turning[0] = m->turning[1] = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
         memset(m->turns, 0, sizeof m->turns);
-        memset(m->turning, 0, sizeof m->turning);
         memset(m->went, 0, sizeof m->went);
         return;
     }
@@ -423,9 +422,8 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     if (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || (m->turned > k->plausible && !fits))
         return;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        real *sums = m->turns[i];
-        sums[0] = k->late[1] * sums[0] + weight * by.pose_turn * turn[i];
-        sums[1] = k->late[1] * sums[1] + weight * square(turn[i]);
+        m->turns[i][0] = k->late[1] * m->turns[i][0] + weight * by.pose_turn * turn[i];
+        m->turns[i][1] = k->late[1] * m->turns[i][1] + weight * square(turn[i]);
     }
     m->turned = k->late[1] * m->turned + weight * square(by.pose_turn);
     int best = 1;
@@ -437,7 +435,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     /* Between delays by a parabola. Stamps are believed until motion says otherwise, and so is then a delay: steady motion tells
      * of none. */
     const real *misfit = &m->misfit[best], slope = misfit[-1] - misfit[1], curved = misfit[-1] - R(2.0) * misfit[0] + misfit[1];
-    if (!(curved > R(0.0)))
+    if (!(curved > R(0.0)) || m->turned < k->late[2])
         return;
     const real between = R(0.5) * slope / curved, least = misfit[0] - R(0.25) * slope * between;
     if (least + k->late[0] < m->misfit[0] && least < R(0.5) * m->turned && m->turns[best][1] > R(0.05) * m->turned)
@@ -574,7 +572,7 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
         const real back = by[i].pose * by[i].wheels < R(0.0) && by[i].model * by[i].wheels > R(0.0) ? square(by[i].pose) : R(0.0);
         const real way = ddmpc_hypot(by[i].pose, by[i].left), distance = ddmpc_fabs(by[i].wheels);
         /* A floor that takes a robot along does not take it as far as its wheels go. */
-        if (!(ddmpc_fabs(way - distance) < R(2.0) * noise + R(2.0) * k->slip_driving[SHARE] * distance))
+        if (!(ddmpc_fabs(way - distance) < R(2.0) * (noise + k->slip_driving[SHARE] * distance)))
             return R(0.0);
         least = ddmpc_min(least, (square(by[i].left) + back) / (square(noise) + variance(k->sideways, by[i].wheels) + square(k->sliding[1] * by[i].turned)));
     }

@@ -260,8 +260,8 @@ class TrackingNode(PartHost):
                 for subscription in listen(self, frames, moving=hears_tf):
                     built.callback(self.destroy_subscription, subscription)
             self._inbox = Inbox(settings, self._now, self._now(), frames if hears_tf else None)
-            if config.sensors.yaw_rate.sign > 0:  # else the configuration says how the gyro is mounted
-                self._inbox.mounts = frames.buffer
+            # With a stated sign the configuration says how the gyro is mounted.
+            self._inbox.mounts = frames.buffer if config.sensors.yaw_rate.sign > 0 else None
             self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
             built.callback(self._outgoing.destroy)
             watched: list[tuple[TopicWatch, Subscription]] = []

@@ -11,7 +11,6 @@ import numpy as np
 
 from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_delay, calibrate_gyro, calibrate_lags
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Record
 
@@ -42,7 +41,7 @@ class SensorCorrections:
             stated, inferred = self.stated.get(name, {}), self.inferred.get(name, {})
             delay = round(stated.get("delay", 0.0) + inferred.get("delay", 0.0), 3)
             # Nobody knows a reading before its time: such a delay is that of the log.
-            values = {**stated, **inferred, "delay": delay} if delay > 0.0 else {**stated, **inferred}
+            values = {**stated, **inferred, "delay": delay}
             merged[name] = {key: value for key, value in values.items() if key != "delay" or value > 0.0}
         return {name: values for name, values in merged.items() if values}
 
@@ -52,12 +51,11 @@ class SensorCorrections:
 
     def _mend(self, record: Record) -> Record:
         inferred = self.inferred
-        if "scale" in inferred.get("yaw_rate", {}) and record.yaw_rate is not None:
-            record = replace(record, yaw_rate=record.yaw_rate / inferred["yaw_rate"]["scale"])
-        if "scale" in inferred.get("wheels", {}) and record.twist is not None:
-            record = replace(record, twist=record.twist / inferred["wheels"]["scale"])
-        for name, field in (("yaw_rate", "yaw_rate"), ("pose", "pose")):
-            late = round(inferred.get(name, {}).get("delay", 0.0) / record.dt)
+        for name, field in (("yaw_rate", "yaw_rate"), ("wheels", "twist")):
+            if "scale" in inferred.get(name, {}) and getattr(record, field) is not None:
+                record = replace(record, **{field: getattr(record, field) / inferred[name]["scale"]})
+        for field in ("yaw_rate", "pose"):
+            late = round(inferred.get(field, {}).get("delay", 0.0) / record.dt)
             value, fresh = getattr(record, field), record.fresh(field)
             if late > 0 and value is not None and fresh is not None and late < len(value) - 1:
                 rest = record.part(0, len(value) - late)
@@ -161,6 +159,6 @@ def _commands_agree_with_poses(records: Sequence[Record], scale: float) -> bool:
         np.concatenate([np.abs(np.asarray(getattr(record, field))[:, 0]) for record in records])
         for field in ("command", "twist")
     )
-    both: FloatArray = np.column_stack([command, wheels])[np.isfinite(wheels)]
-    ratio = math.log(float(both[:, 1].sum()) / max(float(both[:, 0].sum()), 1e-9))
+    known = np.isfinite(wheels)
+    ratio = math.log(float(wheels[known].sum()) / max(float(command[known].sum()), 1e-9))
     return abs(ratio - math.log(scale)) < abs(ratio)
