@@ -68,7 +68,7 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
     ready: dict[str, Callable[[], Sampled]] = {
-        name: partial(load_linear_model(name).discretise, dt) for name in STRUCTURES
+        name: partial(load_linear_model(name).discretise, dt) for name in STRUCTURES if name in study.simulation_steps
     }
     network = load_model(NETWORK)
     assert isinstance(network, NonlinearModel)
