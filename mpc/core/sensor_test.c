@@ -407,11 +407,10 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
                         const real pose[3], const real noise[2])
 {
     motions by;
-    const ddmpc_time step = (ddmpc_time)k->latest / (MONITORED_DELAYS - 1);
     const real noise_of_turn = k->gyro[ABSOLUTE] + noise[1], weight = R(1.0) / square(noise_of_turn);
     real turn[MONITORED_DELAYS], off = HUGE_VAL;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        if (!compare_late(k, m, from, now, step * i, pose, &by))
+        if (!compare_late(k, m, from, now, delay_of(k, i), pose, &by))
             return;
         turn[i] = by.gyro_turn;
         const real scale = m->turns[i][1] > R(0.0) ? m->turns[i][0] / m->turns[i][1] : R(1.0);
@@ -439,7 +438,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         return;
     const real between = R(0.5) * slope / curved, least = misfit[0] - R(0.25) * slope * between;
     if (least + k->late[0] < m->misfit[0] && least < R(0.5) * m->turned && m->turns[best][1] > R(0.05) * m->turned)
-        m->delay = step * (ddmpc_time)ddmpc_max(ddmpc_min((real)best + between, (real)(MONITORED_DELAYS - 1)), R(0.0));
+        m->delay = delay_of(k, 1) * (ddmpc_time)ddmpc_max(ddmpc_min((real)best + between, (real)(MONITORED_DELAYS - 1)), R(0.0));
     else if ((real)best + between < R(0.2))
         m->delay = 0.0;
 }

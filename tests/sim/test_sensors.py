@@ -64,7 +64,9 @@ def test_a_set_says_how_sensors_are_wired() -> None:
     sensors = Sensors(check(SensorSet, wired, "set"), KINEMATICS, DT, seed=0, noisy_encoders=True)
     for rate, read in ((0.3, -0.6), (0.7, -1.0), (-0.7, 1.0)):
         sensors.see_motion(DT, [1.0, 2.0, 3.0, 4.0], rate)
-        assert sensors.collect(DT, None).yaw_rate.value == pytest.approx(read)  # type: ignore[union-attr]
+        reading = sensors.collect(DT, None).yaw_rate
+        assert reading is not None
+        assert reading.value == pytest.approx(read)
     (time,) = sensors.poses_due(DT)
     sensors.see_pose(time, [1.0, 2.0, 0.1])
     sensors.see_motion(DT, [1.0, 2.0, 3.0, 4.0], 0.0)
