@@ -1,4 +1,4 @@
-"""A kind of YAML file that the command line offers by the names of its shipped files."""
+"""A kind of YAML file and its shipped files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FileKind:
     Attributes
     ----------
     name
-        Name of the kind, which completion uses.
+        Name of the kind.
     folder
         Folder of the shipped files, or one file with an entry per name (`models.named_file.EntryFile`).
     patterns

@@ -23,11 +23,6 @@ controller.start(load_trajectory("circle"), 0.0)
 assert controller.step(0.0, Measurement()).mode.name == "STOPPED"
 """
 COMMAND = "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.app.cli import main\ntry: main()\nexcept SystemExit: pass"
-COMPLETION = """
-from diffdrive_mpc.app.command_line.completion import choices
-import diffdrive_mpc.app.cli
-assert choices("setting")("horizon") and choices("model")("s")
-"""
 PLANT = """
 from diffdrive_mpc.sim import Run, make_plant, simulate
 import diffdrive_mpc.sim.plants.surface, diffdrive_mpc.sim.plants.open_loop
@@ -37,7 +32,6 @@ LOADED = {
     "a model": (MODEL, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
     "a controller": (CONTROLLER, REPORTS | SCIPY | SIMULATION | {"mujoco", "rich", "typer"}),
     "--help": (COMMAND.format(["--help"]), REPORTS | NUMBERS | {"rich"}),
-    "shell completion": (COMPLETION, NUMBERS),
     # A wheel is built with what `build-system` of pyproject.toml names, and nothing else.
     "the schemas": ("import diffdrive_mpc.app.schemas", {"pandas", "rich", "mujoco"}),
     "a plant of a model": (PLANT, {"mujoco"}),

@@ -1,1 +1,1 @@
-"""Parts that all command lines share: errors in one line, options and their completion."""
+"""Parts that all command lines share: errors in one line and options."""

@@ -1,4 +1,4 @@
-"""Kinds of YAML files whose shipped names a shell completes, and the JSON Schemas of three of them."""
+"""Kinds of YAML files with their shipped files, and the JSON Schemas of three of them."""
 
 from __future__ import annotations
 

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.commands.options import RobotName
 
@@ -21,7 +20,6 @@ def show(
         typer.Argument(
             metavar="MODEL|FILE",
             help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or a configuration file.",
-            autocompletion=choices("config"),
         ),
     ],
     *,

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.former_names import WithFormerNames
 
@@ -28,7 +27,6 @@ def show(
         typer.Argument(
             metavar="NAME|FILE",
             help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or a model file.",
-            autocompletion=choices("model"),
         ),
     ],
 ) -> None:

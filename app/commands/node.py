@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.commands.options import Settings, ros_arguments
 
 NODE_EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
@@ -19,16 +18,12 @@ def node(
         str,
         typer.Option(
             help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, "
-            "or the configuration file that was simulated with.",
-            autocompletion=choices("config"),
+            "or the configuration file that was simulated with."
         ),
     ] = "ssm",
     trajectory: Annotated[
         str,
-        typer.Option(
-            help="a shipped name such as circle, or the path of a file; empty: references come by topic.",
-            autocompletion=choices("trajectory"),
-        ),
+        typer.Option(help="a shipped name such as circle, or the path of a file; empty: references come by topic."),
     ] = "circle",
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,

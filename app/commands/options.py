@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import Completer, choices, offers
 from diffdrive_mpc.app.command_line.options import file_option
 
 if TYPE_CHECKING:
@@ -24,21 +23,11 @@ PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
 ConfigFile = Annotated[Path | None, file_option("Controller configuration with its model", "--config")]
 Settings = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Replace a configuration value; repeatable.",
-        autocompletion=choices("setting"),
-    ),
+    typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
 ]
 Sweep = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=V1,V2,...",
-        help="Sweep a configuration value; repeatable.",
-        autocompletion=choices("setting"),
-    ),
+    typer.Option("--set", metavar="KEY=V1,V2,...", help="Sweep a configuration value; repeatable."),
 ]
 Model = Annotated[
     str | None,
@@ -46,7 +35,6 @@ Model = Annotated[
         help="Velocity model: mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or the path of "
         "a file.",
         show_default="ssm, or --config's",
-        autocompletion=choices("model"),
     ),
 ]
 TrustedFolders = Annotated[
@@ -70,7 +58,6 @@ Mapping = Annotated[
         metavar="NAME|FILE",
         help="What the columns or topics are.",
         show_default="that of simulate --log, and a bag's usual topics",
-        autocompletion=choices("mapping"),
     ),
 ]
 """Of the columns or topics of a log."""
@@ -81,7 +68,6 @@ RobotName = Annotated[
         metavar="NAME|FILE",
         help="Begin with what its maker states: husky, jackal, warthog, dingo_d, turtlebot4, or a file.",
         show_default=False,
-        autocompletion=choices("stated-robot"),
     ),
 ]
 Scheduler = Annotated[
@@ -124,26 +110,16 @@ def _single_option(of: Dimension) -> inspect.Parameter:
     if of.name == "model":
         return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
     kind, least = type(of.default), 0 if isinstance(of.default, int) else None
-    option = typer.Option(of.option, help=of.help, min=least, autocompletion=_completer(of))
+    option = typer.Option(of.option, help=of.help, min=least)
     annotation = Annotated[kind, option]  # type: ignore[valid-type]
     return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=of.default, annotation=annotation)
 
 
 def _list_option(of: Dimension) -> inspect.Parameter:
     default = ",".join(map(str, of.compared))
-    option = typer.Option(
-        of.list_option,
-        metavar="LIST",
-        help=of.list_help,
-        show_default=default,
-        autocompletion=_completer(of, several=True),
-    )
+    option = typer.Option(of.list_option, metavar="LIST", help=of.list_help, show_default=default)
     annotation = Annotated[str | None, option]
     return inspect.Parameter(of.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-
-
-def _completer(of: Dimension, *, several: bool = False) -> Completer | None:
-    return choices(of.name, several=several) if offers(of.name) else None
 
 
 def ros_arguments(context: typer.Context) -> list[str]:

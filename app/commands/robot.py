@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_folder, out_option
 from diffdrive_mpc.app.commands.options import Mapping, RobotName
@@ -98,7 +97,7 @@ TUNE_EXAMPLE = "Example: diffdrive-mpc tune ssm --out tuned"
 def tune(
     config: Annotated[
         str,
-        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm."),
     ],
     *,
     out: Annotated[Path, out_option("config.yaml, tune.md and figures/")],

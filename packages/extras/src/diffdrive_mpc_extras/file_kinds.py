@@ -1,4 +1,4 @@
-"""Kinds of files of this package, whose shipped names the command line completes."""
+"""Kinds of files of this package, with their shipped files."""
 
 from __future__ import annotations
 

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 
 
@@ -16,25 +15,16 @@ def torque(
     log: Annotated[Path, typer.Option(help="Log of a robot whose battery and motors are logged.")],
     vehicle: Annotated[
         str,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Its weight, lengths and torque limit (YAML).",
-            autocompletion=choices("vehicle"),
-        ),
+        typer.Option(metavar="NAME|FILE", help="Its weight, lengths and torque limit (YAML)."),
     ],
     out: Annotated[Path, out_option("drive.yaml, turn-costs.yaml, report.html, torque.json, torque.md and figures/")],
     mapping: Annotated[
         str | None,
-        typer.Option(help="What its columns or topics are.", show_default=False, autocompletion=choices("mapping")),
+        typer.Option(help="What its columns or topics are.", show_default=False),
     ] = None,
     drive: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Drive constants to begin with (YAML).",
-            show_default=False,
-            autocompletion=choices("drive"),
-        ),
+        typer.Option(metavar="NAME|FILE", help="Drive constants to begin with (YAML).", show_default=False),
     ] = None,
 ) -> None:
     """Learn what a turn costs a robot from its log: drive constants, torque curves and slip law."""

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.options import PluggedCommand
 
@@ -22,7 +21,6 @@ def excite(
         typer.Argument(
             help="For the model: configuration of the controller that drives it, a file, or mbm, sm, ssm.",
             show_default="ssm",
-            autocompletion=choices("config"),
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Trajectory file to write.", show_default=False)],
@@ -53,9 +51,7 @@ def excite(
     log: Annotated[
         Path | None, typer.Option(help="For the model: drive it, and write this log (.csv, .mcap).", show_default=False)
     ] = None,
-    plant: Annotated[
-        str, typer.Option(help="With --log: the robot, as for simulate.", autocompletion=choices("plant"))
-    ] = "mujoco",
+    plant: Annotated[str, typer.Option(help="With --log: the robot, as for simulate.")] = "mujoco",
     seed: Annotated[int, typer.Option(min=0, help="For the model: of the search, and of the noise.")] = 0,
 ) -> None:
     """Write a trajectory that is worth learning from, for `simulate --trajectory` and the node.

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 from diffdrive_mpc.app.commands.options import ConfigFile, Model, Settings
 
@@ -20,10 +19,7 @@ def export(
     settings: Settings = None,
     trajectory: Annotated[
         str,
-        typer.Option(
-            help="What the table holds: a shipped name such as circle, or the path of a file.",
-            autocompletion=choices("trajectory"),
-        ),
+        typer.Option(help="What the table holds: a shipped name such as circle, or the path of a file."),
     ] = "circle",
     precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
     emulated: Annotated[

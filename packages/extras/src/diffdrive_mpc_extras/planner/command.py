@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.options import PluggedCommand, file_option, out_option
 
 
@@ -22,7 +21,6 @@ def plan(
         typer.Option(
             metavar="NAME|FILE",
             help="What the robot does and pays in turns on its floor (YAML); `torque` writes such files.",
-            autocompletion=choices("turn-costs"),
         ),
     ] = "fsu_bot-default",
     via: Annotated[
@@ -34,7 +32,7 @@ def plan(
     ] = None,
     world: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="What stands there (YAML).", autocompletion=choices("world")),
+        typer.Option(metavar="NAME|FILE", help="What stands there (YAML)."),
     ] = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="It may drive backward.")] = False,
     on_the_spot: Annotated[bool, typer.Option("--on-the-spot", help="It may turn on the spot.")] = False,

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.options import PluggedCommand, out_option
 
 
@@ -15,11 +14,9 @@ def predict_error(
     *,
     config: Annotated[
         str,
-        typer.Option(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+        typer.Option(help="Configuration: the path of a file, or mbm, sm, ssm."),
     ] = "ssm",
-    trajectory: Annotated[
-        str, typer.Option(help="Name or path of the trajectory.", autocompletion=choices("trajectory"))
-    ],
+    trajectory: Annotated[str, typer.Option(help="Name or path of the trajectory.")],
     population: Annotated[
         str, typer.Option(metavar="drawn|own", help="Any robot of the market, or the configuration's own.")
     ] = "drawn",

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.completion import choices
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
@@ -18,7 +17,7 @@ from diffdrive_mpc_extras.campaign.command import Runs
 def prove(
     config: Annotated[
         str,
-        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm."),
     ],
     *,
     out: Annotated[Path, out_option("prove.md, prove.parquet, figures/, worst/ and the rows of the runs")],
