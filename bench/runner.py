@@ -1,22 +1,20 @@
-"""The process pool of all studies: processes of this machine, or the workers of a Dask cluster."""
+"""The process pool of all studies."""
 
 from __future__ import annotations
 
-import logging
 import os
-import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning, MissingPackageError
+from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
 # What can go wrong in a study that is no mistake of the user's; each is one line.
 
@@ -33,16 +31,10 @@ class WorkerDiedError(StudyFailedError):
     """A process that ran a part of a study ended without a result."""
 
 
-class SchedulerLostError(StudyFailedError):
-    """A Dask scheduler does not answer, or has no worker."""
-
-
 T = TypeVar("T")
 OnDone = Callable[[], None]
 _LOOKS_EVERY = 1.0
 """Whether the parent is there [s]."""
-_CONNECT, _WAIT_FOR_WORKERS = 10.0, 60.0
-"""Timeouts of a Dask scheduler: until it answers, and until it has a worker [s]."""
 _LASTING: ContextVar[bool] = ContextVar("processes last", default=False)
 
 
@@ -67,98 +59,32 @@ def processes_last() -> bool:
     return _LASTING.get()
 
 
-@contextmanager
-def cluster(scheduler: str) -> Iterator[None]:
-    """Run the tasks of `run_tasks` on the workers of a Dask scheduler; on this machine if the address is empty.
-
-    The context is joblib's Dask backend: `joblib.parallel_config(backend="dask")` has the same effect.
-
-    Raises
-    ------
-    MissingPackageError
-        If Dask is not installed.
-    SchedulerLostError
-        If the scheduler does not answer, or has no worker.
-    """
-    if not scheduler:
-        yield
-        return
-    try:
-        from distributed import Client  # noqa: PLC0415 - only needed with a scheduler
-    except ImportError as error:
-        raise MissingPackageError("--scheduler needs Dask: pip install diffdrive-mpc[campaign]") from error
-    from joblib import parallel_config  # noqa: PLC0415 - see finished_tasks
-
-    # The progress bar shows what lost workers mean for the study.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    connect: Any = Client
-    try:
-        client = connect(scheduler, timeout=_CONNECT, set_as_default=False, name="diffdrive-mpc")
-    except (OSError, TimeoutError) as error:
-        raise SchedulerLostError(
-            f"--scheduler {scheduler}: no answer; start it with `dask scheduler` and its workers with `dask worker`, "
-            "and name the address that it prints"
-        ) from error
-    try:
-        if not _has_worker(client):
-            raise SchedulerLostError(f"--scheduler {scheduler}: it has no worker; start `dask worker`")
-        with parallel_config(backend="dask", client=client):
-            yield
-    finally:
-        with suppress(OSError, TimeoutError, RuntimeError, AssertionError):  # the scheduler may be lost
-            client.close(timeout=1.0)
-
-
-def _has_worker(client: Any) -> bool:  # noqa: ANN401 - has no types
-    with suppress(TimeoutError):
-        client.wait_for_workers(1, timeout=_WAIT_FOR_WORKERS)
-        return True
-    return False
-
-
-def is_on_cluster() -> bool:
-    """Return True inside joblib's Dask backend."""
-    return _cluster_client() is not None
-
-
-def _cluster_client() -> Any:  # noqa: ANN401 - has no types
-    joblib = sys.modules.get("joblib.parallel")
-    return None if joblib is None else getattr(joblib.get_active_backend()[0], "client", None)
-
-
 def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> list[T]:
-    """Call every task as `finished_tasks` does, and `on_done` after each.
+    """Call every task with one BLAS thread, in `jobs` processes, and `on_done` after each.
+
+    An exception of a task is raised here, and ends the others.
 
     Returns
     -------
     list
-        In the order of `tasks`; the result does not depend on `jobs` or on a cluster.
-    """
-    results = {}
-    for number, result in finished_tasks(tasks, jobs):
-        results[number] = result
-        on_done()
-    return [results[number] for number in range(len(tasks))]
-
-
-def finished_tasks(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T]]:
-    """Call every task with one BLAS thread, in `jobs` processes or on a cluster; yield number and result when done.
-
-    An exception of a task is raised here, and ends the others. A cluster drives the tasks of a lost worker again.
+        In the order of `tasks`; the result does not depend on `jobs`.
 
     Raises
     ------
     WorkerDiedError
         If a process was ended from outside, for instance because the memory was full.
-    SchedulerLostError
-        If a cluster has lost its scheduler, or has no worker.
     """
-    if not is_on_cluster() and (jobs == 1 or len(tasks) < 2):
+    results = {}
+    if jobs == 1 or len(tasks) < 2:
         with threadpool_limits(limits=1):
-            yield from ((number, task()) for number, task in enumerate(tasks))
-        return
-    numbered = [partial(_numbered, number, task) for number, task in enumerate(tasks)]
-    yield from _on_cluster(numbered) if is_on_cluster() else _in_processes(numbered, jobs)
+            for number, task in enumerate(tasks):
+                results[number] = task()
+                on_done()
+    else:
+        for number, result in _in_processes([partial(_numbered, *entry) for entry in enumerate(tasks)], jobs):
+            results[number] = result
+            on_done()
+    return [results[number] for number in range(len(tasks))]
 
 
 def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
@@ -178,22 +104,6 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
             _end_processes(at_once=not finished)
 
 
-def _on_cluster(tasks: Sequence[Callable[[], T]]) -> Iterator[T]:
-    from distributed import KilledWorker  # noqa: PLC0415 - see cluster
-    from distributed.client import FutureCancelledError  # noqa: PLC0415
-    from joblib import Parallel, delayed, parallel_config  # noqa: PLC0415 - see _in_processes
-
-    from diffdrive_mpc.bench.dask_backend import DaskBackend  # noqa: PLC0415 - see cluster
-
-    try:
-        with parallel_config(backend=DaskBackend(client=_cluster_client())):
-            yield from Parallel(return_as="generator_unordered")(delayed(_call_there)(task) for task in tasks)
-    except KilledWorker as error:
-        raise WorkerDiedError(f"a task ended its worker again and again; has it enough memory? {error}") from error
-    except FutureCancelledError as error:
-        raise SchedulerLostError("the Dask scheduler was lost; start it and this command again") from error
-
-
 def _end_processes(*, at_once: bool) -> None:
     from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415 - see run_tasks
 
@@ -210,11 +120,6 @@ def _call(task: Callable[[], T]) -> T:
     # The process that began this one has read the same file, and told of it.
     warnings.simplefilter("ignore", FormerNameWarning)
     return task()
-
-
-def _call_there(task: Callable[[], T]) -> T:
-    with threadpool_limits(limits=1), warnings.catch_warnings(action="ignore", category=FormerNameWarning):
-        return task()
 
 
 @cache

@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
-from diffdrive_mpc.bench.runner import OnDone, available_cores, cluster, run_tasks
+from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
@@ -121,7 +121,7 @@ class Study(ABC, Generic[P, R]):
         """What there is to show of `results`, which took so many `seconds`; matplotlib is imported here, if at all."""
 
 
-def carry_out(study: Study[P, R], out: Path, jobs: int | None = None, scheduler: str = "") -> R:
+def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     """Run a study, print its tables and write its report into `out`.
 
     Parameters
@@ -132,8 +132,6 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None, scheduler:
         Folder of the report.
     jobs
         Processes; by default one for each core.
-    scheduler
-        Address of a Dask scheduler whose workers run the cases; empty for this machine.
 
     Raises ConfigError, ValueError or OSError if something that is named cannot be used or `out` cannot be written to;
     then `out` keeps what it held; StudyFailedError if it could not be finished.
@@ -147,8 +145,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None, scheduler:
         staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
         ProgressBar("preparing") as bar,
     ):
-        with cluster(scheduler):
-            results = study.run(plan, jobs or available_cores(), bar)
+        results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])
         bar.begin("drawing figures", len(report.drawings))

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, Overrides, ch
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
-from diffdrive_mpc.bench.runner import OnDone, available_cores, is_on_cluster, run_tasks
+from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import load_pandas, wrong_type
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -76,7 +76,7 @@ def sweep(
         its extra dead time.
     jobs
         Processes; by default one for each core. Times of steps are in the table for `jobs=1` alone: runs side by side
-        disturb each other. Inside `joblib.parallel_config(backend="dask")` the workers of the Dask cluster are used.
+        disturb each other.
     on_done
         Function to call after each run, in place of a progress bar.
     values
@@ -116,7 +116,7 @@ def sweep(
     tasks = [_Task(row, None if config is None else str(config)) for row in rows]
     check_cases(task.case for task in tasks)
     jobs = jobs or available_cores()
-    calls = [partial(task.row, timed=jobs == 1 and not is_on_cluster()) for task in tasks]
+    calls = [partial(task.row, timed=jobs == 1) for task in tasks]
     if on_done is not None:
         return pandas.DataFrame(run_tasks(calls, jobs, on_done))
     with ProgressBar("sweep", len(tasks)) as bar:

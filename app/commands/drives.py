@@ -13,7 +13,6 @@ from diffdrive_mpc.app.command_line.options import Jobs, out_option
 from diffdrive_mpc.app.commands.options import (
     ConfigFile,
     Scaled,
-    Scheduler,
     Settings,
     Sweep,
     with_dimensions,
@@ -72,12 +71,11 @@ def bench(
         bool, typer.Option("--sweeps", help="Sweep horizons, speeds and dead times, and drive other seeds, too.")
     ] = False,
     jobs: Jobs = None,
-    scheduler: Scheduler = "",
     quick: Annotated[bool, typer.Option("--quick", help="One seed.")] = False,
     scale_to_robot: Scaled = False,
     spec: Annotated[
         Path | None,
-        typer.Option(help="Run the experiment of this file; takes --out, --jobs and --scheduler.", show_default=False),
+        typer.Option(help="Run the experiment of this file; takes --out and --jobs.", show_default=False),
     ] = None,
     **values: str | None,
 ) -> None:
@@ -94,8 +92,8 @@ def bench(
         from diffdrive_mpc.bench.spec import SpecStudy, load_experiment  # noqa: PLC0415
 
         if any((config, settings, horizons, sweeps, quick, scale_to_robot, *values.values())):
-            raise ValueError("--spec: the file defines the runs; give only --out, --jobs and --scheduler with it")
-        carry_out(SpecStudy(load_experiment(spec)), out or Path(_BENCH_OUT), jobs, scheduler)
+            raise ValueError("--spec: the file defines the runs; give only --out and --jobs with it")
+        carry_out(SpecStudy(load_experiment(spec)), out or Path(_BENCH_OUT), jobs)
         return
     request = read_options(
         values,
@@ -106,7 +104,7 @@ def bench(
         scaled=scale_to_robot,
         sweeps=sweeps,
     )
-    complaint = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs, scheduler))
+    complaint = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
     if complaint:
         echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)

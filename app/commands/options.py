@@ -70,9 +70,6 @@ RobotName = Annotated[
         show_default=False,
     ),
 ]
-Scheduler = Annotated[
-    str, typer.Option(metavar="tcp://HOST:PORT", help="Drive on the workers of a Dask scheduler.", show_default=False)
-]
 
 
 def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], Command]:

@@ -9,7 +9,7 @@ import typer
 
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
-from diffdrive_mpc.app.commands.options import Scheduler, TrustedFolders
+from diffdrive_mpc.app.commands.options import TrustedFolders
 
 Runs = Annotated[int | None, typer.Option(min=1, help="Number of runs.", show_default="that of the file")]
 
@@ -23,7 +23,6 @@ def campaign(
         str | None, typer.Option(metavar="K/N", help="Every N-th run from the K-th on.", show_default="all runs")
     ] = None,
     jobs: Jobs = None,
-    scheduler: Scheduler = "",
 ) -> None:
     """Drive many runs that a file draws; a run that was driven before is not driven again.
 
@@ -32,7 +31,7 @@ def campaign(
     from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc_extras.campaign.run import Part, run_campaign  # noqa: PLC0415
 
-    driven = run_campaign(file, CampaignPlace(out, jobs, scheduler), runs, None if part is None else Part.read(part))
+    driven = run_campaign(file, CampaignPlace(out, jobs), runs, None if part is None else Part.read(part))
     if failed(driven):
         raise typer.Exit(FAILED)
 

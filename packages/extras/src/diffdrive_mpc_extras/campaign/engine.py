@@ -24,8 +24,6 @@ from diffdrive_mpc.bench.runner import (
     StudyFailedError,
     WorkerDiedError,
     available_cores,
-    cluster,
-    finished_tasks,
     processes_last,
     run_tasks,
 )
@@ -250,13 +248,10 @@ class CampaignPlace:
         Of the store.
     jobs
         Processes on this machine; None for one for each core.
-    scheduler
-        Address of a Dask scheduler, "tcp://..."; empty to drive here.
     """
 
     folder: Path
     jobs: int | None = None
-    scheduler: str = ""
 
 
 def drive_all(
@@ -289,13 +284,8 @@ def drive_all(
     missing = [task for task in tasks if task.key not in kept or store.load(task.key) is None]
     check_definitions([task.definition for task in missing])
     jobs = place.jobs or available_cores()
-    bar.begin(f"{text}, {place.scheduler or f'{jobs} at a time'}", len(missing))
-    if missing and place.scheduler:
-        with cluster(place.scheduler):
-            for number, figures in finished_tasks([partial(do, task) for task in missing], jobs):
-                store.save(missing[number].key, missing[number].identity, figures)
-                bar.advance()
-    elif missing:
+    bar.begin(f"{text}, {jobs} at a time", len(missing))
+    if missing:
         drive_here(missing, place.folder, jobs, bar.advance)
     driven = []
     for task in tasks:

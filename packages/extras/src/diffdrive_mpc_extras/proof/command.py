@@ -10,7 +10,6 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.command_line.options import Jobs, PluggedCommand, out_option
-from diffdrive_mpc.app.commands.options import Scheduler
 from diffdrive_mpc_extras.campaign.command import Runs
 
 
@@ -40,7 +39,6 @@ def prove(
         ),
     ] = "",
     jobs: Jobs = None,
-    scheduler: Scheduler = "",
 ) -> None:
     """Drive a controller on many plants, paths and faults: rates with intervals, maps, boundaries, worst runs.
 
@@ -52,7 +50,7 @@ def prove(
     from diffdrive_mpc_extras.proof.report import is_unsafe  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.study import ProofStudy, keep  # noqa: PLC0415
 
-    proof, place = load_proof(campaign), CampaignPlace(out, jobs, scheduler)
+    proof, place = load_proof(campaign), CampaignPlace(out, jobs)
     if tolerance:
         from diffdrive_mpc_extras.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
 
