@@ -15,12 +15,12 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
+from diffdrive_mpc.models.logs.csv_table import read_header
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, messages, read_drive_log
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measurement_of
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.models.logs.mapping import load_mapping
-from diffdrive_mpc.models.logs.table_file import read_header
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.config.config_file import values_from_log
 from diffdrive_mpc.sim.log_csv import TEXTS, read_rows

@@ -20,10 +20,8 @@ _SMALLER = "record it in smaller chunks, or uncompressed"
 class Budget:
     """How much more a file of `size` bytes at `path` may unpack to."""
 
-    def __init__(
-        self, path: Path, size: int, remedy: str = "convert it to an uncompressed bag (`ros2 bag convert`)"
-    ) -> None:
-        self._path, self._left, self._remedy = path, max(ALWAYS, MOST_RATIO * size), remedy
+    def __init__(self, path: Path, size: int) -> None:
+        self._path, self._left = path, max(ALWAYS, MOST_RATIO * size)
         self._most = self._left
 
     def take(self, count: int) -> None:
@@ -32,7 +30,7 @@ class Budget:
         if self._left < 0:
             raise ConfigError(
                 f"{self._path}: unpacks to more than {self._most / MEGABYTE:g} MB, {MOST_RATIO} times its size; "
-                f"if it is sound, {self._remedy}"
+                "if it is sound, convert it to an uncompressed bag (`ros2 bag convert`)"
             )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
-from diffdrive_mpc.models.logs.csv_table import CsvTable, require_columns
+from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
 from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, hold_period, in_degrees
 from diffdrive_mpc.models.logs.long_logs import chosen_rows
 from diffdrive_mpc.models.logs.mapping import (
@@ -31,7 +31,6 @@ from diffdrive_mpc.models.logs.mapping import (
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges, refuse
 from diffdrive_mpc.models.logs.record_checks import require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped
-from diffdrive_mpc.models.logs.table_file import read_header, read_table
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]

@@ -18,7 +18,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bag_topics import BATTERIES, COMMANDS, IMU, ODOMETRY, POSES, opened
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.check_settings import check_settings
-from diffdrive_mpc.models.logs.csv_table import CsvTable
+from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
 from diffdrive_mpc.models.logs.diagnosis.readings import in_degrees
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
@@ -31,7 +31,6 @@ from diffdrive_mpc.models.logs.mapping import (
     TimeUnit,
     WheelUnit,
 )
-from diffdrive_mpc.models.logs.table_file import read_header, read_table
 from diffdrive_mpc.models.table import plain_line
 
 

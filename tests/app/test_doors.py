@@ -17,17 +17,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pyarrow
 import pytest
 import yaml
 from mcap.writer import Writer
-from pyarrow import parquet
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.logs.csv_table import read_table
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
-from diffdrive_mpc.models.logs.table_file import read_table
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.log_csv import read_rows
@@ -128,19 +126,6 @@ def _csv(stranger, door):
             read(door / "log.csv")
 
 
-def _parquet(stranger, door):
-    """Older releases of Arrow unpickle the metadata of an extension type."""
-    names, content = {b"ARROW:extension:name": b"arrow.py_extension_type"}, pickle.dumps(Reduced(stranger))
-    numbers = pyarrow.field("v", pyarrow.float64(), metadata={**names, b"ARROW:extension:metadata": content})
-    schema = pyarrow.schema([numbers, pyarrow.field("objects", pyarrow.binary())])
-    table = pyarrow.table([pyarrow.array([0.0, 1.0]), pyarrow.array([content, content])], schema=schema)
-    parquet.write_table(table, door / "log.parquet")
-    call("identify", door / "log.parquet", "--out", door / "out")
-    assert read_table(door / "log.parquet", {"v"}).numbers("v")[0].tolist() == [0.0, 1.0]
-    with pytest.raises(ValueError, match="holds binary"):
-        read_table(door / "log.parquet", {"objects"})
-
-
 def _bag(stranger, door):
     """The library that reads bags makes code of definitions: those in a bag are left alone."""
     code = f"string X=\"'\\n__import__('os').mkdir('{stranger}/marker')#\"\nfloat64 x\n__import__\n"
@@ -239,7 +224,6 @@ DOORS = {
     **{name: partial(_yaml, command, TAGS[0]) for name, command in YAML.items()},
     **{tag.split()[0]: partial(_yaml, YAML["model"], tag) for tag in TAGS[1:]},
     "a CSV log": _csv,
-    "a Parquet log": _parquet,
     "a bag and its attachments": _bag,
     "a folder of a bag": _bag_folder,
     "a log of a drive and its attachments": _drive_log,
@@ -297,7 +281,7 @@ MEASURE = """
 import json, resource, sys
 from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.models.logs.table_file import read_table
+from diffdrive_mpc.models.logs.csv_table import read_table
 resource.setrlimit(resource.RLIMIT_AS, (4_000_000_000, 4_000_000_000))
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 for words in sys.stdin.read().splitlines():
@@ -369,10 +353,6 @@ def bombs(door):
         yield f"models show {door / name}.yaml", words
         if name in ("aliases", "values"):
             yield f"config check {door / name}.yaml", words
-    word = pyarrow.DictionaryArray.from_arrays(np.zeros(60_000, np.int32), ["A" * 100_000])
-    parquet.write_table(pyarrow.table({"t": np.arange(6e4), "v": word}), door / "words.parquet", store_schema=False)
-    (door / "mapping.yaml").write_text("columns: {time: t, command: {v: v, omega: v}, encoders: {v: v, omega: v}}\n")
-    yield f"identify {door / 'words.parquet'} --mapping {door / 'mapping.yaml'} --out {door / 'out'}", "words.parquet"
 
 
 def test_small_files_of_large_content_are_refused_without_memory(tmp_path):

@@ -1,8 +1,7 @@
-"""Makers of hostile texts and tables: YAML, JSON, CSV and Parquet files, and paths that lead to no file."""
+"""Makers of hostile texts and tables: YAML, JSON and CSV files, and paths that lead to no file."""
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import socket
@@ -12,7 +11,6 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import numpy as np
 import yaml
 
 Maker = Callable[[Random, Path], Path]
@@ -153,49 +151,7 @@ def _changed(door: str, random: Random) -> str:
     return str(yaml.safe_dump(tree))
 
 
-_TABLES: dict[str, Callable[[Random], dict[str, object]]] = {
-    "bomb": lambda random: {"t": np.zeros(20_000_000), "v": np.zeros(20_000_000)},
-    "columns": lambda random: {f"c{k}": [1] for k in range(5_000)},
-    "words": lambda random: {"t": [f"t{k}" for k in range(500_000)]},
-    "odd": lambda random: {odd_name(random): [1.0], "v": ["\x1b[2J"]},
-    "damaged": lambda random: {"t": np.zeros(20_000)},
-    "false length": lambda random: {"t": np.zeros(20_000)},
-    "false directory": lambda random: {"t": np.zeros(60_000_000)},
-}
-
-
-def _parquet(kind: str, random: Random) -> bytes:
-    """Write a table; the directory of "false directory" states a small size for pages of half a gigabyte."""
-    import pyarrow
-    from pyarrow import parquet
-
-    columns = _TABLES[kind](random)
-    file, packing = io.BytesIO(), {"compression": "zstd", "use_dictionary": False, "write_statistics": False}
-    parquet.write_table(pyarrow.table(columns), file, data_page_size=2**30, row_group_size=10**8, **packing)
-    content = bytearray(file.getvalue())
-    if kind == "damaged":
-        for _ in range(random.choice((1, 5, 50))):
-            content[random.randrange(4, len(content) - 8)] = random.randrange(256)
-    elif kind == "false length":
-        content[-8:-4] = random.choice((0, 2**31, 2**32 - 1, len(content))).to_bytes(4, "little")
-    elif kind == "false directory":
-        size = parquet.ParquetFile(file).metadata.row_group(0).column(0).total_uncompressed_size
-        start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
-        for number in (size, 60_000_000):
-            content[start:] = content[start:].replace(_varint(number), _varint(1_000, len(_varint(number))))
-    return bytes(content)
-
-
-def _varint(number: int, length: int = 0) -> bytes:
-    number, out = number << 1, bytearray()
-    while number > 0x7F or len(out) + 1 < length:
-        out.append(number & 0x7F | 0x80)
-        number >>= 7
-    return bytes([*out, number])
-
-
 _DOORS = ("controller", "model", "trajectory", "mapping", "stated-robot", "scenario", "experiment", "tune")
-_TIMES = "columns: {time: t, command: {v: t, omega: t}, encoders: {v: t, omega: t}}"
 TEXTS: dict[str, Maker] = {
     **{
         f"{_DOORS[(i + k) % len(_DOORS)]}: YAML {name}": partial(written, "file.yaml", make)
@@ -209,10 +165,6 @@ TEXTS: dict[str, Maker] = {
     **{f"log: CSV {name}": partial(written, "log.csv", make, mapping=_MAPPING) for name, make in _CSV.items()},
     **{f"replay: CSV {name}": partial(_run_log, make) for name, make in _CSV.items()},
     **{f"trajectory: CSV {name}": partial(written, "path.csv", make) for name, make in _POSES.items()},
-    **{
-        f"log: Parquet {kind}": partial(written, "a.parquet", partial(_parquet, kind), mapping=_TIMES)
-        for kind in _TABLES
-    },
     **{f"{door}: CSV hole": partial(hole, "log.csv", _HEAD.encode()) for door in ("log", "replay")},
     **{f"{door}: no file": partial(no_file, "log.csv") for door in ("log", "replay")},
 }

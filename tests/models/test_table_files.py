@@ -4,10 +4,8 @@ import csv
 import io
 
 import numpy as np
-import pyarrow
 import pytest
-from log_parts import MAPPING, drive, write_csv, write_mapping
-from pyarrow.parquet import write_table
+from log_parts import drive, write_csv, write_mapping
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
@@ -106,37 +104,3 @@ def test_what_cannot_be_read_is_said_in_one_true_line(tmp_path, text, words):
     path = tmp_path / "log.csv"
     path.write_text(text, newline="")
     assert words in line_of(path, write_mapping(tmp_path / "map.yaml"))
-
-
-# Parquet
-
-
-def write_parquet(path, columns):
-    write_table(pyarrow.table(columns), path)
-    return path
-
-
-def test_parquet_reads_like_csv(tmp_path):
-    """Nulls are empty cells, words stay words, and times become seconds."""
-    gyro = [None if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
-    stamps = pyarrow.array((COLUMNS["t"] * 1e9).round().astype("int64")).cast(pyarrow.timestamp("ns"))
-    mode = pyarrow.array(["auto"] * 150 + ["manual"] * 50).dictionary_encode()
-    path = write_parquet(tmp_path / "log.parquet", COLUMNS | {"t": stamps, "gyro": gyro, "mode": mode})
-    mapping = write_mapping(tmp_path / "map.yaml", MAPPING + "  where: {mode: auto}\n")
-    (record,) = read_log(path, mapping).records
-    assert record.dt == pytest.approx(0.02) and len(record.command) == 150
-    assert np.array_equal(record.fresh_yaw_rate, np.arange(150) % 10 > 0)
-    assert np.array_equal(record.twist[:, 0], COLUMNS["v"][:150])
-    assert "yaw_rate: {column: gyro, unit: rad/s}" in draft_mapping(path)
-
-
-def test_parquet_that_unpacks_to_far_more_than_it_takes_is_refused(tmp_path):
-    path = write_parquet(tmp_path / "log.parquet", {name: np.zeros(3_000_000) for name in NAMES})
-    assert path.stat().st_size < 300_000
-    assert "times its size; if it is sound, convert it to CSV" in line_of(path, write_mapping(tmp_path / "map.yaml"))
-
-
-def test_damaged_parquet_is_one_line(tmp_path):
-    path = tmp_path / "log.parquet"
-    path.write_bytes(b"PAR1" + bytes(100))
-    assert "cannot be read as Parquet" in line_of(path, write_mapping(tmp_path / "map.yaml"))
