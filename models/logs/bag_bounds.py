@@ -44,7 +44,7 @@ def unpacked(path: Path, data: bytes | memoryview, how: str, size: int | None = 
     data
         As it stands there.
     how
-        "zstd", "lz4", "bz2", or "" or "none" for what is not packed.
+        "zstd", "lz4", or "" for what is not packed.
     size
         What it says that it unpacks to [bytes]; None where it does not say.
 
@@ -68,7 +68,7 @@ def unpacked(path: Path, data: bytes | memoryview, how: str, size: int | None = 
 
 
 def _unpack(data: bytes | memoryview, how: str, most: int) -> bytes | memoryview:
-    if how in ("", "none"):
+    if not how:
         return data
     if how == "zstd":
         from zstandard import ZstdDecompressor  # noqa: PLC0415 - only who reads bags needs it
@@ -78,10 +78,6 @@ def _unpack(data: bytes | memoryview, how: str, most: int) -> bytes | memoryview
         from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415
 
         return bytes(LZ4FrameDecompressor().decompress(data, max_length=most))
-    if how == "bz2":
-        from bz2 import BZ2Decompressor  # noqa: PLC0415
-
-        return BZ2Decompressor().decompress(data, max_length=most)
     raise ValueError(f"it is packed by '{how}'")
 
 

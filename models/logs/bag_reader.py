@@ -1,4 +1,4 @@
-"""Topics and messages of a bag of ROS 2 or ROS 1, read from its files in order."""
+"""Topics and messages of a bag of ROS 2, read from its files in order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.logs.bag_bounds import Budget, Inflated, unpacked
 from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapChannel, McapMessage, mcap_content
-from diffdrive_mpc.models.logs.ros1_file import ros1_messages
 from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
 
 _METADATA = "metadata.yaml"
@@ -29,7 +28,7 @@ class Connection(NamedTuple):
 
 
 class Bag:
-    """A bag: its folder, or one .mcap, .db3 or .bag file.
+    """A bag: its folder, or one .mcap or .db3 file.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ class Bag:
     Raises
     ------
     models.checked_yaml.ConfigError
-        On entering, if a file holds more than is read, or is named twice.
+        On entering, if a file holds more than is read, is named twice, or is a bag of ROS 1.
     OSError, ValueError
         On entering or reading, if a file is damaged or missing.
     """
@@ -100,8 +99,10 @@ class Bag:
                         yield content.channel.topic, content.channel.kind, content.log_time, content.data
                     elif isinstance(content, McapChannel) and content.encoding == "cdr":
                         yield content.topic, content.kind, None, b""
-            elif head.startswith(_ROS1) and not zstd:
-                yield from ros1_messages(file)
+            elif head.startswith(_ROS1):
+                raise ConfigError(
+                    f"{file}: a bag of ROS 1; convert it: `rosbags-convert --src {file.name} --dst {file.stem}`"
+                )
             else:
                 raise ValueError(f"'{file.name}' does not begin as a bag" if head else f"'{file.name}' is empty")
 
@@ -145,13 +146,6 @@ def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
         for entry in entries
         if isinstance(entry.get("topic_metadata"), Mapping) and isinstance(entry.get("message_count"), int)
     }
-
-
-def is_ros1(path: Path) -> bool:
-    """Return True for the path of a bag of ROS 1, known by the first bytes of the file or its ending."""
-    if not path.is_file():
-        return False
-    return path.suffix == ".bag" or _head(path, zstd=False).startswith(_ROS1)
 
 
 def _head(path: Path, zstd: bool) -> bytes:

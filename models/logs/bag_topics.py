@@ -1,4 +1,4 @@
-"""One topic of a bag of ROS 2 or ROS 1 as rows of numbers. Nothing in a bag is ever run."""
+"""One topic of a bag of ROS 2 as rows of numbers. Nothing in a bag is ever run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.bag_reader import Bag, Connection, is_ros1
+from diffdrive_mpc.models.logs.bag_reader import Bag, Connection
 from diffdrive_mpc.models.logs.mapping import MotorTopic, Topic
 from diffdrive_mpc.models.logs.record import BoolArray
 
@@ -124,7 +124,7 @@ class TopicRows:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bag]:
-    """Open a rosbag2, its folder or one .mcap or .db3 file, or a .bag of ROS 1.
+    """Open a rosbag2, its folder or one .mcap or .db3 file.
 
     Raises
     ------
@@ -138,9 +138,8 @@ def opened(path: Path) -> Iterator[Bag]:
         raise
     except Exception as error:  # a damaged file fails in as many ways as there are bytes
         reason = " ".join(str(error).split()) or type(error).__name__
-        kind, rescue = ("ROS 1", "rosbag reindex") if is_ros1(path) else ("ROS 2", "ros2 bag reindex")
         raise ConfigError(
-            f"{path}: cannot be read as a {kind} bag ({reason}); is it complete? `{rescue}` may save it"
+            f"{path}: cannot be read as a ROS 2 bag ({reason}); is it complete? `ros2 bag reindex` may save it"
         ) from error
 
 
@@ -201,9 +200,7 @@ def read_topics(
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     require_topics(reader, path, [(request.topic, request.decoders) for request in requests.values()])
-    ros1 = is_ros1(path)
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-    deserialize = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    store = get_typestore(Stores.ROS2_JAZZY)
     names = {request.topic.topic for request in requests.values()}
     connections = {known.topic: known for known in reader.connections if known.topic in names}
     for known in connections.values():
@@ -214,7 +211,7 @@ def read_topics(
         message = None
         for part in by_topic[name]:
             if part.is_due():
-                message = message or deserialize(data, connections[name].msgtype)
+                message = message or store.deserialize_cdr(data, connections[name].msgtype)
                 part.take(received, message)
     return {role: part.rows() for role, part in columns.items()}
 

@@ -1,4 +1,4 @@
-"""A bag of ROS 2 or ROS 1 as a log: its topics on one clock."""
+"""A bag of ROS 2 as a log: its topics on one clock."""
 
 from __future__ import annotations
 

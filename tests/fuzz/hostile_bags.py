@@ -1,9 +1,8 @@
 # ruff: noqa: E501 - one line for each kind of attack
-"""Makers of hostile bags: data bases, MCAP files, bags of ROS 1, and folders of bags."""
+"""Makers of hostile bags: data bases, MCAP files, and folders of bags."""
 
 from __future__ import annotations
 
-import bz2
 import sqlite3
 import struct
 from collections.abc import Callable
@@ -190,37 +189,6 @@ def _mcap(make: Content, random: Random, folder: Path) -> Path:
     return written("bag.mcap", lambda _: content, random, folder)
 
 
-# Bags of ROS 1.
-
-
-def _ros1_record(data: bytes, **fields: bytes) -> bytes:
-    head = b"".join(_text(name.encode() + b"=" + value) for name, value in fields.items())
-    return _text(head) + _text(data)
-
-
-def _connection(topic: str = "/odom", kind: str = "nav_msgs/Odometry") -> bytes:
-    kind_of = _text(b"type=" + kind.encode("utf-8", "surrogatepass"))
-    return _ros1_record(kind_of, op=b"\x07", conn=bytes(4), topic=topic.encode("utf-8", "surrogatepass"))
-
-
-def _bz2_bomb(random: Random) -> bytes:
-    packed = bz2.compress(_connection() + _ros1_record(bytes(30_000_000), op=b"\x02", conn=bytes(4), time=bytes(8)))
-    size = struct.pack("<I", random.choice((30_000_200, 100, 2**32 - 1)))
-    return _ros1_record(packed, op=b"\x05", compression=b"bz2", size=size) * random.choice((1, 20))
-
-
-_ROS1: dict[str, Content] = {
-    "bomb": _bz2_bomb,
-    "odd names": lambda random: _connection(odd_name(random), odd_name(random)),
-    "damaged": lambda random: random.choice((bytes(800_000), b"\xff" * 100, _text(b"\xff" * 20) + b"\xff" * 4)),
-    "arrays": lambda random: _connection() + _ros1_record(b"\xff" * 80, op=b"\x02", conn=bytes(4), time=bytes(8)) * 50_000,
-}  # fmt: skip
-
-
-def _ros1(make: Content, random: Random) -> bytes:
-    return b"#ROSBAG V2.0\n" + _ros1_record(bytes(4027), op=b"\x03", index_pos=b"\xff" * 8) + bytes(make(random))
-
-
 # Folders of bags.
 
 _FOLDERS: dict[str, Callable[[Random], dict[str, object]]] = {
@@ -270,7 +238,6 @@ BAGS: dict[str, Maker] = {
     **{f"log: SQLite damaged pages {k}": _damaged_pages for k in range(5)},
     **{f"log: SQLite looped pages {k}": _looped_pages for k in range(3)},
     **{f"{door}: MCAP {name}": partial(_mcap, make) for name, make in _BODIES.items() for door in ("log", "replay")},
-    **{f"log: ROS 1 {name}": partial(written, "drive.bag", partial(_ros1, make)) for name, make in _ROS1.items()},
     **{f"log: folder {name}": partial(_folder, name) for name in _FOLDERS},
     **{f"log: no file {name}": partial(no_file, name) for name in _BEGINNINGS},
     **{f"log: hole {name}": partial(hole, name, head) for name, head in _BEGINNINGS.items()},

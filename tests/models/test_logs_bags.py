@@ -1,9 +1,11 @@
-"""Bags of ROS 2, both storages, and of ROS 1: what is read, whose clock counts, and that a bag can run nothing."""
+"""Bags of ROS 2, both storages: what is read, whose clock counts, and that a bag can run nothing."""
 
 import os
 import shutil
 import sqlite3
 import struct
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -216,9 +218,7 @@ def test_commands_in_bursts_give_no_sample_time_and_the_mapping_that_uses_all_of
     assert whole.findings == ()
 
 
-@pytest.mark.parametrize("stated_size", [None, 1, 0])
-def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path, stated_size):
-    """Some recorders state any size for chunks that are not compressed."""
+def test_a_bag_of_ros_1_is_refused_and_reads_when_it_is_converted(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     topics = bag_topics(COLUMNS)
     types = store.types
@@ -242,12 +242,11 @@ def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path, stated_size):
 topics:
   odometry: {topic: /wheels, fields: [twist.linear.x, twist.angular.z]}
 """
-    if stated_size is not None:
-        path, field = tmp_path / "drive.bag", b"\x09\0\0\0size="
-        first, *chunks = path.read_bytes().split(field)
-        assert chunks
-        path.write_bytes(field.join([first, *(struct.pack("<I", stated_size) + chunk[4:] for chunk in chunks)]))
-    (record,) = read_log(tmp_path / "drive.bag", write_mapping(tmp_path / "map.yaml", text)).records
+    with pytest.raises(ConfigError, match="convert it: `rosbags-convert --src drive.bag --dst drive`"):
+        read_log(tmp_path / "drive.bag")
+    command = ("rosbags.convert", "--src", "drive.bag", "--dst", "drive")
+    subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, check=True)
+    (record,) = read_log(tmp_path / "drive", write_mapping(tmp_path / "map.yaml", text)).records
     assert np.array_equal(record.twist[:, 0], COLUMNS["v"][: len(record.twist)])
     assert np.array_equal(record.command[:, 1], COLUMNS["omega_ref"][: len(record.command)])
 
