@@ -46,7 +46,7 @@ def check(
 
 @log_app.command(epilog="Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")
 def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of simulate or of the node: .csv or .mcap.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP log of simulate or of the node.")],
     *,
     config: ConfigFile = None,
     model: Annotated[
@@ -63,8 +63,7 @@ def replay(
 ) -> None:
     """Repeat every tick of a recorded drive, and print the largest difference of the commands [m/s, rad/s].
 
-    The controller gets the recorded measurements, and believes that the recorded commands went out. A CSV log holds no
-    configuration: give the one that drove by --config or --model.
+    The controller gets the recorded measurements, and believes that the recorded commands went out.
     """
     from diffdrive_mpc.app.replay.replay import ReplayRequest, replay_log  # noqa: PLC0415 - --help does without it
 

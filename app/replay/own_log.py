@@ -1,4 +1,4 @@
-"""Read drive logs of `simulate --log` and of the node, tick by tick as the controller had them."""
+"""Read MCAP logs of `simulate` and of the node, tick by tick as the controller had them."""
 
 from __future__ import annotations
 
@@ -14,16 +14,11 @@ from diffdrive_mpc.app.replay.reference import logged_reference
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import is_shipped
-from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
-from diffdrive_mpc.models.logs.csv_table import read_header
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, messages, read_drive_log
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
-from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measurement_of
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
-from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.config.config_file import values_from_log
-from diffdrive_mpc.sim.log_csv import TEXTS, read_rows
 
 _MIN_TICKS = 10
 _INTERPOLATED = (
@@ -31,53 +26,31 @@ _INTERPOLATED = (
     "rad/s where limits are active; --trajectory with its file makes the replay exact."
 )
 _LAPS = "The log is the last of several laps: the corrections that were learned before are not in it."
-_NO_STAMPS = (
-    "The log is of a release without covariances and stamps: commands may differ by some mm/s and mrad/s, because "
-    "readings count as of their tick and with the noise of the configuration."
-)
-_FOREIGN = "is no log of `simulate --log` or of the node; only these can be replayed"
+_TEXTS = ("mode", "message")
+_FOREIGN = "is no log of `simulate --log FILE.mcap` or of the node; only these can be replayed"
 
 
-def read_recording(path: Path, configs: LoggedConfigs, config: ControllerConfig | None = None) -> Recording:
-    """Read a log of `simulate --log`, of the node, or an MCAP bag with the topics ~/tick and ~/drive.
+def read_recording(path: Path, configs: LoggedConfigs) -> Recording:
+    """Read an MCAP log of `simulate`, of the node, or an MCAP bag with the topics ~/tick and ~/drive.
 
     Parameters
     ----------
     path
-        CSV or MCAP file.
+        MCAP file.
     configs
         Reader of the configurations in the log.
-    config
-        Configuration that replaces the one in the log; shipped trajectories were within its limits.
 
     Raises ConfigError if the log cannot be read, is too short, or names a file that is not trusted.
     """
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
-    if path.suffix != ".mcap":
-        recording = _read_csv(path, config)
-    else:
-        records = _record_lines(path)
-        recording = recorded_drive(path, *records, configs) if records[0] else _read_mcap(path, configs)
-        if is_drive_log(path) and read_drive_log(path).cut:
-            recording = replace(recording, notes=(*recording.notes, f"{path.name}: the end of the file is missing."))
+    records = _record_lines(path)
+    recording = recorded_drive(path, *records, configs) if records[0] else _read_mcap(path, configs)
+    if is_drive_log(path) and read_drive_log(path).cut:
+        recording = replace(recording, notes=(*recording.notes, f"{path.name}: the end of the file is missing."))
     if len(recording.ticks) < _MIN_TICKS:
         raise ConfigError(f"{path}: {len(recording.ticks)} ticks, at least {_MIN_TICKS} are needed; record for longer")
     return recording
-
-
-def _read_csv(path: Path, config: ControllerConfig | None) -> Recording:
-    columns, header = load_mapping(OWN_FORMAT).columns, read_header(path)
-    assert columns is not None
-    if not columns.found_in(header).names() | {"mode"} <= set(header):
-        raise ConfigError(f"{path}: {_FOREIGN}")
-    numbers, texts, findings = read_rows(path)
-    notes = findings if set(TOLD) <= set(numbers) else [_NO_STAMPS, *findings]
-    for name in ("wheel_t_s", "gyro_t_s"):
-        numbers.setdefault(name, numbers["t_s"])
-    rows = zip(*(column.tolist() for column in numbers.values()), strict=True)
-    measurements = [measurement_of(dict(zip(numbers, row, strict=True))) for row in rows]
-    return _recording(path, numbers, texts, measurements, config, notes)
 
 
 def _read_mcap(path: Path, configs: LoggedConfigs) -> Recording:
@@ -85,7 +58,7 @@ def _read_mcap(path: Path, configs: LoggedConfigs) -> Recording:
         raise ConfigError(f"{path}: {_FOREIGN}")
     log = read_drive_log(path)
     numbers = {name: column for name, column in log.columns.items() if column.dtype != object}
-    texts = {name: list(log.columns[name]) for name in TEXTS}
+    texts = {name: list(log.columns[name]) for name in _TEXTS}
     config = None
     if "configuration" in log.metadata:
         values = values_from_log(log.metadata["configuration"].get("yaml", ""), path)

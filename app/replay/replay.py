@@ -122,7 +122,7 @@ def replay_log(request: ReplayRequest) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         named = _named_config(request)
         configs = LoggedConfigs(request.log, Path(scratch), request.trusted if named is None else None)
-        recording = read_recording(request.log, configs, named)
+        recording = read_recording(request.log, configs)
         config = named or recording.config
         if config is None:
             raise ConfigError(f"{request.log}: the log does not hold a configuration; give --config or --model")

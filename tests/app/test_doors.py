@@ -28,7 +28,6 @@ from diffdrive_mpc.models.logs.csv_table import read_table
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.sim.log_csv import read_rows
 
 ROOT = Path(__file__).parents[2]
 NETWORK = model_path("lstm")
@@ -121,9 +120,8 @@ def _csv(stranger, door):
     rows = "".join(f'{i},"{cell}",0\n' for i, cell in enumerate(cells))
     (door / "log.csv").write_text("t_s,v,omega\n" + rows.replace("@", str(stranger)))
     call("identify", door / "log.csv", "--out", door / "out")
-    for read in (read_rows, lambda path: read_table(path, {"t_s", "v"}).numbers("v")):
-        with pytest.raises(ValueError, match=r"log\.csv"):
-            read(door / "log.csv")
+    with pytest.raises(ValueError, match=r"log\.csv"):
+        read_table(door / "log.csv", {"t_s", "v"}).numbers("v")
 
 
 def _bag(stranger, door):

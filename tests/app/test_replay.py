@@ -12,10 +12,11 @@ from diffdrive_mpc import ConfigError, load_config, load_trajectory
 from diffdrive_mpc.app.replay.node_log import LoggedConfigs
 from diffdrive_mpc.app.replay.own_log import read_recording
 from diffdrive_mpc.app.replay.replay import replay
+from diffdrive_mpc.app.run_log import run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.log_csv import write_log
+from diffdrive_mpc.sim.log_mcap import write_log
 
 DT = 0.0202
 EQUAL = "recorded and replayed commands are equal at every tick"
@@ -44,13 +45,14 @@ def logged(case, folder):
     """Run a case; return the run, its log and the configuration."""
     controller, plant, reference = build(case)
     run = simulate(controller, plant, reference)
-    path = Path(folder) / "drive.csv"
-    write_log(run, path)
+    path = Path(folder) / "drive.mcap"
+    with run_log(path) as write:
+        write(run, case)
     return run, path, controller.config
 
 
-def recorded(path, config=None):
-    return read_recording(path, LoggedConfigs(path, path.parent), config)
+def recorded(path):
+    return read_recording(path, LoggedConfigs(path, path.parent))
 
 
 def log_replay(*words, code=0):
@@ -59,9 +61,9 @@ def log_replay(*words, code=0):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_csv_log_replays_to_the_same_commands(name, tmp_path):
+def test_log_replays_to_the_same_commands(name, tmp_path):
     run, path, config = logged(CASES[name], tmp_path)
-    recording = recorded(path, config)
+    recording = recorded(path)
     replayed = replay(recording, config, recording.references, as_recorded=False)
     assert np.array_equal(recording.command, run.command)
     assert np.abs(replayed.command - run.command).max() < 1e-9
@@ -73,8 +75,8 @@ def test_csv_log_replays_to_the_same_commands(name, tmp_path):
 
 
 def test_slew_of_another_configuration_counts_from_the_recorded_command(tmp_path):
-    _, path, config = logged(Case(), tmp_path)
-    recording = recorded(path, config)
+    _, path, _ = logged(Case(), tmp_path)
+    recording = recorded(path)
     heavy = load_config("ssm", {"weights.across": 400.0, "limits.v_slew": 0.9})
     replayed = replay(recording, heavy, recording.references, as_recorded=False)
     assert np.abs(replayed.command - recording.command).max() > 0.01
@@ -90,7 +92,7 @@ def test_own_trajectory_is_interpolated_with_a_note_and_exact_with_its_file(tmp_
     replayed = replay(recording, config, recording.references, as_recorded=False)
     assert np.abs(replayed.command - run.command).max() < 1e-9
     assert "--trajectory with its file makes the replay exact" in recording.notes[0]
-    assert EQUAL in log_replay(log, "--model", "ssm", "--trajectory", path)
+    assert EQUAL in log_replay(log, "--trajectory", path)
 
 
 @pytest.fixture(scope="module")
@@ -125,49 +127,41 @@ def log(tmp_path):
     return path
 
 
-def cut_off(text):
-    return text[: len(text) - 40]
-
-
-def not_a_number(text):
-    return text.replace(text.splitlines()[5].split(",")[1], "fast", 1)
-
-
-def without_a_command(text):
-    lines = text.splitlines()
-    cells = lines[30].split(",")
-    lines[30] = ",".join([cells[0], "", *cells[2:]])
-    return "\n".join(lines) + "\n"
+def cut_off(content):
+    return content[: len(content) // 2]
 
 
 BROKEN = {
-    "cut off": (cut_off, 0, "the last line is cut off; it is left out"),
-    "no number": (not_a_number, 2, "leave a cell empty where a reading is missing"),
-    "a command unknown": (without_a_command, 0, "replayed"),
-    "too short": (lambda text: "\n".join(text.splitlines()[:6]) + "\n", 2, "at least 10 are needed; record for longer"),
-    "empty": (lambda text: text.splitlines()[0] + "\n", 2, "holds no row"),
-    "a row too short": (lambda text: text.replace("\n", "\n1,2\n", 3), 2, "cells, the header names"),
-    "of another recorder": (lambda text: text.replace("v_ref_m_s", "speed", 1), 2, "only these can be replayed"),
+    "cut off": (cut_off, 0, "the end of the file is missing"),
+    "empty": (lambda content: b"", 2, "only these can be replayed"),
+    "a CSV log": (lambda content: b"t_s,v_ref_m_s\n0,0\n", 2, "only these can be replayed"),
 }
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_log_is_read_or_refused_with_one_line(name, log):
     change, code, words = BROKEN[name]
-    log.write_text(change(log.read_text()))
+    log.write_bytes(change(log.read_bytes()))
     assert words in log_replay(log, "--model", "ssm", code=code)
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ((), "the log does not hold a configuration; give --config or --model"),
-        (("--model", "ssm", "--set", "sample_time=0.1"), "its ticks come every 20.2 ms, sample_time is 100 ms"),
-    ],
-)
-def test_bad_option_is_refused_with_one_line(words, expected, log):
-    output = log_replay(log, *words, code=2)
-    assert expected in output and "Traceback" not in output
+def test_log_of_a_few_ticks_is_refused(tmp_path):
+    path = tmp_path / "short.yaml"
+    path.write_text("segments: [{v: 0.1, omega: 0.0, duration: 0.02}]\ntiming: commanded\n")
+    _, log, _ = logged(Case(trajectory=str(path), plant="model:ssm"), tmp_path)
+    assert "at least 10 are needed; record for longer" in log_replay(log, code=2)
+
+
+def test_bad_option_is_refused_with_one_line(log):
+    output = log_replay(log, "--model", "ssm", "--set", "sample_time=0.1", code=2)
+    assert "its ticks come every 20.2 ms, sample_time is 100 ms" in output and "Traceback" not in output
+
+
+def test_log_without_a_configuration_is_refused_with_one_line(tmp_path):
+    controller, plant, reference = build(Case(plant="model:ssm"))
+    write_log(simulate(controller, plant, reference), tmp_path / "drive.mcap")
+    output = log_replay(tmp_path / "drive.mcap", code=2)
+    assert "the log does not hold a configuration; give --config or --model" in output
 
 
 CASE = Case(trajectory="cane", sensors="slam", overrides=(("weights.across", 90.0),))

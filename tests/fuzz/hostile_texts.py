@@ -129,16 +129,6 @@ _POSES: dict[str, Content] = {
 }
 
 
-def _run_log(make: Content, random: Random, folder: Path) -> Path:
-    """Write a log with the columns of `simulate --log`."""
-    from fuzz.logs import base_files
-
-    head, row = (base_files() / "own.csv").read_bytes().splitlines(keepends=True)[:2]
-    path = written("log.csv", make, random, folder)
-    path.write_bytes(head + row * random.choice((0, 0, 1, 5_000)) + path.read_bytes().partition(b"\n")[2])
-    return path
-
-
 def _changed(door: str, random: Random) -> str:
     """Change one value of a shipped file."""
     from fuzz import mutation
@@ -163,8 +153,7 @@ TEXTS: dict[str, Maker] = {
     **{f"report: JSON {name}": partial(written, "contents/.contents.json", make) for name, make in _JSON.items()},
     **{f"ticks: JSON {name}": partial(written, "line.json", make) for name, make in _JSON.items()},
     **{f"log: CSV {name}": partial(written, "log.csv", make, mapping=_MAPPING) for name, make in _CSV.items()},
-    **{f"replay: CSV {name}": partial(_run_log, make) for name, make in _CSV.items()},
     **{f"trajectory: CSV {name}": partial(written, "path.csv", make) for name, make in _POSES.items()},
-    **{f"{door}: CSV hole": partial(hole, "log.csv", _HEAD.encode()) for door in ("log", "replay")},
+    "log: CSV hole": partial(hole, "log.csv", _HEAD.encode()),
     **{f"{door}: no file": partial(no_file, "log.csv") for door in ("log", "replay")},
 }
