@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from commands import invoke
 from diffdrive_mpc import ConfigError, load_trajectory
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.models.identification.fit.noise import DriveInformation
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc_extras.excitation import model_excitation as searched
+from diffdrive_mpc_extras.excitation.drive_information import DriveInformation
 from diffdrive_mpc_extras.excitation.excite import check_drive, driven, excite_model
 from diffdrive_mpc_extras.excitation.model_excitation import Room, model_excitation, path_of, write_model_drive
 from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, told_apart, write_slip_drive

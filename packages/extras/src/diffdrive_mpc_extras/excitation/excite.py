@@ -17,7 +17,6 @@ from diffdrive_mpc.bench.controllers import build_plant, controller_config, make
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.fit.noise import TOLD, DriveInformation
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import is_shipped, load_linear_model
@@ -26,6 +25,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc_extras.excitation.drive_information import TOLD, DriveInformation
 from diffdrive_mpc_extras.excitation.model_excitation import (
     ModelDrive,
     Room,

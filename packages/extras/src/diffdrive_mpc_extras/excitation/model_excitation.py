@@ -3,7 +3,7 @@
 Two families of twists over time: moves that are held, and sums of sines. Of each, the one that tells most is looked for
 by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359; `scipy.optimize`); the better
 of the two is the drive. What "tells" means comes from outside, as a function of commands: see
-`models.identification.fit.noise`. Every member of a family keeps to the room and to the limits by its construction,
+`excitation.drive_information`. Every member of a family keeps to the room and to the limits by its construction,
 so the search has no constraints.
 """
 
