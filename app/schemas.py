@@ -16,9 +16,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from diffdrive_mpc.app.command_line.file_kinds import SCHEMAS
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.file_kind import PACKAGE
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users
@@ -27,6 +25,14 @@ from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
 from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile
 
 Schema = dict[str, Any]
+PACKAGE = Path(__file__).parents[1]
+SCHEMAS = {
+    "controller": PACKAGE / "mpc" / "schemas" / "controller.schema.json",
+    "model": PACKAGE / "models" / "schemas" / "model.schema.json",
+    "trajectory": PACKAGE / "mpc" / "schemas" / "trajectory.schema.json",
+}
+"""Place of each JSON Schema, by the name of the kind. A schema is in the room of its reader, so that shipped files name
+it by the same relative path in a clone and in an installed wheel."""
 
 
 def json_schema(kind: str) -> str:

@@ -135,7 +135,3 @@ def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:
         )
         for row in rows.to_dict("records")
     ]
-
-
-def _is_compound(value: object) -> bool:
-    return isinstance(value, (np.ndarray, dict)) or is_dataclass(value)

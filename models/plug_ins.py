@@ -28,7 +28,6 @@ GROUPS = (
     "plants",
     "peers",
     "columns",
-    "files",
     "parameter_writers",
 )
 

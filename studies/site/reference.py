@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import diffdrive_mpc as package
-from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.schemas import json_schema
 from diffdrive_mpc.bench.experiment_file import ExperimentFile
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
@@ -57,10 +56,8 @@ def file_formats_page() -> str:
 def _section(kind: str) -> str:
     about, option, read_schema = _FORMATS[kind]
     schema = read_schema()
-    names = ", ".join(f"`{name}`" for name in KINDS[kind].texts) if kind in KINDS else ""
-    facts = f"For `{option}`." + (f" Shipped: {names}." if names else "")
-    title = f"## {kind}: {about} {{ #{kind} }}"
-    return "\n\n".join([title, facts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])
+    parts = [f"## {kind}: {about} {{ #{kind} }}", f"For `{option}`."]
+    return "\n\n".join([*parts, *(_table(choice, schema) for choice in _alternatives(schema, schema))])
 
 
 def _table(part: Schema, schema: Schema) -> str:

@@ -14,10 +14,10 @@ from pydantic import ValidationError
 from commands import invoke
 from diffdrive_mpc import ModelError, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.command_line.file_kinds import KINDS, SCHEMAS
-from diffdrive_mpc.app.schemas import json_schema
+from diffdrive_mpc.app.schemas import SCHEMAS, json_schema
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path
+from file_kinds import KINDS
 
 READERS: dict[str, Callable[[Path], object]] = {
     "controller": load_config,

@@ -12,13 +12,13 @@ import typer.main
 from commands import refusal
 from diffdrive_mpc import Controller
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.app.former_names import former_names
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.former_keys import former_keys
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.sim import Run
+from file_kinds import KINDS
 
 TESTS = Path(__file__).parents[1]
 NAMES = json.loads((TESTS / "names_of_0_2_0.json").read_text(encoding="utf-8"))

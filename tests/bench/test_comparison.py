@@ -11,7 +11,6 @@ from bench_parts import quick_case, quick_outcome
 from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config, make_plant
-from diffdrive_mpc.app.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.case import BY_OSQP, COMPARED, DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
 from diffdrive_mpc.bench.comparison.plan import (
@@ -28,6 +27,7 @@ from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
 from diffdrive_mpc.bench.statistics import BootstrapEstimate, cvar, mean, median
+from file_kinds import KINDS
 
 QUICK = {
     "controllers": ("mpc",),

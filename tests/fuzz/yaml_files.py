@@ -14,15 +14,15 @@ import numpy as np
 import yaml
 
 from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, make_plant
-from diffdrive_mpc.app.command_line.file_kinds import KINDS
+from diffdrive_mpc.app.schemas import PACKAGE
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.spec import load_experiment
-from diffdrive_mpc.models.file_kind import PACKAGE
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
+from file_kinds import KINDS
 from fuzz import mutation, shrink
 from fuzz.case import Case, FaultError
 from fuzz.controller import Life, checked_reference
