@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.groups import PackagedGroup
 from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from diffdrive_mpc.app.command_line.options import PluggedCommand
-from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _HOME = "diffdrive_mpc.app.commands"
 
 
-class Commands(WithFormerNames, OneLineErrors):
+class Commands(PackagedGroup, OneLineErrors):
     """The commands of this package and of installed packages."""
 
 

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.groups import PackagedGroup
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.commands.options import ConfigFile, Mapping, Settings, TrustedFolders
-from diffdrive_mpc.app.former_names import WithFormerNames
 
-log_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="Check and replay logs of drives.")
+log_app = typer.Typer(cls=PackagedGroup, no_args_is_help=True, help="Check and replay logs of drives.")
 
 
 @log_app.callback()

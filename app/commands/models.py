@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
-from diffdrive_mpc.app.former_names import WithFormerNames
+from diffdrive_mpc.app.command_line.groups import PackagedGroup
 
-models_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="List, show and check velocity models.")
+models_app = typer.Typer(cls=PackagedGroup, no_args_is_help=True, help="List, show and check velocity models.")
 
 
 @models_app.command("list", epilog="Example: diffdrive-mpc models list")

@@ -6,13 +6,10 @@ import re
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-import pytest
 import typer.main
 
-from commands import refusal
 from diffdrive_mpc import Controller
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.former_names import former_names
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.former_keys import former_keys
@@ -89,13 +86,6 @@ def test_each_name_of_0_2_0_exists_or_is_listed():
 def test_renamed_keys_of_the_page_are_those_that_are_read():
     missing = [before for before in former_keys() if before in NAMES["keys"] and not is_listed(before)]
     assert missing == []
-
-
-@pytest.mark.parametrize("words", [*former_names("commands"), *former_names("options")])
-def test_former_command_or_option_prints_its_line_and_is_listed(words):
-    line = {**former_names("commands"), **former_names("options")}[words]
-    assert line in " ".join(refusal(*words.split()).split())
-    assert words in LISTED
 
 
 def test_parameters_of_node_parts_are_those_of_the_page():
