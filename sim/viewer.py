@@ -1,31 +1,20 @@
-"""MuJoCo's viewer on a running drive: a model of its own, which the plant does not use."""
+"""A MuJoCo model of the robot for pictures, which the plant does not use."""
 
 from __future__ import annotations
 
 import itertools
 import math
-import os
-import sys
-import threading
-import time
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.errors import DiffdriveMpcError
-from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.make import plant_body
-from diffdrive_mpc.sim.plants.plant import Plant
 
 GREY, BLUE, ORANGE = (0.25, 0.25, 0.25, 1.0), (0.0, 0.45, 0.70, 1.0), (0.90, 0.38, 0.0, 1.0)
 _PIECES = 300
 """Number of straight pieces of a drawn line."""
-_CLOSING_TIME = 30.0
-"""Time limit for the viewer to close [s]."""
 _TYRE = 0.6
 """Width of a tyre over the radius of the wheel [-]; no file states it."""
 _WORLD = """
@@ -49,12 +38,8 @@ _WHEEL = """
 """
 
 
-class NoDisplayError(DiffdriveMpcError):
-    """No window can be opened. One line: the reason and a remedy."""
-
-
 class RobotScene:
-    """MuJoCo model of the robot of a plant on a floor, for the viewer and for pictures.
+    """MuJoCo model of the robot of a plant on a floor, for pictures.
 
     Parameters
     ----------
@@ -101,75 +86,3 @@ def draw_line(scene: Any, points: FloatArray, height: float, colour: tuple[float
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, dtype=np.float32))
         mujoco.mjv_connector(geom, kind, width, start, end)
         scene.ngeom += 1
-
-
-class ViewedController:
-    """Controller whose drive is shown in real time; commands are those of the controller inside.
-
-    Parameters
-    ----------
-    controller, plant
-        Controller and plant of the run; the plant is only read.
-    scene, handle
-        Model of the view, and the handle of MuJoCo's viewer.
-    """
-
-    def __init__(self, controller: TrackingController, plant: Plant, scene: RobotScene, handle: Any) -> None:  # noqa: ANN401 - untyped
-        self._controller, self._plant, self._scene, self._handle = controller, plant, scene, handle
-        self._angles, self._start = np.zeros(4), time.monotonic()
-
-    def start(self, reference: Reference, t0: float) -> None:
-        """Start the controller and draw the reference."""
-        self._controller.start(reference, t0)
-        times = np.linspace(0.0, reference.duration, _PIECES + 1)
-        with self._handle.lock():
-            draw_line(self._handle.user_scn, reference.sample(times).pose[:, :2], 0.005, GREY)
-        self._start = time.monotonic() - t0
-
-    def step(self, t: float, measurement: Measurement) -> ControlStep:
-        """Return the step of the controller, and show the robot until its wall time; a closed viewer is skipped."""
-        step = self._controller.step(t, measurement)
-        if self._handle.is_running():
-            if measurement.wheel_speeds is not None:
-                self._angles += self._plant.sample_time * np.nan_to_num(np.asarray(measurement.wheel_speeds.value))
-            with self._handle.lock():
-                self._scene.place(self._plant.true_pose, self._angles)
-            self._handle.sync()
-            time.sleep(max(0.0, self._start + t - time.monotonic()))
-        return step
-
-
-@contextmanager
-def viewed(controller: TrackingController, plant: Plant, name: str, start: ArrayLike) -> Iterator[ViewedController]:
-    """Open the viewer on the plant `name` with the robot at `start` (3,); raises NoDisplayError without a display."""
-    require_display()
-    import mujoco.viewer  # noqa: PLC0415 - optional, and needs a display
-
-    scene, before = RobotScene(name), set(threading.enumerate())
-    scene.place(start)
-    with mujoco.viewer.launch_passive(scene.model, scene.data, show_left_ui=False, show_right_ui=False) as handle:
-        threads = set(threading.enumerate()) - before
-        yield ViewedController(controller, plant, scene, handle)
-    # A thread that still draws when Python ends crashes it.
-    for thread in threads:
-        thread.join(_CLOSING_TIME)
-
-
-def require_display() -> None:
-    """Raise NoDisplayError if no window can be opened; MuJoCo's viewer would wait for one without end."""
-    remedy = "use --out FOLDER for a report, or ssh -X for a display"
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise NoDisplayError(f"--view: no display (neither DISPLAY nor WAYLAND_DISPLAY is set); {remedy}")
-    import glfw  # noqa: PLC0415 - comes with MuJoCo
-
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        window = None
-        if glfw.init():
-            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-            window = glfw.create_window(64, 64, "", None, None)
-            glfw.default_window_hints()
-    if not window:
-        reason = f" ({caught[0].message})" if caught else ""
-        raise NoDisplayError(f"--view: no window can be opened{reason}; {remedy}")
-    glfw.destroy_window(window)

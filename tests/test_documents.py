@@ -45,7 +45,7 @@ OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
 # What of a command says that it needs a program of the system.
-NEEDS = {"--view": "window", "--emulate": "microcontroller"}
+NEEDS = {"--emulate": "microcontroller"}
 RUN_BY_CI = re.compile(
     r"make (bench|study NAME=(tracking|reproduce|speed)|site|test|test-system|lint|types|wheel|fuzz)$"
 )

@@ -34,7 +34,6 @@ def simulate(
         Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
     ] = None,
     scale_to_robot: Scaled = False,
-    view: Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer, in real time.")] = False,
     details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
@@ -48,7 +47,6 @@ def simulate(
         out=out,
         log=log,
         scaled=scale_to_robot,
-        view=view,
         details=details,
     )
 

@@ -46,7 +46,6 @@ def simulate_one(
     out: Path | None,
     log: Path | None,
     scaled: bool = False,
-    view: bool = False,
     details: bool = False,
 ) -> None:
     """Run a case, print how it went, and write figures and log where asked.
@@ -57,8 +56,6 @@ def simulate_one(
         By dimension, `model` being None where it was not given.
     config, settings, out, log, scaled
         As typed.
-    view
-        Whether MuJoCo's viewer shows it.
     details
         Whether its tables are printed instead of a summary.
 
@@ -70,11 +67,6 @@ def simulate_one(
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
-        if view:
-            from diffdrive_mpc.sim.viewer import viewed  # noqa: PLC0415
-
-            start = reference.sample(np.zeros(1)).pose[0]
-            controller = stack.enter_context(viewed(controller, plant, case.plant, start))
         kept = folder is not None or holds_plans(log)
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
