@@ -23,7 +23,6 @@ class FileLimits:
     multiplications: int
     weights_spare: int
     bag_chunk: int
-    bag_database: int
     bag_files: int
     bag_topics: int
     bag_ratio: int
@@ -32,7 +31,6 @@ class FileLimits:
     drive_ticks: int
     drive_ticks_always: int
     json_bytes: int
-    run_bytes: int
     csv_words: int
 
 

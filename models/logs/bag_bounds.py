@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import IO
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.file_limits import file_limits
@@ -79,26 +78,3 @@ def _unpack(data: bytes | memoryview, how: str, most: int) -> bytes | memoryview
 
         return bytes(LZ4FrameDecompressor().decompress(data, max_length=most))
     raise ValueError(f"it is packed by '{how}'")
-
-
-class Inflated:
-    """Content of a file that zstd compresses as a whole, read forwards and within its budget."""
-
-    def __init__(self, packed: IO[bytes], budget: Budget) -> None:
-        from zstandard import ZstdDecompressor  # noqa: PLC0415 - only who reads bags needs it
-
-        self._stream, self._budget = ZstdDecompressor().stream_reader(packed, read_across_frames=True), budget
-
-    def read(self, count: int) -> bytes:
-        """The next `count` bytes, or as many as there are; raises ConfigError or ValueError."""
-        from zstandard import ZstdError  # noqa: PLC0415
-
-        parts: list[bytes] = []
-        try:
-            while count > 0 and (part := self._stream.read(min(count, MEGABYTE))):
-                self._budget.take(len(part))
-                parts.append(part)
-                count -= len(part)
-        except ZstdError as error:
-            raise ValueError(f"it cannot be unpacked: {error}") from error
-        return b"".join(parts)

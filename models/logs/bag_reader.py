@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import open_input
-from diffdrive_mpc.models.logs.bag_bounds import Budget, Inflated, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import Budget, unpacked
 from diffdrive_mpc.models.logs.mcap_file import MCAP_MAGIC, McapChannel, McapMessage, mcap_content
 from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
 
@@ -51,7 +51,7 @@ class Bag:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._files, self._packed = path, [path], ""
+        self._path, self._files, self._is_packed = path, [path], False
         self.connections: list[Connection] = []
         self.duration = 0
 
@@ -80,7 +80,7 @@ class Bag:
         for topic, kind, time, data in self._messages(wanted):
             if time is not None and (topic, kind) in wanted:
                 content = bytes(data)
-                if self._packed == "message":
+                if self._is_packed:
                     content = bytes(unpacked(self._path, content, "zstd"))
                     budget.take(len(content))
                 yield topic, time, content
@@ -88,13 +88,12 @@ class Bag:
     def _messages(
         self, wanted: Collection[tuple[str, str]]
     ) -> Iterator[tuple[str, str, int | None, bytes | memoryview]]:
-        zstd = self._packed == "file"
         for file in self._files:
-            head = _head(file, zstd)
+            head = _head(file)
             if head.startswith(SQLITE_MAGIC):
-                yield from sqlite_messages(file, wanted, zstd=zstd)
+                yield from sqlite_messages(file, wanted)
             elif head.startswith(MCAP_MAGIC):
-                for content in mcap_content(file, zstd=zstd):
+                for content in mcap_content(file):
                     if isinstance(content, McapMessage) and content.channel.encoding == "cdr":
                         yield content.channel.topic, content.channel.kind, content.log_time, content.data
                     elif isinstance(content, McapChannel) and content.encoding == "cdr":
@@ -132,8 +131,11 @@ class Bag:
         places = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
         if len(places) < len(names):
             raise ConfigError(f"{path}: names one file under several names; name each file once")
-        self._packed = str(bag.get("compression_mode") or "").lower()
-        if self._packed in ("file", "message") and bag.get("compression_format") != "zstd":
+        mode = str(bag.get("compression_mode") or "").lower()
+        self._is_packed = mode == "message"
+        if mode == "file":
+            raise ConfigError(f"{path}: its files are compressed as a whole; unpack the bag (`ros2 bag convert`)")
+        if self._is_packed and bag.get("compression_format") != "zstd":
             raise ValueError(f"it is packed by '{bag.get('compression_format')}'; only zstd is read")
         return _counts(bag.get("topics_with_message_count"))
 
@@ -148,7 +150,6 @@ def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
     }
 
 
-def _head(path: Path, zstd: bool) -> bytes:
+def _head(path: Path) -> bytes:
     with open_input(path) as file:
-        stream = Inflated(file, Budget(path, 0)) if zstd else file
-        return stream.read(len(SQLITE_MAGIC))
+        return file.read(len(SQLITE_MAGIC))

@@ -14,7 +14,7 @@ from zlib import crc32
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import MEGABYTE, open_input
-from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, Budget, Inflated, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, Budget, unpacked
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
@@ -50,8 +50,8 @@ class McapMetadata(NamedTuple):
 McapContent: TypeAlias = McapChannel | McapMessage | McapMetadata
 
 
-def mcap_content(path: Path, *, zstd: bool = False) -> Iterator[McapContent]:
-    """Yield channels, messages and metadata in the order of the file, which `zstd` may compress as a whole.
+def mcap_content(path: Path) -> Iterator[McapContent]:
+    """Yield channels, messages and metadata in the order of the file.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def mcap_content(path: Path, *, zstd: bool = False) -> Iterator[McapContent]:
     """
     kinds: dict[int, str] = {}
     channels: dict[int, McapChannel] = {}
-    for kind, record in _records(path, zstd):
+    for kind, record in _records(path):
         try:
             if kind == _MESSAGE:
                 number, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
@@ -105,37 +105,35 @@ def _words(record: memoryview, offset: int) -> dict[str, str]:
     return words
 
 
-def _records(path: Path, zstd: bool) -> Iterator[tuple[int, memoryview]]:
+def _records(path: Path) -> Iterator[tuple[int, memoryview]]:
     """Yield kind and content of every record of `_KINDS` up to the end of the data, those inside of chunks included."""
     with open_input(path) as file:
         budget = Budget(path, os.fstat(file.fileno()).st_size)
-        stream: IO[bytes] | Inflated = Inflated(file, budget) if zstd else file
-        if stream.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+        if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise ValueError("it does not begin as an MCAP file")
         while True:
-            kind, length = _HEAD.unpack(_exactly(stream, _HEAD.size))
+            kind, length = _HEAD.unpack(_exactly(file, _HEAD.size))
             if kind in (_DATA_END, _FOOTER):
                 return
             if kind == 0:
                 raise ValueError("zeros stand in place of a record")
             if kind not in (*_KINDS, _CHUNK):
-                # A compressed stream cannot be sought in.
                 while length > 0:
-                    length -= len(_exactly(stream, min(length, MEGABYTE)))
+                    length -= len(_exactly(file, min(length, MEGABYTE)))
                 continue
             if length > MOST_UNPACKED + MEGABYTE:
                 raise ConfigError(
                     f"{path}: a chunk or message of {length / MEGABYTE:,.0f} MB, at most "
                     f"{MOST_UNPACKED / MEGABYTE:g} are read; record it in smaller chunks"
                 )
-            record = memoryview(_exactly(stream, length))
+            record = memoryview(_exactly(file, length))
             if kind == _CHUNK:
                 yield from _inside(_chunk(path, record, budget))
             else:
                 yield kind, record
 
 
-def _exactly(stream: IO[bytes] | Inflated, count: int) -> bytes:
+def _exactly(stream: IO[bytes], count: int) -> bytes:
     data = stream.read(count)
     if len(data) < count:
         raise ValueError("it ends before its data do")

@@ -19,7 +19,7 @@ from urllib.parse import quote
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import MEGABYTE, open_input
-from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, Budget, Inflated
+from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, Budget
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 _SAFE = "PRAGMA trusted_schema = OFF; PRAGMA temp_store = MEMORY; PRAGMA mmap_size = 0; PRAGMA cell_size_check = ON"
@@ -52,7 +52,7 @@ class _Watch:
 
 
 def sqlite_messages(
-    path: Path, topics: Collection[tuple[str, str]] = (), *, zstd: bool = False
+    path: Path, topics: Collection[tuple[str, str]] = ()
 ) -> Iterator[tuple[str, str, int | None, bytes]]:
     """Yield topic, type, time of receipt [ns] and bytes of the messages; of a topic itself once, without a time.
 
@@ -62,8 +62,6 @@ def sqlite_messages(
         The file.
     topics
         Topic and type of those messages whose bytes are read; of others they are left empty.
-    zstd
-        Whether the file is compressed as a whole; it is then unpacked in memory.
 
     Raises
     ------
@@ -76,7 +74,7 @@ def sqlite_messages(
     """
     watch = _Watch()
     try:
-        with _opened(path, zstd) as (base, size):
+        with _opened(path) as (base, size):
             base.set_progress_handler(watch.look, _STEPS)
             yield from _rows(path, base, Budget(path, size), watch, topics)
     except sqlite3.Error as error:
@@ -91,27 +89,14 @@ def sqlite_messages(
 
 
 @contextmanager
-def _opened(path: Path, zstd: bool) -> Iterator[tuple[sqlite3.Connection, int]]:
+def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
     """Open the data base, which nothing can change; yield it and the size of its file."""
     with open_input(path) as file:
         size = os.fstat(file.fileno()).st_size
-        if zstd:
-            base = sqlite3.connect(":memory:")
-        else:
-            base = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
+        base = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
         try:
             for limit, most in _LIMITS.items():
                 base.setlimit(limit, most)
-            if zstd:
-                most = file_limits().bag_database
-                content = Inflated(file, Budget(path, size)).read(most + 1)
-                if len(content) > most:
-                    raise ConfigError(
-                        f"{path}: unpacks to more than {most / MEGABYTE:g} MB, the most that is unpacked of a data "
-                        "base; convert it to an uncompressed bag (`ros2 bag convert`)"
-                    )
-                base.deserialize(content)
-                del content
             base.executescript(_SAFE)
             yield base, size
         finally:
