@@ -39,13 +39,10 @@ class Growing(Generic[_Scalar]):
         Kind of the values.
     zeros
         Zeros to begin with.
-    width
-        Values of a row; None for a row of single values.
     """
 
-    def __init__(self, dtype: type[_Scalar], zeros: int = 0, width: int | None = None) -> None:
-        self._shape: tuple[int, ...] = () if width is None else (width,)
-        self._values: NDArray[_Scalar] = np.zeros((zeros, *self._shape), dtype)
+    def __init__(self, dtype: type[_Scalar], zeros: int = 0) -> None:
+        self._values: NDArray[_Scalar] = np.zeros(zeros, dtype)
         self._count = zeros
 
     def __len__(self) -> int:
@@ -57,13 +54,13 @@ class Growing(Generic[_Scalar]):
         end = self._count + len(block)
         if end > len(self._values):
             # Memory is moved by pages where it can be: no second copy beside it.
-            self._values.resize((end + end // _ROOM, *self._shape), refcheck=False)
+            self._values.resize(end + end // _ROOM, refcheck=False)
         self._values[self._count : end] = block
         self._count = end
 
     def array(self) -> NDArray[_Scalar]:
-        """All of them, (n,) or (n, width); nothing may follow."""
-        self._values.resize((self._count, *self._shape), refcheck=False)
+        """All of them, (n,); nothing may follow."""
+        self._values.resize(self._count, refcheck=False)
         return self._values
 
 
