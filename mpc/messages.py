@@ -143,8 +143,9 @@ class MessageFormatter:
         lib, words = self._lib, []
         for subject, (bit, name) in enumerate(self._accused.items()):
             if c.reasons & bit:
-                repeats = "it repeats itself, and " if c.repeating >> subject & 1 else ""
-                words.append(f"{name} not used: {repeats}the other sensors contradict it{_wiring(name, c)}")
+                repeats = c.repeating >> subject & 1
+                why = "it repeats itself, and " if repeats else ""
+                words.append(f"{name} not used: {why}the other sensors contradict it{'' if repeats else _wiring(name, c)}")
         if c.reasons & lib.DDMPC_POSES_SCATTER:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
         if c.reasons & lib.DDMPC_POSES_LATE:
@@ -191,6 +192,8 @@ def _wiring(name: str, c: Any) -> str:  # noqa: ANN401
     """Return how a sensor seems to be built in, if not as configured, and the remedy; empty where nothing fits."""
     turn, way, rolled = (float(ratio) for ratio in c.reads)
     off = math.degrees(c.direction)
+    if name == "yaw rate" and turn and abs(turn) < _HONEST:
+        return "; it does not turn while poses do: mend its axis, or its unit"
     if name == "yaw rate" and turn and abs(turn - 1) > _HONEST:
         remedies = ["sensors.yaw_rate.sign: -1"] if turn < -_HONEST else []
         if abs(abs(turn) - 1) > _HONEST:

@@ -133,6 +133,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
         *last_stamp = stamped->stamp;
         memcpy(last, value, (size_t)count * sizeof(real));
     }
+    ddmpc_monitor_count(c, subject, fault == DDMPC_TOO_LARGE || fault == DDMPC_JUMPS);
     if (fault != DDMPC_NO_FAULT) {
         ddmpc_reject(&c->result, subject, fault, a, b);
         return 0;

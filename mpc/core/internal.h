@@ -194,11 +194,13 @@ typedef struct {
     real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* of turning, as quotients of sums */
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
     real turns[MONITORED_DELAYS][2], turned; /* sums that it is made of: turns by the gyro times those by poses, and squared; by poses */
+    real spread[6];                 /* weights of turns, times those by poses, by the gyro, both squared, and their product */
     ddmpc_time delay;               /* by which they are later than stamped, as far as motion says so [s] */
     int creeping;                   /* whether poses and gyro begin to differ */
     ddmpc_time slipped, stood;      /* when wheels last slipped; when poses last said that it stands though it is told to move */
+    real impossible[2];             /* readings of wheels and gyro that no robot has, of late */
     real turning[2];                /* sums of gyro times wheels while these turn as told, with sign and by size [rad^2/s] */
-    real direction;                 /* angle from the heading of poses to their last way that was long enough [rad] */
+    real direction, directed;       /* mean angle from the heading of poses to their way [rad], and its weights */
     real apart, anchor[3];          /* turn of the gyro less that of poses in all [rad]; direction, its variance and that turn at an earlier course */
     int anchored;
     real witness, settled;          /* squared deviations by which the course tells that the heading of poses is right, below 0 the gyro; up to the anchor */
@@ -384,6 +386,7 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists);
 /* Sensors, as bits by subject, that repeat themselves to the last digit where the commands say something else. Such readings
    are not used, but where poses say that the robot stands against its commands: then it is held, and they are right. */
+void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible);
 int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t);
 /* Compare what all say of the motion up to a pose; returns who is accused from now on, as bits by subject. */
 int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose);

@@ -71,6 +71,12 @@ static int is_doubtful(const ddmpc_constants *k, real reading, real model)
     return ddmpc_fabs(reading - model) > k->doubtful[ABSOLUTE] + k->doubtful[SHARE] * ddmpc_fabs(model);
 }
 
+void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible)
+{
+    real *count = &c->monitor.impossible[subject];
+    *count = c->constants->impossible[1] * *count + (real)impossible;
+}
+
 int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
@@ -87,7 +93,9 @@ int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
     const int gyro_repeats = t - m->gyro.heard <= silence && t - m->gyro.changed > silence;
     /* Wheels that turn as they are told, and a gyro that says the opposite all along. */
     const int gyro_opposes = m->turning[1] > k->gyro[ABSOLUTE] && m->turning[0] < R(-0.5) * m->turning[1];
-    return (wheels && wheels_repeat ? BY_WHEELS : 0) | ((gyro && gyro_repeats) || gyro_opposes ? BY_GYRO : 0);
+    const int no_wheels = m->impossible[0] > k->impossible[0], no_gyro = m->impossible[1] > k->impossible[0];
+    return ((wheels && wheels_repeat) || no_wheels ? BY_WHEELS : 0) |
+           ((gyro && gyro_repeats) || gyro_opposes || no_gyro ? BY_GYRO : 0);
 }
 
 /* Count a sum from nought again, wherever it is kept. */
@@ -100,6 +108,7 @@ static void rebase(ddmpc_monitor *m, int i)
         m->apart = m->witness = m->settled = m->turned = m->turning[0] = m->turning[1] = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
         memset(m->turns, 0, sizeof m->turns);
+        memset(m->spread, 0, sizeof m->spread);
         memset(m->went, 0, sizeof m->went);
         return;
     }
@@ -425,6 +434,10 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         m->turns[i][1] = k->late[1] * m->turns[i][1] + weight * square(turn[i]);
     }
     m->turned = k->late[1] * m->turned + weight * square(by.pose_turn);
+    const real now_turned = turn[(int)ddmpc_rint((real)(m->delay / delay_of(k, 1)))];
+    const real add[6] = {R(1.0), by.pose_turn, now_turned, square(by.pose_turn), square(now_turned), by.pose_turn * now_turned};
+    for (int i = 0; i < 6; i++)
+        m->spread[i] = k->late[1] * m->spread[i] + weight * add[i];
     int best = 1;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         m->misfit[i] = m->turned - (m->turns[i][1] > R(0.0) ? square(m->turns[i][0]) / m->turns[i][1] : R(0.0));
@@ -537,7 +550,8 @@ static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
     real direction, spread;
     if (!from || !course(k, from, now, pose, noise, &direction, &spread))
         return;
-    m->direction = direction;
+    m->directed = k->late[1] * m->directed + R(1.0) / spread;
+    m->direction = ddmpc_wrap(m->direction + ddmpc_wrap(direction - m->direction) / (spread * m->directed));
     if (now->time >= m->next_pose) {
         m->witness *= k->late[1];
         m->settled *= k->late[1];
@@ -578,6 +592,16 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
     return R(2.0) * least;
 }
 
+/* Whether turns of the gyro, about their mean, are another factor of those of poses: a bias makes none, nor does a fault of poses. */
+static int is_scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
+{
+    const real *sum = m->spread, weights = ddmpc_max(sum[0], R(1e-9));
+    const real pose = sum[3] - square(sum[1]) / weights, gyro = sum[4] - square(sum[2]) / weights;
+    const real both = sum[5] - sum[1] * sum[2] / weights;
+    return pose > k->late[2] && both > k->scaled[0] * gyro && ddmpc_fabs(both - gyro) > k->scaled[1] * gyro &&
+           pose * gyro - square(both) < k->scaled[2] * pose * gyro;
+}
+
 /* Evidence that wheels tell another way than poses and commands, which agree: by all ways since a while ago. */
 static real scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
@@ -613,6 +637,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         verdict result = weigh_late(k, m, from, now, pose->value, heard, noise, window);
         result.fault[DDMPC_OF_POSE] += ddmpc_max(m->witness, R(0.0));
         result.fault[DDMPC_OF_YAW_RATE] += ddmpc_max(-m->witness, R(0.0));
+        result.fault[DDMPC_OF_POSE] += is_scaled(k, m) ? k->scaled[3] : R(0.0);
         for (int i = 0; i < SENSES; i++)
             if ((heard | BY_POSE) & 1 << i)
                 evidence[i] = ddmpc_max(evidence[i], result.honest - result.fault[i]);
@@ -655,8 +680,9 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         if (!(accused & BY_POSE) && there & BY_GYRO && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
             learn_delay(k, m, from, now, pose->value, noise);
     }
-    /* A reading that repeats itself against the commands is no witness against poses. */
-    if (ddmpc_monitor_doubts(c, m->now.time) & ~accused)
+    /* A reading that repeats itself against the commands, or at the end of its range, is no witness against poses. */
+    const int rests = m->now.time - m->gyro.changed > (ddmpc_time)k->silence && ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
+    if ((ddmpc_monitor_doubts(c, m->now.time) | (rests ? BY_GYRO : 0)) & ~accused)
         evidence[DDMPC_OF_POSE] = R(0.0);
     /* By poses that are not used nobody else is accused. */
     if (accused & BY_POSE)
@@ -738,6 +764,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         /* What was made of the delay by a wrong sensor. */
         memset(m->misfit, 0, sizeof m->misfit);
         memset(m->turns, 0, sizeof m->turns);
+        memset(m->spread, 0, sizeof m->spread);
         m->turned = R(0.0);
         m->delay = 0.0;
     }
