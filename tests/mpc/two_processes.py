@@ -33,7 +33,14 @@ class DriveFailedError(DiffdriveMpcError, RuntimeError):
 
 
 def drive_over_dds(
-    case: Case, duration: float, bag: Path, *, lock_step: bool, timeout: float, settings: Path | None = None
+    case: Case,
+    duration: float,
+    bag: Path,
+    *,
+    lock_step: bool,
+    timeout: float,
+    settings: Path | None = None,
+    parameters: Path | None = None,
 ) -> None:
     """Let the node drive `case` and record it.
 
@@ -51,6 +58,8 @@ def drive_over_dds(
         Longest time that it may take [s].
     settings
         Of the simulated base, in place of the shipped ones.
+    parameters
+        File of the node's parameters; without one, poses come from the topic.
 
     Raises DriveFailedError if a process fails or takes too long.
     """
@@ -64,7 +73,8 @@ def drive_over_dds(
     node = ["node", "--config", case.config or case.model, "--trajectory", case.trajectory, "--drive"]
     for key, value in case.overrides:
         node += ["--set", f"{key}={value}"]
-    node += ["--ros-args", "-p", "use_pose_topic:=true", "-p", "start_at_robot:=false"]
+    node += ["--ros-args", *(("--params-file", str(parameters)) if parameters else ("-p", "use_pose_topic:=true"))]
+    node += ["-p", "start_at_robot:=false"]
     node += ["-p", f"use_sim_time:={str(lock_step).lower()}"]
     with tempfile.TemporaryDirectory() as folder:
         environment = own_domain(Path(folder))
