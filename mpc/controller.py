@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -445,7 +446,7 @@ class Controller:
         Returns
         -------
         ControllerConfig
-            The configuration from the next step on.
+            The configuration from the next step on. A warning says where the rest of the reference exceeds its limits.
 
         Raises
         ------
@@ -456,6 +457,11 @@ class Controller:
         """
         config = self.updated(weights, limits)
         self._prepare_limits(config)
+        if limits and self._reference is not None and self._pursuit.time < self._reference.duration:
+            try:
+                check_speeds(self._reference, config.limits, config.sample_time, self.model.dc_gain, self._pursuit.time)
+            except ValueError as error:
+                warnings.warn(f"the robot will be late: {error}", stacklevel=2)
         return config
 
     def updated(

@@ -55,11 +55,13 @@ class Problem:
     def __post_init__(self) -> None:
         """Roll a linear model out once."""
         model, horizon = self.model, self.config.horizon
-        least = int(model.dead_samples.max()) + 1
+        # A dead time of 1.4 samples takes two, as far as a whole sample under the command is concerned.
+        dead = model.dead_samples + (model.B1.any(axis=0) if isinstance(model, DiscreteModel) else 0)
+        least = int(dead.max()) + 1
         if horizon < least:
             raise ValueError(
-                f"horizon = {horizon}: with its dead time the robot answers to a command after {least} "
-                f"steps; set horizon to {least} or more"
+                f"horizon = {horizon}: it ends within the dead time of the model, {least - 1} steps of {model.dt:g} s; "
+                f"set horizon to {least} or more"
             )
         prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
         object.__setattr__(self, "prediction", prediction)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import wraps
 from types import NoneType
@@ -419,7 +420,11 @@ class ParameterChanges:
         self.pending = self.pending or bool(changes)
         controller = self._running()
         if controller is not None and changes:
-            controller.update(*_groups(changes, read(self._node, self._config)))
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                controller.update(*_groups(changes, read(self._node, self._config)))
+            for warning in caught:
+                self._node.get_logger().warning(str(warning.message))
             self._changed()
 
     def _declared(self, parameters: Iterable[Parameter]) -> dict[str, Any]:

@@ -72,10 +72,13 @@ _LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
 _LEAST_SPOT = 0.1
 
 
-def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> None:
+def check_speeds(
+    reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None, after: float = 0.0
+) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
 
     With the steady-state `gain` (2, 2) of the model the command is compared, too, that keeps the reference's twist.
+    What the reference asks for before its time `after` [s] is not looked at.
 
     Raises
     ------
@@ -84,6 +87,7 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
         where it gives poses or twists of another shape than it is asked for.
     """
     times = _instants(reference, dt)
+    times = times[min(int(np.searchsorted(times, after)), times.size - 2) :]
     sample = checked_reference(reference).sample(times)
     odd = np.flatnonzero(~(np.abs(sample.pose) <= _FURTHEST).all(axis=1))
     if odd.size:

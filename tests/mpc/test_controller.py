@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import astuple, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from ideal_robot import PROMPT, IdealRobot, drive
 
-from diffdrive_mpc import ConfigError, load_model
+from diffdrive_mpc import ConfigError, Trajectory, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
@@ -228,7 +229,8 @@ def test_updates_take_effect_between_two_ticks():
     commands = []
     for k in range(150):
         if k == 100:
-            changed = driver.update(limits={"v": 0.2})
+            with pytest.warns(UserWarning, match=r"will be late: reference 'circle': v = 0.5 at .* limits.v = 0.2"):
+                changed = driver.update(limits={"v": 0.2})
             assert changed.limits.v == 0.2
             assert driver.config.limits.v == 1.5
         result = driver.step(robot.time, robot.measure())
@@ -242,6 +244,22 @@ def test_updates_take_effect_between_two_ticks():
     assert (commands[100:, 0] <= due + 1e-9).all()
     assert commands[-1, 0] == pytest.approx(0.2, abs=1e-3)
     assert driver.config.limits.v == 0.2
+
+
+def test_limits_are_compared_with_what_is_still_to_be_driven():
+    """The first second drives at 1 m/s, the rest at 0.3."""
+    times = np.linspace(0.0, 6.0, 301)
+    v = np.where(times < 1.0, 1.0, 0.3)
+    reference = Trajectory.from_arrays(times, np.concatenate([[0.0], np.cumsum(v[:-1] * 0.02)]), 0.0 * times, v=v)
+    for instant, is_late in ((0.5, True), (3.0, False)):
+        driver, robot = controller(), robot_for(reference)
+        driver.start(reference, 0.0)
+        while robot.time < instant:
+            robot.advance(driver.step(robot.time, robot.measure()).command)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            driver.update(limits={"v": 0.5})
+        assert bool(caught) == is_late
 
 
 @pytest.mark.parametrize(
@@ -270,6 +288,16 @@ def test_unusable_models_and_horizons_raise_error():
         Controller(load_config("ssm"), "no_such_model")
     with pytest.raises(ValueError, match="horizon"):
         controller(**{"horizon": 3, "extra_dead_time.v": 0.2})
+
+
+@pytest.mark.parametrize("steps", [1.49, 2.0])
+def test_horizon_that_ends_within_the_dead_time_is_refused_with_the_smallest_that_works(steps):
+    late = {"extra_dead_time.v": steps * DT}
+    line = "horizon = 2: it ends within the dead time of the model, 2 steps of 0.0202 s; set horizon to 3 or more"
+    with pytest.raises(ValueError, match=line):
+        controller(horizon=2, **late)
+    assert controller(horizon=3, **late).config.horizon == 3
+    assert controller(horizon=1).config.horizon == 1
 
 
 EVERY_ORDER = """
