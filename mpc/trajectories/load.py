@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
@@ -111,18 +112,39 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
         route = check(WaypointFile, data, where)
         name, way = route.name or path.stem, timing or route.timing
         caps = _caps(route.speed_passport, way, path)
-        return lay_waypoints(route.waypoints, limits, name=name, speed=route.speed, where=where, timing=way, caps=caps)
+        laid = lay_waypoints(
+            route.waypoints,
+            limits,
+            name=name,
+            speed=route.speed,
+            where=where,
+            timing=way,
+            caps=caps,
+            max_deviation=route.max_deviation,
+        )
+        return _remarked(laid, "the polyline of its waypoints")
     sequence = check(SegmentFile, data, where)
     segments, start, way = sequence.segments, sequence.start, timing or sequence.timing
     name, caps = sequence.name or path.stem, _caps(sequence.speed_passport, way, path)
     if way == "smooth":
         from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth  # noqa: PLC0415
 
-        return lay_smooth(
+        smooth = lay_smooth(
             segments, limits, name=name, start=start, where=where, smoothing=sequence.smoothing, caps=caps
         )
+        return _remarked(smooth, "the drawn path", way, segments)
     lay = lay_commanded if way == "commanded" else lay_segments
-    return lay(segments, limits, name=name, start=start, where=where)
+    return _remarked(lay(segments, limits, name=name, start=start, where=where), "", way, segments)
+
+
+def _remarked(trajectory: Trajectory, drawn: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
+    """Return `trajectory` with its remark: the duration of the `segments` in the file, and how far it is from `drawn`."""
+    stated, driven = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
+    parts = [f"{stated} in the file, driven in {driven} (timing: {timing})"] if segments and stated != driven else []
+    if drawn:
+        away = float(trajectory.drawn_distance(getattr(trajectory, "breaks", ())).max())
+        parts.append(f"its path is up to {away:.3f} m from {drawn}; errors refer to its path")
+    return replace(trajectory, remark=f"trajectory '{trajectory.name}': {'; '.join(parts)}") if parts else trajectory
 
 
 def _caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:

@@ -58,4 +58,5 @@ def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None
     of = random_splines()
     slower = replace(limits, v=min(limits.v, of.speed), omega=min(limits.omega, of.omega))
     points = [(float(x), float(y)) for x, y in of.waypoints(seed)]
-    return lay_waypoints(points, slower, name=f"spline-{seed}", where=f"spline-{seed}", timing=timing or of.timing)
+    name = f"spline-{seed}"
+    return lay_waypoints(points, slower, name=name, where=name, timing=timing or of.timing, max_deviation=None)

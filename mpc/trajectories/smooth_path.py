@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.near_polyline import deviations, spline_near
 
 _COINCIDE = 1e-9
 """Points nearer than this are one [m]."""
@@ -32,6 +33,8 @@ class SmoothPath:
     """(m,) largest |curvature| on each piece [1/m]."""
     bend_change: FloatArray
     """(m,) largest |d curvature / d arc length| on each piece [1/m^2]."""
+    deviation: FloatArray | None = None
+    """(m + 1,) distance from the polyline of the waypoints [m]; None where `max_deviation` was not given."""
 
 
 def smooth_path(
@@ -39,12 +42,13 @@ def smooth_path(
     where: str,
     pieces: int | None = None,
     ends: tuple[float | None, float | None] = (None, None),
+    max_deviation: float | None = None,
 ) -> SmoothPath:
     """Lay a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and cut it into pieces.
 
     `where` names the source of the waypoints in error messages; `pieces` is into how many pieces the path is cut
     between two of them, by default as the settings say; `ends` are the headings [rad] with which it begins and ends,
-    each where it is not free.
+    each where it is not free. With `max_deviation` [m] the ends are free, and the spline is that of `spline_near`.
 
     Raises
     ------
@@ -59,9 +63,15 @@ def smooth_path(
     if chords.min() < _COINCIDE:
         at = int(np.argmin(chords))
         raise ConfigError(f"{where}: waypoints.{at} and waypoints.{at + 1} coincide; remove one")
-    bounds = tuple((2, np.zeros(2)) if end is None else (1, np.array([np.cos(end), np.sin(end)])) for end in ends)
-    spline = CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), waypoints, bc_type=bounds)
-    u = np.append((spline.x[:-1, None] + chords[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
+    along = np.concatenate([[0.0], np.cumsum(chords)])
+    if max_deviation is None:
+        bounds = tuple((2, np.zeros(2)) if end is None else (1, np.array([np.cos(end), np.sin(end)])) for end in ends)
+        spline = CubicSpline(along, waypoints, bc_type=bounds)
+    else:
+        spline = spline_near(waypoints, max_deviation)
+        # As many pieces as without the knots that it adds.
+        pieces = max(1, pieces * chords.size // (spline.x.size - 1))
+    u = np.append((spline.x[:-1, None] + np.diff(spline.x)[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
     inside = u[:-1, None] + np.diff(u)[:, None] * (_NODES + 1) / 2
 
     tangent = spline(u, 1)
@@ -74,11 +84,17 @@ def smooth_path(
     tightest = np.abs(np.diff(heading)) / lengths
     at = int(np.argmax(tightest))
     if tightest[at] * settings.min_turn_radius > 1:
+        leg = int(np.searchsorted(along[1:-1], u[at], side="right"))
+        near = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
         raise ConfigError(
             f"{where}: the path turns with a radius below {settings.min_turn_radius:g} m between waypoints."
-            f"{at // pieces} and waypoints.{at // pieces + 1}; add or move waypoints to round the turn"
+            f"{leg} and waypoints.{leg + 1}; add or move waypoints to round the turn{near}"
         )
-    return SmoothPath(spline(u), heading, curvature, lengths, bend, bend_change.max(axis=1))
+    points = spline(u)
+    deviation = None
+    if max_deviation is not None:
+        deviation = deviations(points, np.searchsorted(along[1:-1], u, side="right"), waypoints)
+    return SmoothPath(points, heading, curvature, lengths, bend, bend_change.max(axis=1), deviation)
 
 
 def bending(spline: CubicSpline, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -214,9 +214,12 @@ def trajectory_from_waypoints(
     name: str,
     speed: float | None,
     timing: Timing,
+    max_deviation: float,
 ) -> SplineTrajectory:
     """Make the trajectory of `Trajectory.from_waypoints`."""
     where = f"trajectory '{name}'"
+    if not checked_number("max_deviation", max_deviation, "give m, such as 0.05") > 0:
+        raise ConfigError(f"{where}: max_deviation = {max_deviation} m; give a positive number")
     array = _from_arrays_numbers(where, "points", points)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ConfigError(
@@ -238,7 +241,15 @@ def trajectory_from_waypoints(
         limits = replace(limits, v=max(limits.v, speed or 0.0))
     elif not isinstance(limits, TrajectoryLimits):
         raise wrong_type("limits", "a configuration or TrajectoryLimits", limits, "give load_config('config.yaml')")
-    return lay_waypoints(list(map(tuple, array)), limits, name=name, speed=speed, where=where, timing=timing)
+    return lay_waypoints(
+        list(map(tuple, array)),
+        limits,
+        name=name,
+        speed=speed,
+        where=where,
+        timing=timing,
+        max_deviation=max_deviation,
+    )
 
 
 def _checked(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:

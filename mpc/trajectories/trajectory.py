@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,10 +29,13 @@ class Trajectory(ABC):
         Name for tables and figures.
     duration
         Time from start to end [s].
+    remark
+        One line on what differs from the file: its duration and its path; empty where nothing does.
     """
 
     name: str
     duration: float
+    remark: str = field(default="", kw_only=True)
 
     @staticmethod
     def from_arrays(
@@ -80,6 +83,7 @@ class Trajectory(ABC):
         speed: float | None = None,
         limits: TrajectoryLimits | ControllerConfig | str | Path | None = None,
         timing: Timing = "stop",
+        max_deviation: float = 0.05,
         name: str = "waypoints",
     ) -> Trajectory:
         """Lay a smooth path through waypoints, and drive it from rest to rest.
@@ -95,6 +99,8 @@ class Trajectory(ABC):
             default those of the robot of the papers (1.5 m/s), or `speed` where that is more.
         timing
             "stop", "commanded" or "smooth", see `timing.Timing`.
+        max_deviation
+            Largest distance of the path from the polyline of the points [m]; corners are rounded to keep to it.
         name
             Name for tables and figures.
 
@@ -107,7 +113,9 @@ class Trajectory(ABC):
         """
         from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_waypoints  # noqa: PLC0415
 
-        return trajectory_from_waypoints(points, limits, name=name, speed=speed, timing=timing)
+        return trajectory_from_waypoints(
+            points, limits, name=name, speed=speed, timing=timing, max_deviation=max_deviation
+        )
 
     def __repr__(self) -> str:
         """Name, duration and length in one line."""
@@ -128,5 +136,5 @@ class Trajectory(ABC):
         """
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """Distance (n,) [m] at `times` (n,) [s] from the path as it was drawn: zero unless smooth timing changed it."""
+        """Distance (n,) [m] at `times` (n,) [s] from the path as it was drawn, which waypoints draw as a polyline."""
         return np.zeros(np.size(times))

@@ -22,6 +22,8 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 # rad/s^2, no robot turns so.
 _UNLIMITED = 1e9
+MAX_DEVIATION = 0.05
+"""Distance from the polyline that a path through waypoints may have by default [m]."""
 
 
 class WaypointFile(StrictModel):
@@ -30,6 +32,9 @@ class WaypointFile(StrictModel):
     name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
     waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in the order of passing")
     speed: float | None = Field(default=None, gt=0, description="cruise speed [m/s]; default: the speed limit")
+    max_deviation: float = Field(
+        default=MAX_DEVIATION, gt=0, description="largest distance of the path from the polyline of the waypoints [m]"
+    )
     timing: Timing = Field(default="stop", description="how speed is laid over the path")
     speed_passport: PassportUse | None = Field(
         default=None, description="timing: smooth is no faster than this passport allows for a tolerance"
@@ -45,13 +50,15 @@ def lay_waypoints(
     where: str = "trajectory",
     timing: Timing = "stop",
     caps: SpeedCaps | None = None,
+    max_deviation: float | None = MAX_DEVIATION,
 ) -> SplineTrajectory:
     """Lay a smooth path through `waypoints` (x, y [m]) and time it.
 
-    The path is a natural cubic spline over chord length, so its curvature is continuous. It is driven forwards, from
-    rest to rest and as fast as `speed` [m/s] and `limits` allow; with `timing` "smooth" the lateral acceleration is
-    limited too. With "commanded" the speed is constant but for the ramps at both ends. `where` names the source of the
-    waypoints in error messages; `caps` are greatest speeds by curvature.
+    The path is a natural cubic spline over chord length where that is at most `max_deviation` [m] from the polyline,
+    and rounds the corners elsewhere, see `spline_near`; None: the spline everywhere. Its curvature is continuous. It is
+    driven forwards, from rest to rest and as fast as `speed` [m/s] and `limits` allow; with `timing` "smooth" the
+    lateral acceleration is limited too. With "commanded" the speed is constant but for the ramps at both ends. `where`
+    names the source of the waypoints in error messages; `caps` are greatest speeds by curvature.
 
     Raises
     ------
@@ -63,7 +70,7 @@ def lay_waypoints(
         raise ConfigError(f"{where}: {len(waypoints)} waypoints; give at least two [x, y]")
     if speed is not None and speed > limits.v:
         raise BeyondLimitError(f"{where}: speed = {speed:g} m/s is beyond the limit of {limits.v:g} m/s; lower it")
-    path = smooth_path(np.asarray(waypoints, dtype=float), where)
+    path = smooth_path(np.asarray(waypoints, dtype=float), where, max_deviation=max_deviation)
     if timing == "commanded":
         limits = _unlimited_yaw_acceleration(path, speed or limits.v, limits, where)
     cruise = speed or limits.v
@@ -75,7 +82,7 @@ def lay_waypoints(
         np.minimum(cruise, caps.at(path.bend)) if caps else cruise,
         lateral=timing == "smooth",
     )
-    return SplineTrajectory.through(name, *timed(path, square, limits))
+    return SplineTrajectory.through(name, *timed(path, square, limits), path.deviation)
 
 
 def _unlimited_yaw_acceleration(

@@ -34,7 +34,7 @@ from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, steps_beyond_slew
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.mpc.trajectories.waypoints import MAX_DEVIATION, lay_waypoints
 
 LIMITS = TrajectoryLimits.of_robot()
 FILED = [name for name in BUILT_IN if name not in {"circle", "square", "s", "cane"}]
@@ -208,10 +208,23 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
     v, omega = trajectory.sample(instants(trajectory)).twist.T
     assert np.abs(v * omega).max() <= LIMITS.lateral_acceleration * 1.001
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.001)
-    assert not trajectory.drawn_distance(instants(trajectory)).any()
+    assert trajectory.drawn_distance(instants(trajectory)).max() <= MAX_DEVIATION
 
 
 # --- files
+
+
+def test_duration_of_the_file_and_of_the_drive_are_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "bends.yaml"
+    path.write_text("segments: [{v: 0.4, omega: 0.6, duration: 2.0}, {v: 0.4, omega: -0.6, duration: 4.0}]\n")
+    stop, smooth = load_trajectory(path), load_trajectory(path, timing="smooth")
+    line = "trajectory 'bends': 6.0 s in the file, driven in {:.1f} s (timing: {})"
+    assert stop.remark == line.format(stop.duration, "stop")
+    away = smooth.drawn_distance(instants(smooth)).max()
+    assert smooth.remark == line.format(smooth.duration, "smooth") + (
+        f"; its path is up to {away:.3f} m from the drawn path; errors refer to its path"
+    )
+    assert load_trajectory("spline-1").remark == ""
 
 
 def test_timing_argument_replaces_the_timing_of_the_file(tmp_path: Path) -> None:
@@ -320,7 +333,7 @@ PASSPORT: dict[str, Any] = {
         {"surface": "wet", "tolerance": 0.02, "speeds": [1.0, 0.6, 0.65, 0.2]},
     ],
 }
-WAYPOINTS = "waypoints: [[0, 0], [1.5, 0.2], [3, 1], [3.2, 2.5], [2, 3.5], [0, 3.7]]\n"
+WAYPOINTS = "max_deviation: 0.5\nwaypoints: [[0, 0], [1.5, 0.2], [3, 1], [3.2, 2.5], [2, 3.5], [0, 3.7]]\n"
 SEGMENTS = "segments:\n- {v: 1.2, omega: 0, duration: 3}\n- {v: 1.0, omega: 0.8, duration: 2}\n"
 
 

@@ -1,0 +1,91 @@
+"""A spline that stays near the polyline of its waypoints: it interpolates them, and rounds corners where it must."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from diffdrive_mpc.models.interface import FloatArray
+
+_SAMPLES = (np.arange(16) + 0.5) / 16
+_SHARE = 0.97
+"""Share of the deviation that a corner is laid for [-]: samples miss the peak of a cubic piece by less."""
+_LEG = 0.45
+"""Largest share of a leg that one of its two corners takes [-]."""
+_KEPT, _KNOTS, _ROUNDED = range(3)
+
+
+def spline_near(waypoints: FloatArray, max_deviation: float) -> CubicSpline:
+    """Return a twice continuously differentiable spline at most `max_deviation` [m] from the polyline of `waypoints`.
+
+    It is the natural cubic spline over chord length wherever that is near enough. Elsewhere a corner becomes two pieces
+    of the uniform cubic B-spline with control points at -d, 0 and d along the legs. That curve lies in the hull of its
+    control points, has no curvature at its ends, and passes the corner at d sin(turn / 2) / 3. Where a neighbouring leg
+    is too short for that, the waypoint is interpolated, and a knot at d on the long leg shortens the overshoot.
+
+    Parameters
+    ----------
+    waypoints
+        (k, 2) x, y [m], of which no two successive ones coincide.
+    max_deviation
+        Largest distance from the polyline, and of each waypoint from the path [m].
+    """
+    legs = np.diff(waypoints, axis=0)
+    chords = np.hypot(*legs.T)
+    along = legs / chords[:, None]
+    # The chord of the two unit vectors at a corner: 2 sin(turn / 2).
+    bend = np.diff(along, axis=0)
+    reach = np.divide(6 * _SHARE * max_deviation, np.hypot(*bend.T), out=np.full(len(bend), np.inf), where=bend.any(1))
+    room = _LEG * np.minimum(chords[:-1], chords[1:])
+    kind = np.full(len(waypoints), _KEPT)
+    while True:
+        spline = _spline(waypoints, chords, along, kind[1:-1], np.minimum(reach, room), reach)
+        far = _leg_deviations(spline, waypoints, chords) > max_deviation
+        if not far.any() or (kind[1:-1] == _ROUNDED).all():
+            return spline
+        touched = np.append(far, False) | np.append(False, far)
+        while not (touched[1:-1] & (kind[1:-1] < _ROUNDED)).any():
+            touched[1:-1] |= touched[:-2] | touched[2:]
+        first = np.where(room < reach / 2, _KNOTS, _ROUNDED)
+        kind[1:-1] = np.where(touched[1:-1], np.where(kind[1:-1] == _KEPT, first, _ROUNDED), kind[1:-1])
+
+
+def deviations(points: FloatArray, legs: NDArray[np.signedinteger], waypoints: FloatArray) -> FloatArray:
+    """Return the distances (n,) [m] of `points` (n, 2) from the legs of the polyline with the indices `legs` (n,)."""
+    start, leg = waypoints[legs], (waypoints[1:] - waypoints[:-1])[legs]
+    share = np.clip(((points - start) * leg).sum(1) / (leg * leg).sum(1), 0.0, 1.0)
+    return np.asarray(np.hypot(*(points - start - share[:, None] * leg).T))
+
+
+def _spline(
+    waypoints: FloatArray,
+    chords: FloatArray,
+    along: FloatArray,
+    kind: NDArray[np.signedinteger],
+    inner: FloatArray,
+    reach: FloatArray,
+) -> CubicSpline:
+    """Return the spline with corners (k - 2,) of these kinds; rounded ones reach `inner` [m] along their legs."""
+    at = np.concatenate([[0.0], np.cumsum(chords)])
+    values, knots, added = waypoints.copy(), [at], [waypoints]
+    rounded = kind == _ROUNDED
+    values[1:-1][rounded] += (np.diff(along, axis=0) * inner[:, None] / 6)[rounded]
+    added[0] = values
+    for side, leg in ((-1, slice(0, -1)), (1, slice(1, None))):
+        size = np.where(rounded, inner, np.where(reach < _LEG * chords[leg], reach, 0.0))
+        new = (kind != _KEPT) & (size > 0.0)
+        knots.append((at[1:-1] + side * size)[new])
+        added.append((waypoints[1:-1] + side * size[:, None] * along[leg])[new])
+    u = np.concatenate(knots)
+    order = np.argsort(u)
+    return CubicSpline(u[order], np.concatenate(added)[order], bc_type="natural")
+
+
+def _leg_deviations(spline: CubicSpline, waypoints: FloatArray, chords: FloatArray) -> FloatArray:
+    """Return the largest distance (k - 1,) [m] of the spline from each leg, over samples between its knots."""
+    at = np.concatenate([[0.0], np.cumsum(chords)])
+    u = spline.x[:-1, None] + np.diff(spline.x)[:, None] * _SAMPLES
+    legs = np.searchsorted(at, spline.x[:-1], side="right") - 1
+    far = deviations(spline(u.ravel()), np.repeat(legs, _SAMPLES.size), waypoints)
+    return np.maximum.reduceat(far, np.searchsorted(legs, np.arange(len(chords))) * _SAMPLES.size)
