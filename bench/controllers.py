@@ -157,6 +157,12 @@ def other_robots(cases: Iterable[Case]) -> list[str]:
     return list(dict.fromkeys(filter(None, sentences)))
 
 
+def reference_remarks(cases: Iterable[Case]) -> list[str]:
+    """Return the remark of each reference that differs from its file."""
+    kinds = {(case.trajectory, case.timing, case.scaled, case.top_speed): case for case in cases}
+    return list(dict.fromkeys(filter(None, (load_reference(case).remark for case in kinds.values()))))
+
+
 def _other_robot(case: Case) -> str:
     robot = physics_robot(case.plant)
     if robot is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -95,8 +95,12 @@ class SpecStudy(Study[Drives, DataFrame]):
     def plan(self) -> Drives:
         """What each part drives; raises ConfigError or ValueError if one of the runs cannot be driven."""
         plan = self.experiment.drives(self._only)
-        check_cases(drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
+        check_cases(self.driven(plan))
         return plan
+
+    def driven(self, plan: Drives) -> Iterable[Case]:
+        """Return the cases of the experiment's own controllers."""
+        return (drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
 
     def run(self, plan: Drives, jobs: int, bar: ProgressBar) -> DataFrame:
         """Drive every case once; the rows have a column `part`, and a run that belongs to several has a row in each."""

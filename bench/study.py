@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import other_robots
+from diffdrive_mpc.bench.controllers import other_robots, reference_remarks
 from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, EmbeddedPicture, GridMap, Page, Shown
@@ -112,6 +112,10 @@ class Study(ABC, Generic[P, R]):
         """List cases whose plant is checked to be the configuration's robot; none where that is no question."""
         return ()
 
+    def driven(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
+        """List cases whose references are compared with their files."""
+        return ()
+
     @abstractmethod
     def run(self, plan: P, jobs: int, bar: ProgressBar) -> R:
         """Run everything in `jobs` processes."""
@@ -138,7 +142,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     """
     began = time.perf_counter()
     plan = study.plan()
-    for sentence in other_robots(study.cases(plan)):
+    for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
         output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     files = (REPORT, f"{study.name}.json", f"{study.name}.md")
     with (

@@ -14,7 +14,7 @@ import numpy as np
 
 from diffdrive_mpc.app.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
-from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots
+from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots, reference_remarks
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
@@ -100,8 +100,8 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
             complaints = check(outcome.run.reference, config.limits, config.sample_time)
             if complaints:
                 console.print(complaints, markup=False, highlight=False)
-    for sentence in other_robots([outcome.case]):
-        console.print(f"note: {sentence}", markup=False, highlight=False)
+    for sentence in (*other_robots([outcome.case]), *reference_remarks([outcome.case])):
+        console.print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     if details and outcome.run.ended:
         console.print(f"not completed: {outcome.run.ended}", markup=False, highlight=False)
     messages = [message for message in dict.fromkeys(outcome.run.messages) if message]

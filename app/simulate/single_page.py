@@ -59,7 +59,10 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
     series = run_series(run, who_drives(case), points=POINTS, config=config)
     shown = Shown(
         summary=sentences(case, run),
-        notes=[f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path."],
+        notes=[
+            f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path.",
+            *filter(None, [getattr(run.reference, "remark", "")]),
+        ],
         key_figures=key_figures(run),
         views=[RunViews([series], _hint(run, POINTS))],
         warnings=run_warnings(run, config),

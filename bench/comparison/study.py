@@ -47,6 +47,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """All of them, where a configuration was given; else plants are compared on purpose."""
         return [case for case in plan.all if case.config is not None]
 
+    def driven(self, plan: CasePlan) -> Iterable[Case]:
+        """Return the cases of the tables."""
+        return plan.all
+
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
         cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed

@@ -121,7 +121,7 @@ def path_table(rows: DataFrame) -> Table:
     columns, note = dict(spec.columns), spec.note
     if (rows["drawn_max_m"] > 0.0).any():
         columns |= {f"reference to drawn path, {of} [m]": f"{what} drawn_{of}_m" for what, of in _DRAWN.items()}
-        note += " The path is that of the reference, which smooth timing lays beside the drawn one."
+        note += " The path is that of the reference, which smooth timing and waypoints lay beside the drawn one."
     return spec.model_copy(update={"columns": columns, "note": note}).table(rows)
 
 

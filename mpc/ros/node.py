@@ -252,6 +252,8 @@ class TrackingNode(PartHost):
         if settings.trajectory:
             trajectory = load_trajectory(settings.trajectory, config)
             check_speeds(trajectory, config.limits, config.sample_time)
+            if trajectory.remark:
+                self.get_logger().info(trajectory.remark)
         controller = Controller(config)
         with ExitStack() as built:
             hears_tf = settings.use_tf or settings.poses_from == "tf"
