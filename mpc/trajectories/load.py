@@ -138,7 +138,7 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
 
 
 def _remarked(trajectory: Trajectory, drawn: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
-    """Return `trajectory` with its remark: the duration of the `segments` in the file, and how far it is from `drawn`."""
+    """Return `trajectory` with its remark: the duration of the file's `segments`, and its distance from `drawn`."""
     stated, driven = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
     parts = [f"{stated} in the file, driven in {driven} (timing: {timing})"] if segments and stated != driven else []
     if drawn:

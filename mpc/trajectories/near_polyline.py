@@ -67,15 +67,15 @@ def _spline(
     reach: FloatArray,
 ) -> CubicSpline:
     """Return the spline with corners (k - 2,) of these kinds; rounded ones reach `inner` [m] along their legs."""
-    at = np.concatenate([[0.0], np.cumsum(chords)])
-    values, knots, added = waypoints.copy(), [at], [waypoints]
+    ends = np.concatenate([[0.0], np.cumsum(chords)])
+    values, knots, added = waypoints.copy(), [ends], [waypoints]
     rounded = kind == _ROUNDED
     values[1:-1][rounded] += (np.diff(along, axis=0) * inner[:, None] / 6)[rounded]
     added[0] = values
     for side, leg in ((-1, slice(0, -1)), (1, slice(1, None))):
         size = np.where(rounded, inner, np.where(reach < _LEG * chords[leg], reach, 0.0))
         new = (kind != _KEPT) & (size > 0.0)
-        knots.append((at[1:-1] + side * size)[new])
+        knots.append((ends[1:-1] + side * size)[new])
         added.append((waypoints[1:-1] + side * size[:, None] * along[leg])[new])
     u = np.concatenate(knots)
     order = np.argsort(u)
@@ -84,8 +84,8 @@ def _spline(
 
 def _leg_deviations(spline: CubicSpline, waypoints: FloatArray, chords: FloatArray) -> FloatArray:
     """Return the largest distance (k - 1,) [m] of the spline from each leg, over samples between its knots."""
-    at = np.concatenate([[0.0], np.cumsum(chords)])
+    ends = np.concatenate([[0.0], np.cumsum(chords)])
     u = spline.x[:-1, None] + np.diff(spline.x)[:, None] * _SAMPLES
-    legs = np.searchsorted(at, spline.x[:-1], side="right") - 1
+    legs = np.searchsorted(ends, spline.x[:-1], side="right") - 1
     far = deviations(spline(u.ravel()), np.repeat(legs, _SAMPLES.size), waypoints)
     return np.maximum.reduceat(far, np.searchsorted(legs, np.arange(len(chords))) * _SAMPLES.size)

@@ -66,9 +66,9 @@ def test_path_stays_near_its_polyline_within_all_limits(points, timing):
 
 
 def test_points_on_a_smooth_curve_keep_their_spline():
-    kept, spline = (smooth_path(CIRCLE, "circle", max_deviation=limit) for limit in (0.05, None))
-    assert np.array_equal(kept.points, spline.points)
-    middle = kept.curvature[len(kept.curvature) // 10 : -len(kept.curvature) // 10]
+    near, spline = (smooth_path(CIRCLE, "circle", max_deviation=limit) for limit in (0.05, None))
+    assert np.array_equal(near.points, spline.points)
+    middle = near.curvature[len(near.curvature) // 10 : -len(near.curvature) // 10]
     assert middle == pytest.approx(1.0, abs=0.01)
 
 

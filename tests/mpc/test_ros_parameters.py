@@ -87,10 +87,13 @@ def test_every_field_is_a_parameter_with_type_text_and_range():
         assert progress.additional_constraints == "greater than 1"
 
 
-def test_weights_and_limits_change_between_two_ticks():
+def test_weights_and_limits_change_between_two_ticks(capfd):
     with stack(drive=True) as s:
         s.base.run(40)
         assert set_over_dds(s, limits__v=0.3, weights__across=300.0).successful
+        warned = capfd.readouterr().err
+        assert warned.count("the robot will be late: reference") == 1
+        assert "is more than limits.v = 0.3" in warned
         assert s.node._controller.config.limits.v == CONFIG.limits.v
         s.base.run(1)
         assert s.node._controller.config.limits.v == 0.3
