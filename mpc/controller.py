@@ -706,9 +706,9 @@ class Controller:
 def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
     """`config` with no greater speed than that [m/s]."""
     limits = config.limits
-    if speed is None or speed >= limits.v:
+    if speed is None or speed >= max(limits.v.sides):
         return config
-    lower = {"v": speed, "predicted_v": min(limits.predicted_v, speed)}
+    lower = {"v": limits.v.map(lambda side: min(side, speed)), "predicted_v": min(limits.predicted_v, speed)}
     return config.model_copy(update={"limits": limits.model_copy(update=lower)})
 
 

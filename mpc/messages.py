@@ -145,7 +145,9 @@ class MessageFormatter:
             if c.reasons & bit:
                 repeats = c.repeating >> subject & 1
                 why = "it repeats itself, and " if repeats else ""
-                words.append(f"{name} not used: {why}the other sensors contradict it{'' if repeats else _wiring(name, c)}")
+                words.append(
+                    f"{name} not used: {why}the other sensors contradict it{'' if repeats else _wiring(name, c)}"
+                )
         if c.reasons & lib.DDMPC_POSES_SCATTER:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
         if c.reasons & lib.DDMPC_POSES_LATE:

@@ -28,14 +28,19 @@ from diffdrive_mpc.mpc.problem.slip import Slip
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:
-    """(2,) largest change of the command from one tick to the next [m/s, rad/s]."""
+    """(2,) largest change of the command from one tick to the next that both sides of slew allow [m/s, rad/s]."""
     return np.array([limits.v_slew, limits.omega_slew]) * dt
 
 
 def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatArray) -> FloatArray:
     """The nearest command (2,) inside the range, and inside slew of `last` (2,)."""
-    most, step = np.array([limits.v, limits.omega]), slew_step(limits, dt)
-    return np.asarray(np.clip(np.clip(command, -most, most), last - step, last + step))
+    upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
+    grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
+    # As ddmpc_reach in mpc/core/limits.c: past zero a command grows again, in the rest of the tick.
+    low, high = last - np.where(last > 0.0, falls, grows), last + np.where(last < 0.0, falls, grows)
+    low = np.where((last > 0.0) & (low < 0.0), low * (grows / falls), low)
+    high = np.where((last < 0.0) & (high > 0.0), high * (grows / falls), high)
+    return np.asarray(np.clip(np.clip(command, -lower, upper), low, high))
 
 
 STANDING = 0.01

@@ -19,6 +19,7 @@ from diffdrive_mpc.models.trust import check_trusted, only_trusted
 from diffdrive_mpc.mpc.config.former_keys import with_present_names
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.sides import SIDES
 
 PARAMETERS = Path(__file__).parent / "parameters"
 
@@ -151,6 +152,8 @@ def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: 
         # Numbers of NumPy, such as those of `np.arange`, as the schema knows them.
         return {**data, first: value.item() if isinstance(value, np.generic) else value}
     inner = data.get(first, {})
+    if rest[0] in SIDES and isinstance(inner, (int, float)):
+        inner = dict.fromkeys(SIDES[rest[0]], inner)
     if not isinstance(inner, Mapping):
         raise ConfigError(f"configuration: unknown key '{whole}': '{first}' holds one value, not a group")
     return {**data, first: _with_value(inner, rest, value, whole)}

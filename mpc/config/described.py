@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 
 from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.sides import TwoSided, side_fields
 
 _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
 """Attribute and sign of each kind of bound."""
@@ -60,6 +61,9 @@ def _rows(schema: type[BaseModel], prefix: str) -> list[FieldRow]:
         text, unit = _help_and_unit(field)
         default = "required" if field.is_required() else _scalar(field.default)
         rows.append(FieldRow(prefix + name, default, unit, _range(field), text))
+        for side, of_side in side_fields(name, field).items():
+            text, unit = _help_and_unit(of_side)
+            rows.append(FieldRow(prefix + side, "null", unit, _range(of_side), text))
         for item in filter(None, map(_group, get_args(field.annotation))):
             rows += _rows(item, f"{prefix}{name}[].")
     return rows
@@ -99,6 +103,8 @@ def _yaml_lines(
 
 def _scalar(value: object) -> str:
     """A value as YAML writes it, on one line."""
+    if isinstance(value, TwoSided):
+        value = value.plain
     if isinstance(value, list):
         value = [item.model_dump() if isinstance(item, BaseModel) else item for item in value]
     text = yaml.safe_dump(value, default_flow_style=True, width=10_000, allow_unicode=True)

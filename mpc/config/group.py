@@ -23,7 +23,8 @@ class Group(StrictModel, strict=True):
     @classmethod
     def _can_be_squared(cls, value: object) -> object:
         """Zero, or of a size that products of such numbers neither overflow nor vanish."""
-        if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+        numbers = getattr(value, "sides", (value,)) if isinstance(value, float) else ()
+        if any(number != 0.0 and not SMALLEST <= abs(number) <= LARGEST for number in numbers):
             raise ValueError(f"give zero or a size from {SMALLEST:g} to {LARGEST:g}, in the unit of the field")
         return value
 

@@ -22,6 +22,7 @@ from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.mpc.config.feature_groups import checked_groups, installed_schemas, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Group, NotNegative, Positive
+from diffdrive_mpc.mpc.config.sides import SlewLimit, SpeedLimit, YawRateLimit
 from diffdrive_mpc.mpc.config.solver import Solver
 
 # Limits and sample time default to those of the shipped robot file.
@@ -68,14 +69,21 @@ class Margin(Group):
 class Limits(Group):
     """Hard limits of the command, and soft limits of what the model predicts."""
 
-    v: Positive = Field(_ROBOT.limits.v, description="hard: |v_ref| [m/s]")
-    omega: Positive = Field(_ROBOT.limits.omega, description="hard: |omega_ref| [rad/s]")
-    v_slew: Positive = Field(
-        _ROBOT.command_slew.v, description="hard: rate of change of v_ref while driving; braking has its own [m/s^2]"
+    v: Annotated[SpeedLimit, Field(gt=0)] = Field(
+        SpeedLimit(_ROBOT.limits.v), description="hard: |v_ref|; a number, or {forward, reverse} [m/s]"
     )
-    omega_slew: Positive = Field(
-        _ROBOT.command_slew.omega,
-        description="hard: rate of change of omega_ref while driving; braking has its own [rad/s^2]",
+    omega: Annotated[YawRateLimit, Field(gt=0)] = Field(
+        YawRateLimit(_ROBOT.limits.omega), description="hard: |omega_ref|; a number, or {left, right} [rad/s]"
+    )
+    v_slew: Annotated[SlewLimit, Field(gt=0)] = Field(
+        SlewLimit(_ROBOT.command_slew.v),
+        description="hard: rate of change of v_ref while driving; a number, or {accelerate, brake} for |v_ref| that "
+        "grows and falls [m/s^2]",
+    )
+    omega_slew: Annotated[SlewLimit, Field(gt=0)] = Field(
+        SlewLimit(_ROBOT.command_slew.omega),
+        description="hard: rate of change of omega_ref while driving; a number, or {accelerate, brake} for |omega_ref| "
+        "that grows and falls [rad/s^2]",
     )
     v_braking: Annotated[float, Field(ge=0.2)] = Field(
         _ROBOT.command_slew.v,

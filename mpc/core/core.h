@@ -113,7 +113,9 @@ typedef struct {
     real price, price_slope;         /* of each unit beyond a soft limit, exact and quadratic */
 
     /* limits */
-    real largest_command[2], slew[2], braking[2]; /* [m/s, rad/s], and per sample */
+    /* forward, in reverse, left, right [m/s, rad/s]; of v and of omega per sample, for a size that grows and falls; of a
+       ramp to zero */
+    real largest_command[4], slew[4], braking[2];
     const real *soft_upper;     /* [K] */
     const real *soft_lower;     /* [K] */
     real half_track;            /* [m] */

@@ -87,7 +87,7 @@ int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
     const ddmpc_constants *k = c->constants;
     for (int i = 0; i < 2; i++)
         /* Not the other way round: NaN must not pass. */
-        if (!(ddmpc_fabs(got[i]) <= k->sent_rounding * ddmpc_max(k->largest_command[i], ddmpc_fabs(c->last[i]))))
+        if (!(ddmpc_fabs(got[i]) <= k->sent_rounding * ddmpc_max(k->largest_command[2 * i + (got[i] < R(0.0))], ddmpc_fabs(c->last[i]))))
             return 0;
     ddmpc_estimator_correct_last(c, got);
     return 1;

@@ -70,7 +70,8 @@ static real stops_beyond(const ddmpc_controller *c)
     real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], y[2];
     real *here = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
     real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
-    const real ramps = ddmpc_min(ramps_of(k, c->last), ddmpc_max(ramps_of(k, k->largest_command), MOST_RAMP));
+    const real fastest[2] = {ddmpc_fastest(k, 0), ddmpc_fastest(k, 1)};
+    const real ramps = ddmpc_min(ramps_of(k, c->last), ddmpc_max(ramps_of(k, fastest), MOST_RAMP));
     const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
     memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)Z);

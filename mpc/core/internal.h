@@ -403,6 +403,11 @@ void ddmpc_problem_guess(ddmpc_controller *c);
 void ddmpc_problem_linearise(ddmpc_controller *c);
 void ddmpc_problem_condense(ddmpc_controller *c);
 void ddmpc_problem_limit(ddmpc_controller *c);
+/* The interval that a command reaches in one sample: its size grows by step[0] and falls by step[1]. Past zero it grows
+   again, in the rest of the sample. */
+void ddmpc_reach(real last, const real step[2], real interval[2]);
+/* The largest command of a channel on either side [m/s, rad/s]. */
+real ddmpc_fastest(const ddmpc_constants *k, int channel);
 /* The poses that follow from `plan`, by exact arcs. */
 void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses);
 

@@ -8,13 +8,17 @@
 #include "clock.h"
 #include "internal.h"
 
-/* The command nearest to `wanted` within `share` of the range and within `step` of the last command. */
-static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[2], real command[2])
+/* The command nearest to `wanted` within `share` of the range and within reach of the last command; `step` by channel, for a
+ * size that grows and falls. */
+static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[4], real command[2])
 {
     for (int i = 0; i < 2; i++) {
-        const real last = c->last[i], reachable = ddmpc_fabs(last) - step[i];
-        const real most = ddmpc_max(reachable, share * c->constants->largest_command[i]);
-        const real lower = ddmpc_max(last - step[i], -most), upper = ddmpc_min(last + step[i], most);
+        const real *largest = c->constants->largest_command + 2 * i;
+        real reach[2];
+        ddmpc_reach(c->last[i], step + 2 * i, reach);
+        /* Beyond the range, as after it was tightened, as far as the last command makes necessary. */
+        const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * largest[0]));
+        const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * largest[1]));
         command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
     }
 }
@@ -22,22 +26,27 @@ static void clip(const ddmpc_controller *c, const real wanted[2], real share, co
 /* Limit a command within range and slew to min_commanded_radius, if there is one. The yaw rate is reduced as far as
  * `step` allows. If that is not enough, the speed is kept up, but never above that of the last command. So slew is
  * kept, and there is always such a command if the last one kept the radius. */
-static void widen(ddmpc_controller *c, real share, const real step[2], real command[2])
+static void widen(ddmpc_controller *c, real share, real command[2])
 {
     const real radius = c->constants->min_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
+    real turns[2], speeds[2];
     if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
         return;
+    ddmpc_reach(last, c->constants->slew + 2, turns);
     const real widest = v / radius, requested = command[1];
-    const real lower = ddmpc_max(last - step[1], -widest), upper = ddmpc_min(last + step[1], widest);
+    const real lower = ddmpc_max(turns[0], -widest), upper = ddmpc_min(turns[1], widest);
     if (lower <= upper) {
         command[1] = ddmpc_min(ddmpc_max(requested, lower), upper);
     } else {
-        const real before = ddmpc_fabs(c->last[0]), needed = radius * (ddmpc_fabs(last) - step[1]);
-        const real most = ddmpc_max(before - step[0], share * c->constants->largest_command[0]);
+        const int backwards = c->last[0] < R(0.0);
+        command[1] = last < R(0.0) ? turns[1] : turns[0];
+        ddmpc_reach(c->last[0], c->constants->slew, speeds);
+        const real before = ddmpc_fabs(c->last[0]), needed = radius * ddmpc_fabs(command[1]);
+        const real slowest = backwards ? -speeds[1] : speeds[0];
+        const real most = ddmpc_max(slowest, share * c->constants->largest_command[backwards]);
         const real held = ddmpc_min(needed, ddmpc_min(before, most));
-        command[1] = last < R(0.0) ? last + step[1] : last - step[1];
-        if (held > v || (command[0] < R(0.0)) != (c->last[0] < R(0.0)))
-            command[0] = c->last[0] < R(0.0) ? -held : held;
+        if (held > v || (command[0] < R(0.0)) != backwards)
+            command[0] = backwards ? -held : held;
     }
     if (ddmpc_fabs(requested - command[1]) > c->constants->turn_held_from[0])
         c->result.reasons |= DDMPC_TURN_HELD;
@@ -58,7 +67,8 @@ static void report_turn(ddmpc_controller *c)
 void ddmpc_ramp(ddmpc_controller *c)
 {
     const real zero[2] = {R(0.0), R(0.0)};
-    clip(c, zero, R(1.0), c->constants->braking, c->result.command);
+    const real *rates = c->constants->braking, braking[4] = {rates[0], rates[0], rates[1], rates[1]};
+    clip(c, zero, R(1.0), braking, c->result.command);
     /* A rounding residue of the last step is not a motion command. */
     for (int i = 0; i < 2; i++)
         if (ddmpc_fabs(c->result.command[i]) < R(1e-13))
@@ -117,7 +127,7 @@ static int accept(ddmpc_controller *c)
     result->has_plan = 1;
     result->mode = DDMPC_TRACKING;
     clip(c, c->kept, c->share, c->constants->slew, result->command);
-    widen(c, c->share, c->constants->slew, result->command);
+    widen(c, c->share, result->command);
     report_turn(c);
     return DDMPC_DONE;
 }
@@ -133,7 +143,7 @@ int ddmpc_reuse(ddmpc_controller *c)
     c->result.mode = DDMPC_REUSED_PLAN;
     c->result.has_plan = 1;
     clip(c, c->kept + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
-    widen(c, R(1.0), c->constants->slew, c->result.command);
+    widen(c, R(1.0), c->result.command);
     return DDMPC_DONE;
 }
 

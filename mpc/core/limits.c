@@ -5,11 +5,29 @@
 
 #include "problem.h"
 
-real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel)
+void ddmpc_reach(real last, const real step[2], real interval[2])
 {
-    /* A limit that was tightened below the last command is reached at the slew limit. */
-    const real reachable = ddmpc_fabs(c->problem.last[channel]) - (real)(step + 1) * c->constants->slew[channel];
-    return ddmpc_max(reachable, c->constants->largest_command[channel]);
+    const real grows = step[0], falls = step[1];
+    interval[0] = last > R(0.0) ? last - falls : last - grows;
+    interval[1] = last < R(0.0) ? last + falls : last + grows;
+    if (last > R(0.0) && interval[0] < R(0.0))
+        interval[0] *= grows / falls;
+    if (last < R(0.0) && interval[1] > R(0.0))
+        interval[1] *= grows / falls;
+}
+
+real ddmpc_fastest(const ddmpc_constants *k, int channel)
+{
+    return ddmpc_max(k->largest_command[2 * channel], k->largest_command[2 * channel + 1]);
+}
+
+real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel, int side)
+{
+    /* A limit that was tightened below the last command is reached at a slew that all rows allow. */
+    const real *slew = c->constants->slew + 2 * channel;
+    const real last = side ? -c->problem.last[channel] : c->problem.last[channel];
+    const real reachable = last - (real)(step + 1) * ddmpc_min(slew[0], slew[1]);
+    return ddmpc_max(reachable, c->constants->largest_command[2 * channel + side]);
 }
 
 static void bound_commands(ddmpc_controller *c)
@@ -18,12 +36,19 @@ static void bound_commands(ddmpc_controller *c)
     const int N = STEPS(c);
     for (int channel = 0; channel < 2; channel++)
         for (int k = 0; k < N; k++) {
-            const real most = ddmpc_largest_command(c, k, channel), slew = c->constants->slew[channel];
-            const real base = k == 0 ? p->last[channel] : R(0.0);
-            p->upper[channel * N + k] = most;
-            p->lower[channel * N + k] = -most;
-            p->upper[(2 + channel) * N + k] = base + slew;
-            p->lower[(2 + channel) * N + k] = base - slew;
+            const real *slew = c->constants->slew + 2 * channel;
+            p->upper[channel * N + k] = ddmpc_largest_command(c, k, channel, 0);
+            p->lower[channel * N + k] = -ddmpc_largest_command(c, k, channel, 1);
+            real reach[2];
+            ddmpc_reach(p->last[channel], slew, reach);
+            if (k > 0) {
+                /* The sign of the command before is that of the shifted plan. */
+                const real before = p->guess[2 * (k - 1) + channel];
+                reach[0] = before > R(0.0) ? -slew[1] : -slew[0];
+                reach[1] = before < R(0.0) ? slew[1] : slew[0];
+            }
+            p->lower[(2 + channel) * N + k] = reach[0];
+            p->upper[(2 + channel) * N + k] = reach[1];
         }
 }
 

@@ -198,8 +198,8 @@ void ddmpc_problem_guess(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int i = 0; i < INPUTS(c); i++) {
-        const real most = ddmpc_largest_command(c, i / 2, i % 2);
-        p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], -most), most);
+        const real most = ddmpc_largest_command(c, i / 2, i % 2, 0), least = -ddmpc_largest_command(c, i / 2, i % 2, 1);
+        p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], least), most);
     }
     p->has_guess = 1;
 }

@@ -72,6 +72,6 @@ void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_I
 
 /* limits.c */
 /* The most that may be commanded at a step of the plan [m/s, rad/s]. */
-real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel);
+real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel, int side);
 
 #endif

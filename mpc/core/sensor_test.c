@@ -743,8 +743,8 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         const motions by = compare(m, &m->last_motion, &now, m->last.value, pose->value);
         frozen = is_frozen(c, pose->value, &now, noise);
         /* One that goes further at once than a wrong sensor could make it has leapt, which is another question. */
-        const real far = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + k->largest_command[0] * (real)passed;
-        const real turned = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + k->largest_command[1] * (real)passed;
+        const real far = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + ddmpc_fastest(k, 0) * (real)passed;
+        const real turned = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + ddmpc_fastest(k, 1) * (real)passed;
         if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= far && ddmpc_fabs(by.pose_turn - by.gyro_turn) <= turned))
             m->poses = m->residuals = m->anchored = 0;
         else if (passed <= R(0.25) && m->same == 0)

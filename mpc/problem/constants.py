@@ -288,8 +288,8 @@ class Problem:
         shipped += [0.0] * self._all_turns  # zeros that nobody reads: limits.c has these bounds from the radius
         soft = [term for term in self.terms if term.soft]
         return {
-            "largest_command": [limits.v, limits.omega],
-            "slew": np.array([limits.v_slew, limits.omega_slew]) * dt,
+            "largest_command": [*limits.v.sides, *limits.omega.sides],
+            "slew": np.array([*limits.v_slew.sides, *limits.omega_slew.sides]) * dt,
             "braking": np.array([limits.v_braking, limits.omega_braking]) * dt,
             "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
             "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),

@@ -10,6 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc.config.fixed_values import STANDING
+from diffdrive_mpc.mpc.config.sides import sides_at
 from diffdrive_mpc.mpc.reentry.quintic_path import Paths
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -181,7 +182,12 @@ def turning_times(angles: FloatArray, limits: TrajectoryLimits) -> FloatArray:
 
 
 def path_speeds(
-    paths: Paths, enter: FloatArray, leave: FloatArray, limits: TrajectoryLimits, shares: FloatArray
+    paths: Paths,
+    enter: FloatArray,
+    leave: FloatArray,
+    limits: TrajectoryLimits,
+    shares: FloatArray,
+    travel: FloatArray,
 ) -> FloatArray:
     """Speed at the nodes of each path.
 
@@ -199,6 +205,8 @@ def path_speeds(
         Speed and acceleration limits.
     shares
         (S,) shares of the speed limit: each path is timed at each of them [-].
+    travel
+        (C,) 1 forwards, -1 backwards.
 
     Returns
     -------
@@ -221,8 +229,9 @@ def path_speeds(
         enter[:, None] ** 2 - limits.v_acceleration * gone,
         leave[:, None] ** 2 - limits.v_acceleration * (gone[:, -1:] - gone),
     )
-    cruise = np.maximum(((shares * limits.v) ** 2)[:, None], ramps.T[:, None])
-    square = np.minimum(square, np.minimum(cruise, limits.v**2))
+    fastest = sides_at(limits.v, travel)
+    cruise = np.maximum((shares[:, None] * fastest) ** 2, ramps.T[:, None])
+    square = np.minimum(square, np.minimum(cruise, fastest**2))
     # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
     rise = (2.0 * limits.v_acceleration * lengths).T
     lever = (bend / (2.0 * lengths)).T

@@ -66,7 +66,7 @@ class Pursuit:
         self._blocked = BlockedWatch(config.reentry.blocked_after)
         self._reference: Reference | None = None
         self._native = False
-        self._top = (0.0, 0.0)
+        self._top = np.zeros((2, 2))
         self._speed_limit = math.inf
         self.pace = math.inf
         """Largest progress rate for what lies ahead, set before each tick [-]."""
@@ -91,8 +91,8 @@ class Pursuit:
         self._reference, self._native = reference, native
         samples = int(min(reference.duration / self._config.sample_time + 2.0, _MOST_SAMPLES))
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
-        v, omega = np.abs(twist).max(axis=0).tolist()
-        self._top = (v, omega)
+        # Forward, to the left; in reverse, to the right.
+        self._top = np.array([twist.max(axis=0), -twist.min(axis=0)])
         self._fastest = self._fastest_rate()
         self.restart()
 
@@ -116,7 +116,7 @@ class Pursuit:
         """Whether the robot may follow the reference as it stands, unless it has left its path since."""
         if not self._settings.enabled:
             return self._native
-        free = self._top[0] <= _KEPT * self._speed_limit
+        free = bool(self._top[:, 0].max() <= _KEPT * self._speed_limit)
         return self._native and self._driving and self._way_back is None and self._clock.on_time and free
 
     def passed(self, since_start: float, *, followed: bool) -> None:
@@ -230,7 +230,7 @@ class Pursuit:
                 return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
         words = self._words(still)
-        if self._top[0] > _KEPT * self._speed_limit:
+        if self._top[:, 0].max() > _KEPT * self._speed_limit:
             words = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", words]))
         if within < 1.0:
             words += f"; the wheels get no faster than {reach:.2f} m/s"
@@ -319,17 +319,19 @@ class Pursuit:
 
     def _fastest_rate(self) -> float:
         """Progress rate at which the reference stays inside the limits of the command."""
-        limits, (v, omega) = self._config.limits, self._top
-        within = min(limits.v / max(v, STANDING), limits.omega / max(omega, TURNING))
+        limits = self._config.limits
+        sides = np.transpose([limits.v.sides, limits.omega.sides])
+        within = float((sides / np.maximum(self._top, [STANDING, TURNING])).min())
         return max(1.0, min(self._settings.max_progress, within))
 
     def _limits(self) -> TrajectoryLimits:
         """Limits of the way back: not much faster than the reference itself."""
         settings, limits = self._settings, self._config.limits
-        cruise = settings.max_progress * self._top[0] if self._top[0] > STANDING else limits.v
+        top = float(self._top[:, 0].max())
+        cruise = settings.max_progress * top if top > STANDING else max(limits.v.sides)
         return TrajectoryLimits(
-            v=min(cruise, settings.effort * limits.v, _KEPT * self._speed_limit),
-            omega=settings.effort * limits.omega,
+            v=limits.v.map(lambda side: min(cruise, settings.effort * side, _KEPT * self._speed_limit)),
+            omega=limits.omega.map(lambda side: settings.effort * side),
             v_acceleration=settings.v_acceleration,
             omega_acceleration=settings.omega_acceleration,
             min_turn_radius=limits.least_radius_of_ways,

@@ -141,7 +141,7 @@ def rejoin(
     """
     options = all_options(window, here, course, look_ahead, limits)
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
-    speed = path_speeds(paths, options.enter, options.leave, limits, _SHARES)
+    speed = path_speeds(paths, options.enter, options.leave, limits, _SHARES, options.travel)
     times = travel_times(paths, speed)
     before = options.brake + turning_times(options.first_turn, limits)
     duration = before + times[..., -1] + turning_times(options.last_turn, limits)

@@ -191,11 +191,12 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
     """Speeds and accelerations of a path: shares of those of the commands, times the model's steady-state `gain`."""
     limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
     share, slew = settings.follow_speed_share, settings.follow_acceleration_share
+    blind = _blind_speed(config, settings.follow_blind_distance)
     return TrajectoryLimits(
-        v=min(share * min(v * limits.v, limits.wheel_speed), _blind_speed(config, settings.follow_blind_distance)),
-        omega=share * omega * limits.omega,
-        v_acceleration=slew * v * limits.v_slew,
-        omega_acceleration=slew * omega * limits.omega_slew,
+        v=limits.v.map(lambda side: min(share * min(v * side, limits.wheel_speed), blind)),
+        omega=limits.omega.map(lambda side: share * omega * side),
+        v_acceleration=limits.v_slew.map(lambda rate: slew * v * rate),
+        omega_acceleration=limits.omega_slew.map(lambda rate: slew * omega * rate),
         min_turn_radius=limits.least_radius_of_ways,
     )
 

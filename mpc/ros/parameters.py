@@ -35,6 +35,7 @@ from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.former_keys import present_place, removed_message
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.sides import SIDES, TwoSided, side_fields
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.settings import FORMER_SETTINGS, REPLACED_SETTINGS, NodeSettings
 
@@ -86,6 +87,9 @@ def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_
             yield from _leaves(kind if value is None else value, f"{prefix}{name}.")
         elif get_origin(kind) is not list:
             yield _Entry(prefix + name, field, value)
+            sides = value.sides if isinstance(value, TwoSided) and value.sides[0] != value.sides[1] else (None, None)
+            for (side, of_side), limit in zip(side_fields(name, field).items(), sides, strict=False):
+                yield _Entry(prefix + side, of_side, limit)
 
 
 def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tuple[str, object]]:
@@ -302,9 +306,13 @@ def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object
         values[plain_key(key)] = None if _optional(field) and value == NONE else value
     data: dict[str, Any] = {}
     for key, value in values.items():
+        if value is None and key.rpartition(".")[2] in SIDES:
+            continue
         *groups, name = key.split(".")
         level = data
         for group in groups:
+            if isinstance(level.get(group), float):
+                level[group] = dict.fromkeys(SIDES[name], level[group])
             level = level.setdefault(group, {})
         level[name] = value
     schema = config if isinstance(config, type) else type(config)
@@ -315,7 +323,7 @@ def _to_parameter(value: object) -> Value:
     if value is None:
         return NONE
     assert isinstance(value, bool | int | float | str)
-    return value
+    return float(value) if isinstance(value, TwoSided) else value
 
 
 def _kind(field: FieldInfo) -> type:
@@ -435,9 +443,9 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     """Changed weights and limits as `config` has them, in which what stands for None is None."""
     return [
         {
-            name.removeprefix(prefix): getattr(getattr(config, prefix[:-1]), name.removeprefix(prefix))
-            for name in map(plain_key, changes)
-            if name.startswith(prefix)
+            name: getattr(getattr(config, prefix[:-1]), name)
+            # A side of a limit changes the limit.
+            for name in (key.split(".")[1] for key in map(plain_key, changes) if key.startswith(prefix))
         }
         for prefix in _WHILE_DRIVING
     ]

@@ -120,7 +120,8 @@ class SpeedLimitPart(NodePart):
         if self.tools is None or self._limit is None:
             return
         controller = self.tools.controller
-        wanted = self._limit.speed(self.node.get_parameter("limits.v").value)
+        both, *sides = (self.node.get_parameter(f"limits.v{side}").value for side in ("", ".forward", ".reverse"))
+        wanted = self._limit.speed(max(side or both for side in sides))
         if wanted != controller.speed_limit:
             controller.limit_speed(wanted)
             self.node.get_logger().info("speed limit off" if wanted is None else f"speed limit {wanted:.3g} m/s")

@@ -12,6 +12,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.config.sides import sides_of
 
 
 class BeyondLimitError(ConfigError):
@@ -21,6 +22,9 @@ class BeyondLimitError(ConfigError):
 @dataclass(frozen=True, slots=True)
 class TrajectoryLimits:
     """Bounds of the reference twist and of its rate of change.
+
+    The first four are numbers, or limits with two sides, see `mpc.config.sides`. Timing turns and drives curves within
+    the smaller side of yaw limits.
 
     Attributes
     ----------
@@ -49,9 +53,9 @@ class TrajectoryLimits:
     def __post_init__(self) -> None:
         """Check that every bound is positive and finite; raises ValueError."""
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name == "min_turn_radius"))):
-                raise ValueError(f"trajectory limit {field.name} = {value}: must be positive and finite")
+            for value in sides_of(getattr(self, field.name)):
+                if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name == "min_turn_radius"))):
+                    raise ValueError(f"trajectory limit {field.name} = {value}: must be positive and finite")
 
     @classmethod
     def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
@@ -73,8 +77,8 @@ class TrajectoryLimits:
             usual,
             v=limits.v,
             omega=limits.omega,
-            v_acceleration=min(usual.v_acceleration, limits.v_slew),
-            omega_acceleration=min(usual.omega_acceleration, limits.omega_slew),
+            v_acceleration=limits.v_slew.map(lambda slew: min(usual.v_acceleration, slew)),
+            omega_acceleration=limits.omega_slew.map(lambda slew: min(usual.omega_acceleration, slew)),
         )
 
 

@@ -17,6 +17,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from diffdrive_mpc.mpc.config.sides import side_of
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.load import load_segments
@@ -127,8 +128,8 @@ def scaled_to_robot(
     # Shares of commands and wheels that each segment would take, were it as long as in the file.
     taken = [
         max(
-            length * abs(segment.v) / (v_gain * limits.v),
-            abs(segment.omega) / (omega_gain * limits.omega),
+            length * abs(segment.v) / (v_gain * side_of(limits.v, segment.v)),
+            abs(segment.omega) / (omega_gain * side_of(limits.omega, segment.omega)),
             (length * abs(segment.v) / v_gain + 0.5 * config.wheels.track * abs(segment.omega) / omega_gain)
             / limits.wheel_speed,
         )
@@ -143,8 +144,8 @@ def scaled_to_robot(
     usual, slew = load_robot().reference_acceleration, settings.slew_share
     left = slew * (1.0 - settings.reach_share)
     bounds = TrajectoryLimits(
-        v=max(fastest[0], v_gain * limits.v),
-        omega=max(fastest[1], omega_gain * limits.omega),
+        v=max(fastest[0], v_gain * max(limits.v.sides)),
+        omega=max(fastest[1], omega_gain * max(limits.omega.sides)),
         v_acceleration=min(
             usual.v * length / slower**2, slew * v_gain * limits.v_slew, left * v_gain * limits.v / max(v_lag, _AT_ONCE)
         ),

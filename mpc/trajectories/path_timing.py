@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.sides import side_of, sides_of
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
 
@@ -20,6 +21,7 @@ def squared_speeds(
     *,
     lateral: bool = False,
     enter: float = 0.0,
+    sense: int = 1,
 ) -> FloatArray:
     """Squared speed at the ends of the pieces of a path, at rest at its end, and at its start unless it enters faster.
 
@@ -44,6 +46,8 @@ def squared_speeds(
         Whether the lateral acceleration |k| v^2 is limited too.
     enter
         Speed at the start [m/s]; less where the path ahead needs it.
+    sense
+        1 forwards, -1 backwards.
 
     Returns
     -------
@@ -52,7 +56,7 @@ def squared_speeds(
     """
     with np.errstate(divide="ignore", over="ignore"):
         cap = np.minimum(
-            np.minimum(cruise, limits.v) ** 2,
+            np.minimum(cruise, side_of(limits.v, sense)) ** 2,
             np.minimum((limits.omega / bend) ** 2, limits.omega_acceleration / bend_change),
         )
         if lateral:
@@ -61,7 +65,7 @@ def squared_speeds(
     square = np.concatenate([[min(enter**2, cap[0])], np.minimum(cap[:-1], cap[1:]), [0.0]])
     # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
     # As plain numbers, which a loop takes ten times as fast as those of an array.
-    rise = (2 * limits.v_acceleration * lengths).tolist()
+    rises = [(2 * acceleration * lengths).tolist() for acceleration in sides_of(limits.v_acceleration)]
     lever = (bend / (2 * lengths)).tolist()
     total = (bend_change + bend / (2 * lengths)).tolist()
     reached: list[float] = square.tolist()
@@ -70,6 +74,7 @@ def squared_speeds(
     def passed(pieces: Sequence[int], ahead: int) -> None:
         """Lower the speed `ahead` of each piece to what can be reached from its other end."""
         behind = 1 - ahead
+        rise = rises[behind]
         for i in pieces:
             start = reached[i + behind]
             free, room, share = start + rise[i], most + lever[i] * start, total[i]

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.sides import side_of
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -56,7 +57,7 @@ def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None
     `timing` replaces that of the settings. Raises ConfigError if it is "commanded" and the path turns too fast for it.
     """
     of = random_splines()
-    slower = replace(limits, v=min(limits.v, of.speed), omega=min(limits.omega, of.omega))
+    slower = replace(limits, v=min(side_of(limits.v, 1.0), of.speed), omega=min(limits.omega, of.omega))
     points = [(float(x), float(y)) for x, y in of.waypoints(seed)]
     name = f"spline-{seed}"
     return lay_waypoints(points, slower, name=name, where=name, timing=timing or of.timing, max_deviation=None)

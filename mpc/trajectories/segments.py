@@ -21,6 +21,7 @@ from itertools import pairwise
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.mpc.config.sides import side_of
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, PathStretch
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse
@@ -120,7 +121,8 @@ def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where:
         raise ConfigError(f"{where}: {len(segments):,} segments, at most {most:,}; join some, or split the file")
     for i, segment in enumerate(segments):
         for key, unit in (("v", "m/s"), ("omega", "rad/s")):
-            value, bound = getattr(segment, key), getattr(limits, key)
+            value = getattr(segment, key)
+            bound = side_of(getattr(limits, key), value)
             if abs(value) > bound:
                 raise BeyondLimitError(
                     f"{where}: segments.{i}.{key} = {value:g} {unit} is beyond the limit of {bound:g} {unit}; lower it"

@@ -174,5 +174,5 @@ def _driven(
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
     wanted = np.concatenate(cruises)
     fastest = wanted if caps is None else np.minimum(wanted, caps.at(most))
-    square = squared_speeds(steps, most, change, limits, fastest, lateral=True)
+    square = squared_speeds(steps, most, change, limits, fastest, lateral=True, sense=sense)
     return *timed(path, square, limits, sense), np.concatenate(drawn)

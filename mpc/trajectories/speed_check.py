@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.config.sides import TwoSided, side_of, sides_at
 
 # References of the user: what they sample is looked at before anything, C among it, reads it by count.
 
@@ -96,24 +97,24 @@ def check_speeds(
             f"{_FURTHEST:g} m from the origin"
         )
     twist = sample.twist
-    needed = np.abs(twist if gain is None else np.linalg.solve(gain, twist.T).T)
-    twist = np.abs(twist)
+    needed = twist if gain is None else np.asarray(np.linalg.solve(gain, twist.T).T, dtype=float)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
-        worst = int(np.argmax(twist[:, row]))
-        value = float(twist[worst, row])
-        if not value <= limit * _SPEED_EXCESS:
+        worst = int(np.argmax(np.abs(twist[:, row]) / sides_at(limit, twist[:, row])))
+        value, bound, side = _at_side(twist[worst, row], limit)
+        if not value <= bound * _SPEED_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
-                f"limits.{name} = {limit:g}; slow the reference down or raise the limit"
+                f"limits.{name}{side} = {bound:g}; slow the reference down or raise the limit"
             )
-        worst = int(np.argmax(needed[:, row]))
-        value = float(needed[worst, row])
-        if not value <= limit * _COMMAND_EXCESS:
+        worst = int(np.argmax(np.abs(needed[:, row]) / sides_at(limit, needed[:, row])))
+        value, bound, side = _at_side(needed[worst, row], limit)
+        if not value <= bound * _COMMAND_EXCESS:
             raise ValueError(
-                f"reference '{reference.name}': {name} = {twist[worst, row]:.3g} at {times[worst]:.2f} s takes a "
-                f"command of {value:.3g} by the model's gain, more than limits.{name} = {limit:g}; slow the reference "
-                "down, raise the limit, or identify the model on this robot"
+                f"reference '{reference.name}': {name} = {abs(twist[worst, row]):.3g} at {times[worst]:.2f} s takes a "
+                f"command of {value:.3g} by the model's gain, more than limits.{name}{side} = {bound:g}; slow the "
+                "reference down, raise the limit, or identify the model on this robot"
             )
+    twist = np.abs(twist)
     _check_spots(reference.name, times, twist, limits)
     radius = limits.min_turn_radius
     if radius is not None:
@@ -126,6 +127,13 @@ def check_speeds(
                 f"tighter than limits.min_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
                 "unset the limit"
             )
+
+
+def _at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
+    """Return the size of a value, the limit on its side, and the ending of that side's key if the sides differ."""
+    first, second = limit.sides
+    ending = "" if first == second else f".{limit.names[bool(value < 0.0)]}"
+    return abs(float(value)), side_of(limit, value), ending
 
 
 def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
@@ -175,15 +183,20 @@ def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
     """
     # From before the start to after the end, where it rests.
     times = np.concatenate([[-dt], _instants(reference, dt), [reference.duration + dt]])
-    steps = np.abs(np.diff(reference.sample(times).twist, axis=0)).max(axis=0)
-    sentences = [
-        f"{name} steps by up to {step:.3g} {unit}, for which limits.{name}_slew takes {step / slew:.2g} s"
-        for name, unit, step, slew in (
-            ("v", "m/s", steps[0], limits.v_slew),
-            ("omega", "rad/s", steps[1], limits.omega_slew),
-        )
-        if step > slew * (times[2] - times[1]) * (1 + 1e-6)
-    ]
+    twist = reference.sample(times).twist
+    steps = np.abs(np.diff(twist, axis=0))
+    sentences = []
+    for row, (name, unit) in enumerate((("v", "m/s"), ("omega", "rad/s"))):
+        # Through zero a step falls, then grows.
+        size, slew = np.abs(twist[:, row]), getattr(limits, f"{name}_slew")
+        falls = np.where(twist[1:, row] * twist[:-1, row] < 0.0, size[:-1], np.maximum(size[:-1] - size[1:], 0.0))
+        takes = (steps[:, row] - falls) / slew.sides[0] + falls / slew.sides[1]
+        worst = int(np.argmax(takes))
+        if takes[worst] > (times[2] - times[1]) * (1 + 1e-6):
+            sentences.append(
+                f"{name} steps by up to {steps[worst, row]:.3g} {unit}, for which limits.{name}_slew takes "
+                f"{takes[worst]:.2g} s"
+            )
     return f"reference '{reference.name}': {'; '.join(sentences)}" if sentences else ""
 
 
@@ -192,7 +205,10 @@ def starts_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
     v, omega = np.abs(reference.sample([0.0]).twist[0]).tolist()
     late = [
         f"limits.{name}_slew = {slew:g} {unit}^2 takes {speed / slew:.2g} s to {speed:.3g} {unit}"
-        for name, unit, speed, slew in (("v", "m/s", v, limits.v_slew), ("omega", "rad/s", omega, limits.omega_slew))
+        for name, unit, speed, (slew, _) in (
+            ("v", "m/s", v, limits.v_slew.sides),
+            ("omega", "rad/s", omega, limits.omega_slew.sides),
+        )
         if speed > slew * dt * (1 + 1e-6)
     ]
     if not late:

@@ -21,6 +21,7 @@ from diffdrive_mpc.models.logs.csv_layout import rest_of_line
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.sides import sides_at
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
@@ -157,12 +158,14 @@ def _check_speeds(
     forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
     slower = "stretch the time or lower the speed"
     along = "let theta point along the direction of travel, or give more rows"
-    for name, unit, speed, bound, excess, remedy in (
+    for name, unit, speed, limit, excess, remedy in (
         ("v", "m/s", forward, limits.v if limits else np.inf, settings.speed_excess, slower),
         ("omega", "rad/s", rates[:, 2], limits.omega if limits else np.inf, settings.speed_excess, slower),
         ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, along),
     ):
-        worst = int(np.argmax(np.abs(speed)))
+        bounds = sides_at(limit, speed)
+        worst = int(np.argmax(np.abs(speed) / bounds))
+        bound = bounds[worst]
         if abs(speed[worst]) > bound * (1 + excess):
             kind = ConfigError if speed is sideways else BeyondLimitError
             raise kind(

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.mpc.config.sides import side_of
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
@@ -68,12 +69,13 @@ def lay_waypoints(
     """
     if len(waypoints) < 2:
         raise ConfigError(f"{where}: {len(waypoints)} waypoints; give at least two [x, y]")
-    if speed is not None and speed > limits.v:
-        raise BeyondLimitError(f"{where}: speed = {speed:g} m/s is beyond the limit of {limits.v:g} m/s; lower it")
+    fastest = side_of(limits.v, 1.0)
+    if speed is not None and speed > fastest:
+        raise BeyondLimitError(f"{where}: speed = {speed:g} m/s is beyond the limit of {fastest:g} m/s; lower it")
     path = smooth_path(np.asarray(waypoints, dtype=float), where, max_deviation=max_deviation)
+    cruise = speed or fastest
     if timing == "commanded":
-        limits = _unlimited_yaw_acceleration(path, speed or limits.v, limits, where)
-    cruise = speed or limits.v
+        limits = _unlimited_yaw_acceleration(path, cruise, limits, where)
     square = squared_speeds(
         path.lengths,
         path.bend,

@@ -15,6 +15,7 @@ from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.mpc.config.described import FieldRow, feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.sides import SIDES
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from studies.documents.documents import insert
 
@@ -64,7 +65,8 @@ def parameter_tables() -> str:
             raise ConfigError(f"{_ADVICE.name}: '{name}' is no parameter and no group; remove it")
     groups: dict[str, list[FieldRow]] = {}
     for row in _controller_rows():
-        groups.setdefault(row.key.rpartition(".")[0], []).append(row)
+        *group, name = row.key.split(".")
+        groups.setdefault(".".join(group[:-1] if name in SIDES else group), []).append(row)
     tables = [_table("The node", node_rows(), advice)]
     tables += [_table(f"Part {name} of the node", rows, advice) for name, rows in part_rows().items()]
     tables += [_table(_title(group), rows, advice) for group, rows in groups.items()]
@@ -116,8 +118,13 @@ def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
 
 def _line(row: FieldRow, advice: dict[str, str]) -> str:
     plain = plain_key(row.key)
-    when = advice.get(plain) or advice.get(plain.partition(".")[0])
-    if when is None:
+    *_, name = plain.split(".")
+    when = (
+        advice.get(plain)
+        or (name in SIDES and "where the two sides of your robot differ")
+        or advice.get(plain.partition(".")[0])
+    )
+    if not when:
         raise ConfigError(f"{_ADVICE.name}: no advice on '{row.key}'; add when to change it")
     # A ROS parameter cannot be null.
     default = "0 (none)" if row.default == "null" else row.default

@@ -28,6 +28,7 @@ from diffdrive_mpc import (
     load_trajectory,
 )
 from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.mpc.config.sides import sides_of
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
@@ -367,13 +368,17 @@ def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> Non
     brakes = result.mode in ("BRAKING", "FINISHED")
     if held and result.mode not in ("BRAKING", "FINISHED"):
         raise FaultError(f"held: and drives: {text}")
-    most = np.array([limits.v, limits.omega])
+    upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
     rates = (limits.v_braking, limits.omega_braking) if brakes else (limits.v_slew, limits.omega_slew)
-    step, rounding = np.array(rates) * dt, 1e-9 + 1e-9 * np.abs(last)
-    if (np.abs(command) > np.maximum(most, np.abs(last) - step) + rounding).any():
-        raise FaultError(f"limits: outside {most.tolist()}: {text}")
-    if (np.abs(command - last) > step + rounding).any():
-        raise FaultError(f"slew: more than {step.tolist()} in a tick: {text}")
+    grows, falls = np.transpose([sides_of(rate) for rate in rates]) * dt
+    size, sign, rounding = np.abs(last), np.where(last < 0.0, -1.0, 1.0), 1e-9 + 1e-9 * np.abs(last)
+    # Past zero it grows in what is left of the tick.
+    smallest = np.where(size > falls, size - falls, -grows * (1.0 - size / falls))
+    ahead, behind = np.where(sign > 0.0, upper, lower), np.where(sign > 0.0, lower, upper)
+    if (sign * command > np.maximum(ahead, smallest) + rounding).any() or (sign * command < -behind - rounding).any():
+        raise FaultError(f"limits: outside {(-lower).tolist()} to {upper.tolist()}: {text}")
+    if (sign * command > size + grows + rounding).any() or (sign * command < smallest - rounding).any():
+        raise FaultError(f"slew: grows by more than {grows.tolist()} or falls by {falls.tolist()} in a tick: {text}")
     if brakes and (np.abs(command) > np.abs(last)).any():
         raise FaultError(f"brakes: and speeds up: {text}")
     if result.mode == "TRACKING":

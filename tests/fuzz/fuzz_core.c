@@ -298,8 +298,10 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
         k.increment_weight[i] = wild(10.0, seldom) + R(1e-12);
         k.inverse_gain[3 * i] = R(1.0);
         k.lag_rest[i] = R(0.3);
-        k.largest_command[i] = wild(uniform(0.5, 1.0 + i), seldom) + R(1e-12);
-        k.slew[i] = wild(uniform(0.001, 0.1), seldom) + R(1e-12);
+        for (int side = 2 * i; side < 2 * i + 2; side++) {
+            k.largest_command[side] = wild(uniform(0.5, 1.0 + i), seldom) + R(1e-12);
+            k.slew[side] = wild(uniform(0.001, 0.1), seldom) + R(1e-12);
+        }
         k.braking[i] = wild(uniform(0.01, 0.1), seldom) + R(0.004);
     }
     k.price = wild(50.0, seldom) + R(1e-12);
@@ -364,8 +366,12 @@ static void check(const ddmpc_result *result, const ddmpc_constants *k, const re
     for (int i = 0; i < 2; i++) {
         const real command = result->command[i], rounding = R(1e-12) * (R(1.0) + ddmpc_fabs(last[i]));
         const int brakes = result->mode == DDMPC_BRAKING || result->mode == DDMPC_FINISHED;
-        const real step = brakes ? k->braking[i] : k->slew[i];
-        const real reachable = ddmpc_fabs(last[i]) - step;
+        const real grows = brakes ? k->braking[i] : k->slew[2 * i], falls = brakes ? k->braking[i] : k->slew[2 * i + 1];
+        const real size = ddmpc_fabs(last[i]);
+        /* The command along the direction of the last one, and past zero in what is left of the tick. */
+        const real along = last[i] < R(0.0) ? -command : command;
+        const real smallest = size > falls ? size - falls : -grows * (R(1.0) - size / falls);
+        const real ahead = k->largest_command[2 * i + (last[i] < R(0.0))], behind = k->largest_command[2 * i + !(last[i] < R(0.0))];
         if (!isfinite(command))
             fail("not finite", result);
         if (result->reasons & DDMPC_TIME_REPEATED) {
@@ -379,9 +385,9 @@ static void check(const ddmpc_result *result, const ddmpc_constants *k, const re
                 fail("stopped, and moves", result);
             continue;
         }
-        if (ddmpc_fabs(command) > ddmpc_max(k->largest_command[i], reachable) + rounding)
+        if (along > ddmpc_max(ahead, smallest) + rounding || along < -behind - rounding)
             fail("outside its range", result);
-        if (ddmpc_fabs(command - last[i]) > step + rounding)
+        if (along > size + grows + rounding || along < smallest - rounding)
             fail("faster than slew or braking", result);
         if (brakes && ddmpc_fabs(command) > ddmpc_fabs(last[i]))
             fail("brakes, and speeds up", result);

@@ -17,10 +17,18 @@ from side_by_side import ACTIVE_SET, Pair, changed
 from diffdrive_mpc import Measurement, Stamped, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.slip import Slip
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
 
 DT = 0.0202
 HARD = {"limits.v": 0.5, "limits.omega": 1.05, "limits.v_slew": 0.5, "limits.omega_slew": 1.5}
+TWO_SIDED = {
+    "limits.v": {"forward": 0.5, "reverse": 0.2},
+    "limits.omega": {"left": 1.05, "right": 0.8},
+    "limits.v_slew": {"accelerate": 0.8, "brake": 0.4},
+    "limits.omega_slew": {"accelerate": 1.2, "brake": 3.0},
+}
 SOFT = {"limits.predicted_v": 0.45, "limits.predicted_omega": 0.5, "limits.wheel_speed": 0.55, "limits.corridor": 0.01}
 PRECISE = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
 # OSQP ends where its residuals, not the commands, are below its tolerance.
@@ -117,6 +125,19 @@ def overruled(k, t, m, both):
     elif k % 3:
         both.overrule(np.array([[0.4 * math.sin(0.1 * k), 0.3], [0.9 if 60 <= k < 70 else 0.4, math.cos(0.07 * k)]]))
     return t, m, None
+
+
+@pytest.mark.parametrize("solver", [{}, {"solver.method": "daqp"}])
+def test_a_change_of_direction_with_limits_of_two_sides(solver):
+    """Forwards and back at once, with a turn from the left to the right: commands pass through zero within a tick."""
+    reference = lay_commanded(
+        [Segment(v=0.3, omega=0.5, duration=0.8), Segment(v=-0.18, omega=-0.5, duration=1.2)],
+        TrajectoryLimits.of_robot(),
+        name="to and fro",
+    )
+    both = pair("ssm", 1e-6 if solver else 1e-9, **{"horizon": 15} | TWO_SIDED | solver)
+    both.drive(make_plant("model:ssm", seed=4), reference, 90)
+    assert both.modes == ["TRACKING"]
 
 
 def held(k, t, m, both):
@@ -252,6 +273,13 @@ EVENTS = {
     "fenced": (started_again, FENCE | {"fence.y": 0.1, "fence.heading": 0.2}, *LEFT_FENCE),
     "fenced in the frame of poses": (started_again, FENCE | {"fence.frame": "poses", "fence.x": -0.1}, *LEFT_FENCE),
     "along its limits": (carried, HARD | SOFT, ["TRACKING"], "rejoining"),
+    "along limits with two sides": (carried, TWO_SIDED | SOFT, ["TRACKING"], "catches up"),
+    "held with limits of two sides": (
+        held,
+        TWO_SIDED | {"limits.v_braking": 0.7},
+        ["TRACKING", "BRAKING", "STOPPED", "TRACKING"],
+        "pause",
+    ),
 }
 
 

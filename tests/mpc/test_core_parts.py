@@ -12,18 +12,27 @@ STEPS = 8
 
 
 def kept_to_radius(wanted, last, step, most, radius):
-    """Return the command (2,) nearest to `wanted` within range and slew, its turn reduced as far as slew allows."""
-    most = np.maximum(most, np.abs(last) - step)
-    v, omega = np.clip(wanted, np.maximum(last - step, -most), np.minimum(last + step, most))
+    """Return the command (2,) nearest to `wanted` within range and slew, its turn reduced as far as slew allows.
+
+    Of each channel `step` (2, 2) holds how much its size grows and falls, and `most` (2, 2) the largest on either side.
+    """
+    ends = []
+    for before, (grows, falls) in zip(last, step, strict=True):
+        size = abs(before)
+        smallest = size - falls if size > falls else -grows * (1 - size / falls)
+        ends.append(sorted([math.copysign(1, before) * smallest, math.copysign(1, before) * (size + grows)]))
+    low, high = np.transpose(ends)
+    upper, lower = np.clip(most[:, 0], low, None), np.clip(-most[:, 1], None, high)
+    v, omega = np.clip(wanted, np.maximum(low, lower), np.minimum(high, upper))
     if radius * abs(omega) <= abs(v):
         return np.array([v, omega]), 0.0
     widest = abs(v) / radius
     nearest = np.clip(omega, -widest, widest)
-    if abs(nearest - np.clip(nearest, last[1] - step[1], last[1] + step[1])) < 1e-15:
+    if abs(nearest - np.clip(nearest, low[1], high[1])) < 1e-15:
         return np.array([v, nearest]), abs(omega - nearest)
-    turn = last[1] - np.sign(last[1]) * step[1]
+    turn = last[1] - np.sign(last[1]) * step[1, 1]
     # Not even the quickest way out of the turn is enough: the speed is kept up, but not raised.
-    speed = min(radius * abs(turn), abs(last[0]), most[0])
+    speed = min(radius * abs(turn), abs(last[0]), -lower[0] if last[0] < 0 else upper[0])
     backs_off = speed > abs(v) or (v < 0) != (last[0] < 0)
     return np.array([np.copysign(speed, last[0]) if backs_off else v, turn]), abs(omega - turn)
 
@@ -33,11 +42,12 @@ def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
     inner = InnerController(horizon=STEPS, **{"limits.min_commanded_radius": 1.0})
     c, k, draw, reported = inner.c, inner.k, np.random.default_rng(0), 0
     for _ in range(400):
-        radius, step = draw.uniform(0.2, 2.0), draw.uniform([0.005, 0.01], [0.2, 0.4])
+        radius, step = draw.uniform(0.2, 2.0), draw.uniform([[0.005], [0.01]], [[0.2], [0.4]], (2, 2))
         last, plan = draw.uniform([-1, -2], [1, 2]), draw.uniform([-1.2, -2.4], [1.2, 2.4], (STEPS, 2))
-        most = draw.uniform([0.3, 0.5], [1.5, 2.5])
+        most = draw.uniform([[0.3], [0.5]], [[1.5], [2.5]], (2, 2))
         command, taken = kept_to_radius(plan[3], last, step, most, radius)
-        k.slew, k.largest_command, k.min_commanded_radius, c.last = step.tolist(), most.tolist(), radius, last.tolist()
+        k.slew, k.largest_command = step.ravel().tolist(), most.ravel().tolist()
+        k.min_commanded_radius, c.last = radius, last.tolist()
         # On either side of what is taken back.
         side = draw.choice([0.999, 1.001])
         k.turn_held_from, k.max_reused_ticks = [taken * side, 1e3], 3

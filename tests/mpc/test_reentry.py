@@ -62,7 +62,7 @@ def test_heading_curvature_and_length_match_the_points(angle, start_bend, end_be
 @given(ends, bends, st.floats(0.0, 0.6), st.floats(0.0, 0.6))
 def test_speeds_keep_every_limit_on_every_piece(end, bend, enter, leave):
     path = quintic_paths(np.zeros((1, 3)), np.array([bend]), np.array([end]), np.zeros(1), 33)
-    speed = path_speeds(path, np.array([enter]), np.array([leave]), LIMITS, np.ones(1))[0, 0]
+    speed = path_speeds(path, np.array([enter]), np.array([leave]), LIMITS, np.ones(1), np.ones(1))[0, 0]
     k, ds = path.curvature[0], path.lengths[0]
     slack = 1 + 1e-6
     assert speed[0] <= enter
@@ -81,7 +81,7 @@ def test_speeds_keep_every_limit_on_every_piece(end, bend, enter, leave):
 
 def test_straight_from_rest_to_rest_takes_the_shortest_time():
     path = quintic_paths(np.zeros((1, 3)), np.zeros(1), np.array([[1.0, 0.0, 0.0]]), np.zeros(1), 401)
-    speed = path_speeds(path, np.zeros(1), np.zeros(1), LIMITS, np.ones(1))[0]
+    speed = path_speeds(path, np.zeros(1), np.zeros(1), LIMITS, np.ones(1), np.ones(1))[0]
     # A trapezoid: v / a to reach the speed, and as long to leave it, with v^2 / a of way; the rest at v.
     expected = LIMITS.v / 1.0 + 1.0 / LIMITS.v
     assert travel_times(path, speed)[0, -1] == pytest.approx(expected, rel=1e-2)

@@ -12,6 +12,8 @@ from diffdrive_mpc import ControllerConfig, VelocityModel, load_model
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.fixed_values import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.config.sides import SlewLimit
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.slip import Slip
@@ -22,7 +24,7 @@ from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
 from oracle.fence import FenceWatch
-from oracle.problem import TrackingProblem, command_box
+from oracle.problem import TrackingProblem, command_box, reached
 from oracle.reach import ASTRAY, BESIDE, WheelReach
 from oracle.solver import solve
 from oracle.tick import FeedForward, begin_tick
@@ -219,7 +221,7 @@ class OracleController:
     def _tick(self, t: float, measurement: Measurement, notes: list[str], hold: Hold | None) -> Outcome:
         estimator, failure = self.estimator, self.config.failure
         reference_time = self.pursuit.advance(t - self.t0)
-        notes += estimator.correct_sent(measurement.sent, self._largest())
+        notes += estimator.correct_sent(measurement.sent, self._largest(measurement.sent))
         estimator.advance(t)
         notes += estimator.update(t, measurement)
         rate = estimator.rate
@@ -320,19 +322,18 @@ class OracleController:
 
     def _track(self, estimate: Estimate, target: Target, notes: list[str]) -> Outcome:
         limits, failure = self.config.limits, self.config.failure
-        slew = np.array([limits.v_slew, limits.omega_slew])
         plan, status = self._plan(estimate, target)
         report = SolverReport(status)
         if plan is not None:
             self.plan, self.plan_age = plan, 0
             # A base that is held must not be asked for more and more: let go, it would leap.
             share = self.config.reentry.blocked_share if target.blocked_for else 1.0
-            command = self._inside(plan.commands[0], slew, share)
+            command = self._inside(plan.commands[0], limits, share)
             return Outcome(command, Mode.TRACKING, report, plan, target.blocked_for)
         notes.append(f"solve failed: {status}")
         self.plan_age += 1
         if self.plan is not None and self.plan_age <= min(failure.max_reused_ticks, self.config.horizon - 1):
-            command = self._inside(self.plan.commands[self.plan_age], slew)
+            command = self._inside(self.plan.commands[self.plan_age], limits)
             return Outcome(command, Mode.REUSED_PLAN, report, self.plan)
         return replace(self._brake(notes), solver=report)
 
@@ -345,7 +346,7 @@ class OracleController:
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
-            self.guess = np.clip(tick.feed_forward, -box, box)
+            self.guess = np.clip(tick.feed_forward, *box)
         ahead = self.problem.turning_points(tick, self.guess)
         answer = solve(self.problem.quadratic_program(tick, self.guess))
         if not answer.status.usable:
@@ -374,17 +375,22 @@ class OracleController:
         command = self._ramp()
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
-    def _largest(self) -> FloatArray:
-        """(2,) the largest command that a base can have got, as it rounds it."""
-        return 1.001 * np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
+    def _largest(self, sent: object) -> FloatArray:
+        """(2,) the largest command that a base can have got in the direction of `sent`, as it rounds it."""
+        sides = np.transpose([self.config.limits.v.sides, self.config.limits.omega.sides])
+        sent = np.zeros(2) if sent is None else np.asarray(sent, dtype=float)
+        return 1.001 * np.maximum(np.where(sent < 0.0, sides[1], sides[0]), np.abs(self.last))
 
     def _ramp(self) -> FloatArray:
         limits = self.config.limits
-        command = self._inside(np.zeros(2), np.array([limits.v_braking, limits.omega_braking]))
+        braking = {"v_slew": SlewLimit(limits.v_braking), "omega_slew": SlewLimit(limits.omega_braking)}
+        command = self._inside(np.zeros(2), limits.model_copy(update=braking))
         return np.where(np.abs(command) < 1e-13, 0.0, command)
 
-    def _inside(self, command: FloatArray, rate: FloatArray, share: float = 1.0) -> FloatArray:
-        """The nearest command inside `share` of range, and no faster than `rate` (2,) away from the last one."""
-        limits, step = self.config.limits, rate * self.config.sample_time
-        box = np.maximum(np.abs(self.last) - step, share * np.array([limits.v, limits.omega]))
-        return np.clip(command, np.maximum(self.last - step, -box), np.minimum(self.last + step, box))
+    def _inside(self, command: FloatArray, limits: Limits, share: float = 1.0) -> FloatArray:
+        """The nearest command inside `share` of range, and within slew of the last one."""
+        low, high = reached(limits, self.config.sample_time, self.last)
+        (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
+        upper = np.clip(share * np.array([forward, left]), low, None)
+        lower = np.clip(-share * np.array([reverse, right]), None, high)
+        return np.clip(command, np.maximum(low, lower), np.minimum(high, upper))

@@ -70,11 +70,23 @@ def roll_out(
     return np.stack(outputs)
 
 
-def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> FloatArray:
-    """(steps, 2) bounds on |command|: one that was tightened below the last command is reached at the slew limit."""
-    slew = dt * np.array([limits.v_slew, limits.omega_slew])
-    reachable = np.abs(last_command) - slew * np.arange(1, steps + 1)[:, None]
-    return np.maximum(reachable, [limits.v, limits.omega])
+def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+    """(steps, 2) lower and upper bounds: one that was tightened below the last command is reached at the slew limit."""
+    given = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
+    (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
+    return np.minimum(last_command + given, [-reverse, -right]), np.maximum(last_command - given, [forward, left])
+
+
+def reached(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(2,) least and greatest command after a tick, counted by the time until the command is zero."""
+    bounds = []
+    for command, (grows, falls) in zip(last, (limits.v_slew.sides, limits.omega_slew.sides), strict=True):
+        size, sign = abs(command), -1.0 if command < 0.0 else 1.0
+        falling = min(dt, size / falls)
+        ends = sorted([sign * (size + grows * dt), sign * (size - falls * falling - grows * (dt - falling))])
+        bounds.append(ends)
+    low, high = np.transpose(bounds)
+    return low, high
 
 
 class TrackingProblem:
@@ -151,14 +163,16 @@ class TrackingProblem:
         configured = [lim.predicted_v, lim.predicted_omega, wheels, wheels, lim.corridor]
         return np.maximum(configured, np.abs(now))
 
-    def hard_limits(self, tick: Tick) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rows (4 N, 2 N) of commands and increments, with their lower and upper bounds."""
+    def hard_limits(self, tick: Tick, plan: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rows (4 N, 2 N) of commands and increments, with their lower and upper bounds; signs are those of `plan`."""
         n, limits, dt = 2 * self.steps, self.config.limits, self.model.dt
-        box = command_box(limits, dt, tick.last_command, self.steps).ravel()
-        slew = np.tile([limits.v_slew, limits.omega_slew], self.steps) * dt
-        first = np.concatenate([tick.last_command, np.zeros(n - 2)])
+        box = command_box(limits, dt, tick.last_command, self.steps)
+        grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
+        first = reached(limits, dt, tick.last_command)
+        lower = np.vstack([first[0], -np.where(plan[:-1] > 0.0, falls, grows)])
+        upper = np.vstack([first[1], np.where(plan[:-1] < 0.0, falls, grows)])
         rows = np.vstack([np.eye(n), np.eye(n) - np.eye(n, k=-2)])
-        return rows, np.concatenate([-box, first - slew]), np.concatenate([box, first + slew])
+        return rows, np.concatenate([box[0].ravel(), lower.ravel()]), np.concatenate([box[1].ravel(), upper.ravel()])
 
     def quadratic_program(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
         """Gauss-Newton along `plan` (N, 2): residuals and soft values to first order in the commands."""
@@ -178,7 +192,7 @@ class TrackingProblem:
         return QuadraticProgram(
             J.T @ J,
             J.T @ (r - J @ U),
-            *self.hard_limits(tick),
+            *self.hard_limits(tick, plan),
             soft_rows=S,
             soft_lower=-limit - (s - S @ U),
             soft_upper=limit - (s - S @ U),

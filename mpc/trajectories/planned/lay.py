@@ -12,6 +12,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc.config.sides import side_of
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.planned.tube import least_bent, load_settings
@@ -258,7 +259,9 @@ def lay_poses(
         begins = max(0.0, run.sense * speed * math.cos(gap)) if index == 0 else 0.0
         if may_turn and (index or (standing and abs(gap) > settings.bendable)) and abs(gap) > _NO_TURN:
             nodes += _turn(np.array([*path.points[0], pose[2]]), gap, limits)
-        square = squared_speeds(path.lengths, path.bend, path.bend_change, limits, limits.v, lateral=True, enter=begins)
+        square = squared_speeds(
+            path.lengths, path.bend, path.bend_change, limits, math.inf, lateral=True, enter=begins, sense=run.sense
+        )
         times, laid, rates = timed(path, square, limits, run.sense)
         nodes.append(
             (times, laid, rates, np.interp(np.linspace(0, 1, len(times)), np.linspace(0, 1, len(drawn)), drawn))
@@ -366,11 +369,9 @@ def _facing(line: FloatArray, ends: _Ends, sense: int) -> SmoothPath:
 
 
 def _turn(pose: FloatArray, angle: float, limits: TrajectoryLimits) -> list[Nodes]:
-    return list(
-        turned(
-            [Segment(v=0.0, omega=math.copysign(limits.omega, angle), duration=abs(angle) / limits.omega)], pose, limits
-        )
-    )
+    fastest = side_of(limits.omega, angle)
+    segment = Segment(v=0.0, omega=math.copysign(fastest, angle), duration=abs(angle) / fastest)
+    return list(turned([segment], pose, limits))
 
 
 def _joined(nodes: list[Nodes], heading: float, name: str) -> SplineTrajectory:

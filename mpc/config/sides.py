@@ -1,0 +1,137 @@
+"""Limits with two sides: one number for both, or one for each, such as `{forward: 1.0, reverse: 0.3}`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema, core_schema
+
+from diffdrive_mpc.models.interface import FloatArray
+
+
+class TwoSided(float):
+    """A limit with two sides; its value as a number is the smaller one, which keeps inside both."""
+
+    names: ClassVar[tuple[str, str]]
+    """Names of the two sides."""
+    sides: tuple[float, float]
+    """The limit on each side, both positive, in the unit of the number."""
+
+    def __new__(cls, first: float, second: float | None = None) -> Self:
+        """Limit both sides to `first`, or each side to its own number."""
+        sides = (float(first), float(first if second is None else second))
+        limit = super().__new__(cls, min(sides))
+        limit.sides = sides
+        return limit
+
+    def __reduce__(self) -> tuple[type[Self], tuple[float, float]]:
+        """Copy and pickle both sides."""
+        return type(self), self.sides
+
+    def __eq__(self, other: object) -> bool:
+        """Compare both sides."""
+        return self.sides == sides_of(other) if isinstance(other, (int, float)) else NotImplemented
+
+    __hash__ = float.__hash__
+
+    def __repr__(self) -> str:
+        """Return both sides where they differ."""
+        return repr(self.plain)
+
+    def map(self, change: Callable[[float], float]) -> Self:
+        """Return the limit with each side changed."""
+        return type(self)(*map(change, self.sides))
+
+    @property
+    def plain(self) -> float | dict[str, float]:
+        """The limit as files state it: one number, or both sides by name if they differ."""
+        first, second = self.sides
+        return first if first == second else dict(zip(self.names, self.sides, strict=True))
+
+    @classmethod
+    def _read(cls, value: object) -> tuple[object, object]:
+        if isinstance(value, TwoSided):
+            return value.sides
+        if not isinstance(value, Mapping):
+            return (value, value)
+        if set(value) != set(cls.names):
+            raise ValueError(f"give one number, or both sides: {{{cls.names[0]}: ..., {cls.names[1]}: ...}}")
+        return value[cls.names[0]], value[cls.names[1]]
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Read one number or a mapping with both sides; write the same forms."""
+        return core_schema.no_info_wrap_validator_function(
+            lambda value, check: cls(*map(check, cls._read(value))),
+            core_schema.float_schema(gt=0, strict=True, allow_inf_nan=False),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda limit: limit.plain),
+        )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe both forms."""
+        number = {"exclusiveMinimum": 0, "type": "number"}
+        sides = {
+            "additionalProperties": False,
+            "properties": dict.fromkeys(cls.names, number),
+            "required": list(cls.names),
+            "type": "object",
+        }
+        return {"anyOf": [number, sides]}
+
+
+class SpeedLimit(TwoSided):
+    """Largest speed forward and in reverse [m/s]."""
+
+    names = ("forward", "reverse")
+
+
+class YawRateLimit(TwoSided):
+    """Largest yaw rate to the left and to the right [rad/s]."""
+
+    names = ("left", "right")
+
+
+class SlewLimit(TwoSided):
+    """Largest rate at which the size of a command grows and falls [m/s^2 or rad/s^2]."""
+
+    names = ("accelerate", "brake")
+
+
+SIDES = {name: kind.names for kind in (SpeedLimit, YawRateLimit, SlewLimit) for name in kind.names}
+"""Names of both sides by the name of either."""
+
+
+def side_fields(name: str, field: FieldInfo) -> dict[str, FieldInfo]:
+    """Return the key of each side of a limit `name` with a field that is unset by default; nothing for other fields."""
+    kind = field.annotation
+    if not (isinstance(kind, type) and issubclass(kind, TwoSided)):
+        return {}
+    number: Any = float | None
+    unit = (field.description or "").rpartition("[")[2]
+    return {
+        f"{name}.{side}": FieldInfo.from_annotated_attribute(
+            number, Field(None, gt=0, description=f"replaces {name} on this side [{unit}")
+        )
+        for side in kind.names
+    }
+
+
+def sides_of(limit: float) -> tuple[float, float]:
+    """Return a limit on both sides; a plain number counts for both."""
+    return limit.sides if isinstance(limit, TwoSided) else (limit, limit)
+
+
+def side_of(limit: float, value: float) -> float:
+    """Return a limit on the side of `value`: the first for zero and above."""
+    return sides_of(limit)[bool(value < 0.0)]
+
+
+def sides_at(limit: float, values: FloatArray) -> FloatArray:
+    """Return a limit on the side of each of `values`."""
+    first, second = sides_of(limit)
+    return np.where(values < 0.0, second, first)
