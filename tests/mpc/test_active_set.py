@@ -1,7 +1,7 @@
 """The active-set method in C (`mpc/core/active_set.c`) against conditions of optimality and another solver."""
 
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -216,6 +216,56 @@ def robot_problem(rng, steps, extra=0, tight=1.0):
     offsets = np.repeat(0.1 * rng.normal(size=5 + extra), N)
     middle[4 * N :] = offsets * tight
     return Problem(H, g, A, middle - limit, middle + limit, 4 * N)
+
+
+def two_sided(p, rng, steps, tight=1.0):
+    """Give the commands of a robot's problem ranges of two sides, and increments as sizes that grow and fall."""
+    N, lower, upper = steps, p.lower.copy(), p.upper.copy()
+    for channel in (0, 1):
+        above, below = rng.uniform(0.2, 1.0, 2) * tight
+        grows, falls = rng.uniform(0.02, 0.3, 2) * tight
+        last = rng.uniform(-below, above)
+        # A command that passes zero grows in the rest of the sample; later rows have the sign of a shifted plan.
+        smallest = abs(last) - falls if abs(last) > falls else -grows * (1 - abs(last) / falls)
+        first = sorted([np.copysign(1, last) * smallest, np.copysign(1, last) * (abs(last) + grows)])
+        sign = np.repeat(rng.integers(-1, 2, N // 5 + 1), 5)[: N - 1]
+        upper[channel * N : (channel + 1) * N], lower[channel * N : (channel + 1) * N] = above, -below
+        rows = slice((2 + channel) * N, (3 + channel) * N)
+        lower[rows] = [first[0], *np.where(sign > 0, -falls, -grows)]
+        upper[rows] = [first[1], *np.where(sign < 0, falls, grows)]
+    return replace(p, lower=lower, upper=upper)
+
+
+def residuals(p, found):
+    """Return what a solution breaks: hard limits, the sign of a force or its limit, the gradient over its size, the gap."""
+    plan, force = found.plan, found.multipliers
+    values, soft = p.A @ plan, np.arange(len(force)) >= p.hard
+    over = np.where(soft, np.maximum(np.abs(force) - p.price, 0.0) / p.slope, 0.0)
+    primal = np.maximum(np.maximum(values - p.upper, p.lower - values) - over, 0.0).max()
+    gradient = p.H @ plan + p.g + force @ p.A
+    dual = np.abs(gradient).max() / (1 + np.abs(force[:, None] * p.A).max() + np.abs(p.H).max() * np.abs(plan).max())
+    room = np.where(force > 0, p.upper + over - values, np.where(force < 0, values - p.lower + over, 0.0))
+    gap = np.abs(force * room).sum() / (1 + abs(cost(p, plan)))
+    return primal, dual, gap
+
+
+def check_two_sided(seed, steps=30):
+    """Solve a program with limits of two sides; return its residuals and the distance to DAQP's solution."""
+    rng = np.random.default_rng(seed)
+    tight = 10 ** rng.uniform(-0.5, 0.3)
+    p = two_sided(robot_problem(rng, steps, tight=tight), rng, steps, tight)
+    found = solve(p, slack=1e-10)
+    assert found.status == PROVEN
+    x, flag, _ = with_daqp(p)
+    assert flag > 0
+    return *residuals(p, found), np.abs(found.plan - x).max(), found.active
+
+
+def test_programs_with_limits_of_two_sides_are_solved_exactly():
+    figures = np.array([check_two_sided(seed) for seed in range(40)])
+    assert (figures[:, :3] < 1e-9).all()
+    assert (figures[:, 3] < 1e-7).all()
+    assert (figures[:, 4] > 3).mean() > 0.5
 
 
 def with_daqp(p):

@@ -104,6 +104,21 @@ def test_weights_and_limits_change_between_two_ticks(capfd):
         assert (steps <= CONFIG.limits.v_slew * CONFIG.sample_time + 1e-9).all()
 
 
+def test_a_side_of_a_limit_is_a_parameter_of_its_own():
+    with stack(drive=True, **{"limits.v.reverse": 0.2, "limits.v_slew.brake": 1.0}) as s:
+        assert s.node._controller.config.limits.v.sides == (CONFIG.limits.v, 0.2)
+        assert s.node._controller.config.limits.v_slew.sides == (CONFIG.limits.v_slew, 1.0)
+        s.base.run(5)
+        assert set_over_dds(s, limits__v__forward=0.3).successful
+        s.base.run(1)
+        assert s.node._controller.config.limits.v.sides == (0.3, 0.2)
+        assert set_over_dds(s, limits__v__forward=0.0, limits__v=0.5).successful
+        s.base.run(1)
+        assert s.node._controller.config.limits.v.sides == (0.5, 0.2)
+        refused = set_over_dds(s, limits__v__forward=-0.1)
+        assert not refused.successful
+
+
 @pytest.mark.parametrize(
     ("values", "reason"),
     [

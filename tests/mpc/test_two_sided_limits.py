@@ -1,0 +1,169 @@
+"""Limits with two sides: forward and reverse, left and right, growing and falling commands."""
+
+import pickle
+
+import numpy as np
+import pytest
+import yaml
+from fuzz.controller import check_step
+
+from diffdrive_mpc import ConfigError, Controller, Measurement, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.mpc.config.described import commented_yaml
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
+from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew, steps_beyond_slew
+
+SIDES = {
+    "limits.v": ("forward", "reverse"),
+    "limits.omega": ("left", "right"),
+    "limits.v_slew": ("accelerate", "brake"),
+    "limits.omega_slew": ("accelerate", "brake"),
+}
+TIGHT = {"limits.v": 0.6, "limits.omega": 1.2, "limits.v_slew": 0.6, "limits.omega_slew": 2.5}
+TWO_SIDED = {
+    "limits.v": {"forward": 0.8, "reverse": 0.2},
+    "limits.omega": {"left": 1.5, "right": 1.0},
+    "limits.v_slew": {"accelerate": 1.0, "brake": 0.4},
+    "limits.omega_slew": {"accelerate": 2.0, "brake": 5.0},
+}
+
+
+def test_both_forms_of_a_limit_are_read_kept_and_written():
+    config = load_config("ssm", TWO_SIDED)
+    assert config.limits.v.sides == (0.8, 0.2)
+    assert config.limits.v == load_config("ssm", {"limits.v": {"reverse": 0.2, "forward": 0.8}}).limits.v
+    assert config.limits.v not in (0.2, 0.8)
+    assert load_config("ssm", {"limits.v": 0.6}).limits.v.sides == (0.6, 0.6)
+    assert load_config("ssm", {"limits.v": {"forward": 0.6, "reverse": 0.6}}) == load_config("ssm", {"limits.v": 0.6})
+    assert load_config(config, {"limits.v.reverse": 0.3}).limits.v.sides == (0.8, 0.3)
+    assert load_config(load_config("ssm"), {"limits.v.reverse": 0.3}).limits.v.sides == (1.5, 0.3)
+    assert load_config(yaml.safe_load(commented_yaml(config))) == config
+    assert pickle.loads(pickle.dumps(config)) == config
+    assert config.model_dump()["limits"]["omega_slew"] == {"accelerate": 2.0, "brake": 5.0}
+    assert config.model_dump()["limits"]["v_braking"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"forward": 1.0}, "limits.v: give one number, or both sides: {forward: ..., reverse: ...}"),
+        ({"accelerate": 1.0, "brake": 1.0}, "give one number, or both sides"),
+        ({"forward": 1.0, "reverse": 0.0}, "limits.v: Input should be greater than 0"),
+        ({"forward": 1e13, "reverse": 1.0}, "limits.v: give zero or a size"),
+        ({"forward": True, "reverse": 1.0}, "limits.v: Input should be a valid number"),
+    ],
+)
+def test_a_limit_of_another_form_is_refused(value, words):
+    with pytest.raises(ConfigError) as error:
+        load_config("ssm", {"limits.v": value})
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
+def test_equal_sides_drive_as_one_number_to_the_last_bit(method):
+    runs = []
+    for sided in (False, True):
+        values = {key: dict.fromkeys(SIDES[key], value) if sided else value for key, value in TIGHT.items()}
+        config = load_config("ssm", {**values, "solver.method": method, "horizon": 15})
+        run = simulate(Controller(config), make_plant("model:ssm", seed=1), load_trajectory("k_turn", limits=config))
+        runs.append(run.command)
+    assert (np.abs(np.diff(runs[0], axis=0)) > 0.0).any()
+    np.testing.assert_array_equal(*runs)
+
+
+def drawn_reference(draw):
+    """Return steps between twists of any sign, within the ranges of `TWO_SIDED`."""
+    segments = [
+        Segment(v=draw.uniform(-0.19, 0.7), omega=draw.uniform(-0.9, 0.9), duration=draw.uniform(0.2, 0.8))
+        for _ in range(8)
+    ]
+    return lay_commanded(segments, TrajectoryLimits.of_robot(), name="drawn")
+
+
+@pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
+def test_no_command_leaves_the_envelope(method):
+    """On drawn drives with changes of direction, failures, holds and limits that are tightened on the way."""
+    signs, modes = set(), set()
+    for seed in range(6):
+        draw = np.random.default_rng(seed)
+        slews = {
+            key: dict(zip(SIDES[key], draw.uniform(0.3, 3.0, 2), strict=True)) for key in SIDES if key.endswith("slew")
+        }
+        config = load_config("ssm", TWO_SIDED | slews | {"solver.method": method, "horizon": 12})
+        controller, plant = Controller(config), make_plant("model:ssm", seed=seed)
+        controller.start(drawn_reference(draw), plant.time)
+        last = np.zeros(2)
+        for tick in range(220):
+            measurement = plant.measure()
+            if draw.random() < 0.01:
+                controller.update(limits={"v.reverse": draw.uniform(0.05, 0.2), "omega.left": draw.uniform(0.5, 1.5)})
+            if tick in range(120, 160) and seed == 0:
+                measurement = Measurement()
+            hold = Hold("pause") if tick in range(60, 75) and seed == 1 else None
+            result = controller.step(plant.time, measurement, hold)
+            check_step(result, controller.config, last, held=hold is not None)
+            signs |= {tuple(np.sign(last * result.command))} if result.mode == "TRACKING" else set()
+            modes.add(str(result.mode))
+            last = result.command
+            plant.advance(last)
+    assert {sign[0] for sign in signs} >= {-1.0, 1.0} and {sign[1] for sign in signs} >= {-1.0, 1.0}
+    assert {"TRACKING", "BRAKING"} <= modes
+
+
+def test_a_command_passes_zero_within_a_tick_by_the_rest_of_its_time():
+    """Half of the tick for braking to zero, so half of it for the way on: exact, not the sum of both rates."""
+    config = load_config("ssm", {"limits.v_slew": {"accelerate": 4.0, "brake": 1.0}, "horizon": 15})
+    controller, plant = Controller(config), make_plant("model:ssm", seed=0)
+    controller.start(lay_commanded([Segment(v=-1.0, omega=0.0, duration=2.0)], TrajectoryLimits(2, 2, 99, 99), name="back"), 0.0)
+    dt = config.sample_time
+    controller.set_applied_commands([[0.5 * dt, 0.0]])
+    command = controller.step(plant.time, plant.measure()).command
+    assert command[0] == pytest.approx(-0.5 * dt * 4.0, abs=1e-12)
+
+
+def test_a_reference_is_compared_with_its_own_side():
+    config = load_config("ssm", TWO_SIDED)
+    controller = Controller(config)
+
+    def reference(v, omega):
+        return lay_commanded([Segment(v=v, omega=omega, duration=3.0)], TrajectoryLimits.of_robot(), name="one")
+
+    for v, omega in ((0.7, 0.0), (-0.19, 0.0), (0.1, 1.4), (0.1, -0.9)):
+        controller.checked_reference(reference(v, omega))
+    with pytest.raises(ValueError, match=r"v = 0.3 at .* more than limits.v.reverse = 0.2; slow"):
+        controller.checked_reference(reference(-0.3, 0.0))
+    with pytest.raises(ValueError, match=r"omega = 1.2 at .* more than limits.omega.right = 1; slow"):
+        controller.checked_reference(reference(0.1, -1.2))
+
+
+def test_slew_of_a_reference_is_compared_by_growth_and_fall():
+    limits = load_config("ssm", TWO_SIDED).limits
+    ramps = TrajectoryLimits.of_robot()
+    steps = lay_commanded(
+        [Segment(v=0.1, omega=0.0, duration=2.0), Segment(v=0.5, omega=0.0, duration=2.0)], ramps, name="up"
+    )
+    # The ramp at its end is quicker than the brakes; the step up takes 0.4 s.
+    assert "v steps by up to 0.4 m/s, for which limits.v_slew takes 0.4 s" in steps_beyond_slew(steps, limits, 0.02)
+    back = lay_commanded(
+        [Segment(v=0.2, omega=0.0, duration=2.0), Segment(v=-0.2, omega=0.0, duration=2.0)], ramps, name="back"
+    )
+    assert "limits.v_slew takes 0.7 s" in steps_beyond_slew(back, limits, 0.02)
+    assert starts_beyond_slew(back, limits, 0.02) == ""
+
+
+def test_smooth_timing_keeps_the_speed_of_each_direction_and_both_rates():
+    config = load_config("ssm", TWO_SIDED)
+    limits = TrajectoryLimits.of_controller(config.limits)
+    segments = [Segment(v=0.8, omega=0.3, duration=4.0), Segment(v=-0.2, omega=0.1, duration=6.0)]
+    trajectory = lay_smooth(segments, limits, name="to and fro")
+    times = np.linspace(0.0, trajectory.duration, 4000)
+    v = trajectory.sample(times).twist[:, 0]
+    assert v.max() == pytest.approx(0.8, rel=1e-3) and v.min() == pytest.approx(-0.2, rel=1e-3)
+    rate = np.diff(np.abs(v)) / np.diff(times)
+    assert rate.max() == pytest.approx(1.0, rel=0.02) and rate.min() == pytest.approx(-0.4, rel=0.02)
+    # The spline through its nodes rings by a few parts in 100,000.
+    wider = {f"limits.v_slew.{side}": 1.001 * rate for side, rate in TWO_SIDED["limits.v_slew"].items()}
+    assert steps_beyond_slew(trajectory, load_config(config, wider).limits, config.sample_time) == ""
+    Controller(config).checked_reference(trajectory)
