@@ -1,8 +1,8 @@
 """What a real base does around its linear dynamics: limits on the way in, slip on the way out.
 
-On the way in, `TwistSlew` then `WheelCommand`; then the velocity model; on the way out, `YawRelaxation` and `Veer`.
-`PoseMount` is where the pose sensor sits. Each is optional; `BaseEffects` is their group in a model file, and `respond`
-puts them in a row.
+On the way in, `TwistRange`, `TwistSlew`, `WheelCommand`; then the velocity model; on the way out, `YawRelaxation` and
+`Veer`. `PoseMount` is where the pose sensor sits. Each is optional; `BaseEffects` is their group in a model file, and
+`respond` puts them in a row.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.two_sided import SlewLimit, SpeedLimit, YawRateLimit, reached, sides_of
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 # A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
@@ -30,25 +31,42 @@ class TwistSlew(StrictModel):
     A controller whose own slew limits are no wider never meets them, and its linear model then holds.
     """
 
-    v: float = Field(gt=0, description="largest slope of v_ref that the base follows [m/s^2]")
-    omega: float = Field(gt=0, description="largest slope of omega_ref that the base follows [rad/s^2]")
+    v: SlewLimit = Field(
+        description="largest slope of v_ref that the base follows; a number, or {accelerate, brake} [m/s^2]"
+    )
+    omega: SlewLimit = Field(
+        description="largest slope of omega_ref that the base follows; a number, or {accelerate, brake} [rad/s^2]"
+    )
 
     def step(self, previous: ArrayLike, command: ArrayLike, dt: float) -> FloatArray:
         """Twist (..., 2) that the base has reached `dt` seconds after `previous` on its way to `command`."""
         before = np.asarray(previous, dtype=float)
-        reach = np.array([self.v, self.omega]) * dt
-        return np.asarray(before + np.clip(np.asarray(command, dtype=float) - before, -reach, reach))
+        if self.v.is_symmetric and self.omega.is_symmetric:
+            reach = np.array([self.v, self.omega]) * dt
+            return np.asarray(before + np.clip(np.asarray(command, dtype=float) - before, -reach, reach))
+        return reached(before, np.asarray(command, dtype=float), *np.transpose([self.v.sides, self.omega.sides]) * dt)
 
     def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
         """Twists (K, 2) inside the base after each sample of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
         commands = np.asarray(commands, dtype=float)
         columns = [
             _ramps(column, limit * dt, float(first))
+            if limit.is_symmetric
+            else _two_sided_ramps(column, limit, dt, float(first))
             for column, limit, first in zip(
                 commands.T, (self.v, self.omega), np.asarray(start, dtype=float), strict=True
             )
         ]
         return np.stack(columns, axis=-1)
+
+
+def _two_sided_ramps(commands: FloatArray, limit: SlewLimit, dt: float, start: float) -> FloatArray:
+    """(K,) what follows `commands` (K,) sample by sample."""
+    followed, last = np.empty(len(commands)), np.asarray(start)
+    grows, falls = (rate * dt for rate in limit.sides)
+    for k, command in enumerate(commands):
+        followed[k] = last = reached(last, command, grows, falls)
+    return followed
 
 
 def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
@@ -68,6 +86,18 @@ def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
     passed = np.arange(len(commands)) - np.repeat(first, counts) + 1
     gap = np.repeat(missing, counts)
     return np.asarray(commands + np.sign(gap) * np.maximum(np.abs(gap) - reach * passed, 0.0))
+
+
+class TwistRange(StrictModel):
+    """Largest twist that the base carries out, on each side; a channel left out has no limit."""
+
+    v: SpeedLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
+    omega: YawRateLimit | None = Field(default=None, description="largest |omega|; a number, or {left, right} [rad/s]")
+
+    def apply(self, twist: ArrayLike) -> FloatArray:
+        """Return a twist (..., 2) cut to the range."""
+        upper, lower = np.transpose([sides_of(np.inf if limit is None else limit) for limit in (self.v, self.omega)])
+        return np.clip(np.asarray(twist, dtype=float), -lower, upper)
 
 
 class WheelCommand(StrictModel):
@@ -257,6 +287,7 @@ class PoseMount(StrictModel):
 class BaseEffects(StrictModel):
     """What the base does around the linear model of the same file; an effect left out is not there."""
 
+    twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
     wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
     yaw_relaxation: YawRelaxation | None = Field(default=None, description="twist of the tyres at changes of direction")
@@ -304,6 +335,8 @@ def respond(
     start = np.asarray(start, dtype=float)
     sampled = model.discretise(dt / PARTS)
     requested = np.repeat(commands, PARTS, axis=0)
+    if effects.twist_range is not None:
+        requested, start = effects.twist_range.apply(requested), effects.twist_range.apply(start)
     if effects.twist_slew is not None:
         requested = effects.twist_slew.follow(requested, dt / PARTS, start)
     if effects.wheel_command is not None:

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, r
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
+from diffdrive_mpc.models.two_sided import reached
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.estimate import Estimate
@@ -36,11 +37,7 @@ def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatA
     """The nearest command (2,) inside the range, and inside slew of `last` (2,)."""
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
     grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
-    # As ddmpc_reach in mpc/core/limits.c: past zero a command grows again, in the rest of the tick.
-    low, high = last - np.where(last > 0.0, falls, grows), last + np.where(last < 0.0, falls, grows)
-    low = np.where((last > 0.0) & (low < 0.0), low * (grows / falls), low)
-    high = np.where((last < 0.0) & (high > 0.0), high * (grows / falls), high)
-    return np.asarray(np.clip(np.clip(command, -lower, upper), low, high))
+    return reached(last, np.clip(command, -lower, upper), grows, falls)
 
 
 STANDING = 0.01

@@ -16,10 +16,10 @@ from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
+from diffdrive_mpc.models.two_sided import SIDES
 from diffdrive_mpc.mpc.config.former_keys import with_present_names
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.sides import SIDES
 
 PARAMETERS = Path(__file__).parent / "parameters"
 

@@ -12,9 +12,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from diffdrive_mpc.models.two_sided import TwoSided, side_fields
 from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.sides import TwoSided, side_fields
 
 _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
 """Attribute and sign of each kind of bound."""

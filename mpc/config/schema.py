@@ -19,10 +19,10 @@ from pydantic import (
 )
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
+from diffdrive_mpc.models.two_sided import SlewLimit, SpeedLimit, YawRateLimit
 from diffdrive_mpc.mpc.config.feature_groups import checked_groups, installed_schemas, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Group, NotNegative, Positive
-from diffdrive_mpc.mpc.config.sides import SlewLimit, SpeedLimit, YawRateLimit
 from diffdrive_mpc.mpc.config.solver import Solver
 
 # Limits and sample time default to those of the shipped robot file.

@@ -9,8 +9,8 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.two_sided import sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING
-from diffdrive_mpc.mpc.config.sides import sides_at
 from diffdrive_mpc.mpc.reentry.quintic_path import Paths
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory

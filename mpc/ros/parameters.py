@@ -30,12 +30,12 @@ from rclpy.parameter import Parameter
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.models.suggestions import suggestion
+from diffdrive_mpc.models.two_sided import SIDES, TwoSided, side_fields
 from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.former_keys import present_place, removed_message
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.sides import SIDES, TwoSided, side_fields
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.settings import FORMER_SETTINGS, REPLACED_SETTINGS, NodeSettings
 
@@ -87,7 +87,7 @@ def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_
             yield from _leaves(kind if value is None else value, f"{prefix}{name}.")
         elif get_origin(kind) is not list:
             yield _Entry(prefix + name, field, value)
-            sides = value.sides if isinstance(value, TwoSided) and value.sides[0] != value.sides[1] else (None, None)
+            sides = value.sides if isinstance(value, TwoSided) and not value.is_symmetric else (None, None)
             for (side, of_side), limit in zip(side_fields(name, field).items(), sides, strict=False):
                 yield _Entry(prefix + side, of_side, limit)
 

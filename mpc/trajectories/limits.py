@@ -11,8 +11,8 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.models.two_sided import SlewLimit, sides_of
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.config.sides import sides_of
 
 
 class BeyondLimitError(ConfigError):
@@ -23,7 +23,7 @@ class BeyondLimitError(ConfigError):
 class TrajectoryLimits:
     """Bounds of the reference twist and of its rate of change.
 
-    The first four are numbers, or limits with two sides, see `mpc.config.sides`. Timing turns and drives curves within
+    The first four are numbers, or limits with two sides, see `models.two_sided`. Timing turns and drives curves within
     the smaller side of yaw limits.
 
     Attributes
@@ -71,14 +71,22 @@ class TrajectoryLimits:
 
     @classmethod
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
-        """Speed limits of a controller's configuration; accelerations as usual, but never beyond its slew limits."""
+        """Speed limits of a controller's configuration; accelerations as usual, but never beyond its slew limits.
+
+        Of slew limits with two sides a share is left to tracking; one number is used in full, as ever.
+        """
         usual = cls.of_robot()
+
+        def within(slew: SlewLimit, acceleration: float) -> SlewLimit:
+            share = 1.0 if slew.is_symmetric else load_settings().slew_share
+            return slew.map(lambda side: min(acceleration, share * side))
+
         return replace(
             usual,
             v=limits.v,
             omega=limits.omega,
-            v_acceleration=limits.v_slew.map(lambda slew: min(usual.v_acceleration, slew)),
-            omega_acceleration=limits.omega_slew.map(lambda slew: min(usual.omega_acceleration, slew)),
+            v_acceleration=within(limits.v_slew, usual.v_acceleration),
+            omega_acceleration=within(limits.omega_slew, usual.omega_acceleration),
         )
 
 

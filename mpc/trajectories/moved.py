@@ -15,9 +15,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.two_sided import side_of
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
-from diffdrive_mpc.mpc.config.sides import side_of
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.load import load_segments

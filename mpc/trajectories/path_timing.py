@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config.sides import side_of, sides_of
+from diffdrive_mpc.models.two_sided import side_of, sides_of
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config.sides import side_of
+from diffdrive_mpc.models.two_sided import side_of
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory

@@ -21,7 +21,7 @@ from itertools import pairwise
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.mpc.config.sides import side_of
+from diffdrive_mpc.models.two_sided import side_of, sides_of
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, PathStretch
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse
@@ -83,6 +83,7 @@ def lay_segments(
         If there is no segment, or too many, or one is faster than `limits`.
     """
     check_segments(segments, limits, where)
+    segments = slowed(segments, limits)
     return ArcTrajectory.lay(name, start, [stretch for run in runs(segments) for stretch in timed_run(run, limits)])
 
 
@@ -99,7 +100,7 @@ def lay_commanded(
     Only at the start and at the end of all driving the twist follows a ramp within the accelerations, for which time is
     added: a step from rest would say nothing of a path. Arguments and errors are those of `lay_segments`.
     """
-    check_segments(segments, limits, where)
+    check_segments(segments, limits, where, exact=True)
     moving = [i for i, segment in enumerate(segments) if segment.cruise]
     stretches = []
     for i, segment in enumerate(segments):
@@ -112,8 +113,11 @@ def lay_commanded(
     return ArcTrajectory.lay(name, start, stretches)
 
 
-def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str) -> None:
-    """Raise ConfigError for no segment, too many, or one faster than `limits`; `where` names their source."""
+def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str, *, exact: bool = False) -> None:
+    """Raise ConfigError for no segment, too many, or one faster than `limits`; `where` names their source.
+
+    Timing slows down what is only beyond the smaller side of a limit, unless speeds are `exact`.
+    """
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
     most = load_settings().most_segments
@@ -122,7 +126,8 @@ def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where:
     for i, segment in enumerate(segments):
         for key, unit in (("v", "m/s"), ("omega", "rad/s")):
             value = getattr(segment, key)
-            bound = side_of(getattr(limits, key), value)
+            limit = getattr(limits, key)
+            bound = side_of(limit, value) if exact else max(sides_of(limit))
             if abs(value) > bound:
                 raise BeyondLimitError(
                     f"{where}: segments.{i}.{key} = {value:g} {unit} is beyond the limit of {bound:g} {unit}; lower it"
@@ -158,6 +163,21 @@ def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStre
         PathStretch(*segment.direction, length, timing)
         for segment, length, timing in zip(run, lengths, phases, strict=True)
     ]
+
+
+def slowed(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
+    """Slow down what is beyond the smaller side of a limit, to a share of that side that leaves room for tracking."""
+    kept = []
+    for segment in segments:
+        pairs = ((segment.v, limits.v), (segment.omega, limits.omega))
+        excess = max((abs(value) / side_of(limit, value) for value, limit in pairs))
+        if excess > 1.0:
+            slower = excess / load_settings().reach_share
+            changed = {"v": segment.v / slower, "omega": segment.omega / slower, "duration": segment.duration * slower}
+            kept.append(segment.model_copy(update=changed))
+        else:
+            kept.append(segment)
+    return kept
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc.trajectories.clothoids import Clothoid, Joint, along, distances, joint
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
-from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, timed_run
+from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, slowed, timed_run
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
 from diffdrive_mpc.mpc.trajectories.speed_passport import SpeedCaps
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -61,6 +61,7 @@ def lay_smooth(
         `caps` know no speed for a turn.
     """
     check_segments(segments, limits, where)
+    segments = slowed(segments, limits)
     distance = load_settings().smoothing if smoothing is None else smoothing
     _check_work(segments, where)
     pose, time = np.asarray(start, dtype=float), 0.0

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.two_sided import TwoSided, side_of, sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.config.sides import TwoSided, side_of, sides_at
 
 # References of the user: what they sample is looked at before anything, C among it, reads it by count.
 
@@ -131,8 +131,7 @@ def check_speeds(
 
 def _at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
     """Return the size of a value, the limit on its side, and the ending of that side's key if the sides differ."""
-    first, second = limit.sides
-    ending = "" if first == second else f".{limit.names[bool(value < 0.0)]}"
+    ending = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
     return abs(float(value)), side_of(limit, value), ending
 
 

@@ -19,9 +19,9 @@ from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.csv_layout import rest_of_line
 from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.models.two_sided import sides_at
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.sides import sides_at
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.mpc.config.sides import side_of
+from diffdrive_mpc.models.two_sided import side_of
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistSlew, WheelCommand
+from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistRange, TwistSlew, WheelCommand
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
@@ -133,8 +133,10 @@ class BaseMotion:
     def advance(self, command: FloatArray) -> StepMotion:
         """One step under `command` (2,)."""
         effects, requested = self._effects, command
+        if effects.twist_range is not None:
+            requested = effects.twist_range.apply(requested)
         if effects.twist_slew is not None:
-            requested = self._reached = effects.twist_slew.step(self._reached, command, self.step_time)
+            requested = self._reached = effects.twist_slew.step(self._reached, requested, self.step_time)
         if effects.wheel_command is not None:
             requested = effects.wheel_command.apply(requested)
         before = self._dynamics.output
@@ -165,6 +167,7 @@ _HOLD = 0.005
 class BaseCommands(StrictModel):
     """Effects of a base on the way in, as `models.base_effects` has them; one left out is not there."""
 
+    twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
     wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
 
@@ -194,6 +197,8 @@ class CommandShaping:
     def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
         """From when [s] the motors are asked for which twist (2,), for a command (2,) from `time` on."""
         slew, wheels = self._base.twist_slew, self._base.wheel_command
+        if self._base.twist_range is not None:
+            command = self._base.twist_range.apply(command)
         for part in range(self._count):
             self._reached = command if slew is None else slew.step(self._reached, command, self._hold)
             yield time + part * self._hold, self._reached if wheels is None else wheels.apply(self._reached)

@@ -12,10 +12,10 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.models.step_scalars import step_scalars
+from diffdrive_mpc.models.two_sided import SIDES
 from diffdrive_mpc.mpc.config.described import FieldRow, feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.config.sides import SIDES
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from studies.documents.documents import insert
 

@@ -28,7 +28,7 @@ from diffdrive_mpc import (
     load_trajectory,
 )
 from diffdrive_mpc.models.interface import ReferenceSample
-from diffdrive_mpc.mpc.config.sides import sides_of
+from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits

@@ -345,7 +345,7 @@ EFFECTS = {
 def test_file_carries_effects_beside_an_unchanged_linear_model(tmp_path):
     path = write_effects(tmp_path / "base.yaml", EFFECTS)
     wheels = EFFECTS["wheel_command"] | {"top_speed": None}
-    assert load_base_effects(path).model_dump() == EFFECTS | {"wheel_command": wheels}
+    assert load_base_effects(path).model_dump() == EFFECTS | {"wheel_command": wheels, "twist_range": None}
     np.testing.assert_array_equal(load_model(path).A, load_model("sm").A)
 
 

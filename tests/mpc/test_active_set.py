@@ -237,7 +237,7 @@ def two_sided(p, rng, steps, tight=1.0):
 
 
 def residuals(p, found):
-    """Return what a solution breaks: hard limits, the sign of a force or its limit, the gradient over its size, the gap."""
+    """Return residuals: excess of limits, gradient of the Lagrangian over its size, gap of complementarity."""
     plan, force = found.plan, found.multipliers
     values, soft = p.A @ plan, np.arange(len(force)) >= p.hard
     over = np.where(soft, np.maximum(np.abs(force) - p.price, 0.0) / p.slope, 0.0)

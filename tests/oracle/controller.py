@@ -10,10 +10,10 @@ import numpy as np
 
 from diffdrive_mpc import ControllerConfig, VelocityModel, load_model
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.two_sided import SlewLimit
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.fixed_values import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.config.sides import SlewLimit
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.slip import Slip

@@ -39,6 +39,31 @@ def test_a_slew_limit_is_the_slope_of_the_speed(tmp_path):
     assert slope == pytest.approx(0.5, rel=0.02)
 
 
+def test_a_base_has_ranges_and_ramps_of_two_sides(tmp_path):
+    base = (
+        "{twist_range: {v: {forward: 1.0, reverse: 0.2}}, twist_slew: {v: {accelerate: 0.5, brake: 1.0}, omega: 9.0}}"
+    )
+    commands = np.repeat([(0.5, 0.0), (0.0, 0.0), (-0.6, 0.0)], 70, axis=0)
+    speed = driven(tmp_path, f"base: {base}", commands).wheel_twist[:, 0]
+    assert (speed[45] - speed[25]) / (20 * DT) == pytest.approx(0.5, rel=0.02)
+    assert (speed[90] - speed[80]) / (10 * DT) == pytest.approx(-1.0, rel=0.05)
+    assert speed[-20:].min() == pytest.approx(-0.2, rel=0.05)
+
+
+def test_shaping_of_two_sides_is_that_of_the_models_effects():
+    effects = BaseEffects(
+        twist_range={"v": {"forward": 0.4, "reverse": 0.1}, "omega": {"left": 0.6, "right": 0.9}},
+        twist_slew=TwistSlew(v={"accelerate": 1.0, "brake": 3.0}, omega={"accelerate": 4.0, "brake": 2.0}),
+    )
+    base = BaseCommands(twist_range=effects.twist_range, twist_slew=effects.twist_slew)
+    commands = np.repeat([(0.0, 0.0), (0.5, -1.0), (-0.2, 0.7), (0.03, -0.7)], 12, axis=0)
+    shaping = CommandShaping(base, DT)
+    ends = [list(shaping.levels(k * DT, command))[-1][1] for k, command in enumerate(commands)]
+    # Exact past zero: pieces of a sample end where the whole sample does.
+    whole = effects.twist_slew.follow(effects.twist_range.apply(commands), DT, (0.0, 0.0))
+    np.testing.assert_allclose(ends, whole, atol=1e-12)
+
+
 def test_without_effects_a_base_changes_nothing(tmp_path):
     commands = np.tile([0.3, 0.5], (10, 1))
     plain = driven(tmp_path, "", commands)

@@ -10,6 +10,7 @@ from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, Ya
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
+from diffdrive_mpc.models.two_sided import SlewLimit
 
 SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
@@ -115,9 +116,9 @@ def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, s
     most = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
     requested = np.clip(commands, -most, most)
     if "slew.v" in point:
-        requested = TwistSlew.model_construct(v=point["slew.v"], omega=point["slew.omega"]).follow(
-            requested, step, start
-        )
+        requested = TwistSlew.model_construct(
+            v=SlewLimit(point["slew.v"]), omega=SlewLimit(point["slew.omega"])
+        ).follow(requested, step, start)
     if "encoders.track" not in point:
         return requested
     base = WheelCommand.model_construct(

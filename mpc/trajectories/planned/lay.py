@@ -12,7 +12,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc.config.sides import side_of
+from diffdrive_mpc.models.two_sided import side_of
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.planned.tube import least_bent, load_settings

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
@@ -47,10 +48,14 @@ class TwoSided(float):
         return type(self)(*map(change, self.sides))
 
     @property
+    def is_symmetric(self) -> bool:
+        """True if both sides are equal."""
+        return self.sides[0] == self.sides[1]
+
+    @property
     def plain(self) -> float | dict[str, float]:
         """The limit as files state it: one number, or both sides by name if they differ."""
-        first, second = self.sides
-        return first if first == second else dict(zip(self.names, self.sides, strict=True))
+        return self.sides[0] if self.is_symmetric else dict(zip(self.names, self.sides, strict=True))
 
     @classmethod
     def _read(cls, value: object) -> tuple[object, object]:
@@ -129,6 +134,18 @@ def sides_of(limit: float) -> tuple[float, float]:
 def side_of(limit: float, value: float) -> float:
     """Return a limit on the side of `value`: the first for zero and above."""
     return sides_of(limit)[bool(value < 0.0)]
+
+
+def reached(last: FloatArray, command: FloatArray, grows: ArrayLike, falls: ArrayLike) -> FloatArray:
+    """Return what follows from `last` to `command` in one sample, as its size grows and falls by so much.
+
+    Past zero it grows again, in the rest of the sample: as ddmpc_reach in mpc/core/limits.c.
+    """
+    grows, falls = np.asarray(grows, dtype=float), np.asarray(falls, dtype=float)
+    low, high = last - np.where(last > 0.0, falls, grows), last + np.where(last < 0.0, falls, grows)
+    low = np.where((last > 0.0) & (low < 0.0), low * (grows / falls), low)
+    high = np.where((last < 0.0) & (high > 0.0), high * (grows / falls), high)
+    return np.clip(command, low, high)
 
 
 def sides_at(limit: float, values: FloatArray) -> FloatArray:
