@@ -146,7 +146,9 @@ def trial_drives(
     radius = circle_radius(config)
     slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
     for stand_in in plants:
-        reached = {name: min(getattr(config.limits, name), stand_in.limits.get(name, math.inf)) for name in CHANNELS}
+        reached = {
+            name: min(max(getattr(config.limits, name).sides), stand_in.limits.get(name, math.inf)) for name in CHANNELS
+        }
         limits = usual.limits.model_copy(update=reached)
         robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS if paths is None else paths:

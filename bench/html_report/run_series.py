@@ -121,6 +121,10 @@ def _words(run: Run, name: str, labels: Labels, style: int) -> Series:
 def _limits(run: Run, config: ControllerConfig) -> dict[str, list[Mark]]:
     limits = zip(TWIST, run.command.T, (config.limits.v, config.limits.omega), strict=True)
     return {
-        title: [Mark(sign * limit, "limit") for sign in (-1, 1) if (sign * command > _NEAR_LIMIT * limit).any()]
+        title: [
+            Mark(sign * side, "limit")
+            for sign, side in zip((-1, 1), reversed(limit.sides), strict=True)
+            if (sign * command > _NEAR_LIMIT * side).any()
+        ]
         for title, command, limit in limits
     }

@@ -12,6 +12,7 @@ import numpy as np
 from diffdrive_mpc.bench.html_report.page import Warned
 from diffdrive_mpc.bench.run_row import SolverShares
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.two_sided import sides_at
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 
@@ -114,8 +115,10 @@ def _poses_lost(run: Run, of: Remedies) -> str:
 def _at_limit(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
     if config is None:
         return ""
-    limits = np.array([config.limits.v, config.limits.omega])
-    command, asked = np.abs(run.command[run.counted]), np.abs(run.reference_twist[run.counted])
+    command, asked = run.command[run.counted], np.abs(run.reference_twist[run.counted])
+    sides = (config.limits.v, config.limits.omega)
+    limits = np.column_stack([sides_at(limit, column) for limit, column in zip(sides, command.T, strict=True)])
+    command = np.abs(command)
     # A path that asks for the limit itself is driven at the limit.
     shares = 100.0 * np.mean((command >= limits - _SAME) & (asked < limits - _SAME), axis=0)
     sentences = [

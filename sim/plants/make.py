@@ -15,6 +15,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
+from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.sim.disturbances.scenario import Scenario, beside, load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.names import DRAWN, MODEL, PHYSICS, split_plant
@@ -280,7 +281,9 @@ def simulated_robot(name: str) -> SimulatedRobot | None:
 
 def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
     robot = load_robot()
-    bounds = robot.limits if limits is None else robot.limits.model_copy(update={"v": limits.v, "omega": limits.omega})
+    # The link cuts off at one number for both sides.
+    cut = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}
+    bounds = robot.limits.model_copy(update=cut)
     return robot.model_copy(update={"sample_time": sample_time or robot.sample_time, "limits": bounds})
 
 

@@ -138,7 +138,29 @@ def test_overrides_and_the_file_tighten_what_is_checked(tmp_path: Path) -> None:
         "model: ssm\nlimits:\n  v: 0.9   # m/s\nfailure: {max_pose_age: 0.2, dead_reckoning: 0.0}\n", encoding="utf-8"
     )
     limits = stated_limits(config, {"limits.omega_slew": 4.0, "horizon": 20})
-    assert limits == StatedLimits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202)
+    assert limits == StatedLimits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202, 0.0, (0.9, 2.0), (2.0, 4.0))
+
+
+def test_both_sides_of_limits_are_checked() -> None:
+    sides = {
+        "limits.v": {"forward": 1.0, "reverse": 0.2},
+        "limits.v_slew": {"accelerate": 1.0, "brake": 4.0},
+    }
+    limits = stated_limits(None, {**sides, "sample_time": 0.02})
+    assert (limits.most, limits.behind) == ((1.0, 2.0), (0.2, 2.0))
+    modes = ["TRACKING"] * 4
+
+    def unsafe(*v: float) -> tuple[int, int]:
+        found = check_commands(
+            np.arange(len(v)) * 0.02, np.column_stack([v, np.zeros(len(v))]), modes, [True] * 4, limits
+        )
+        return found.limit, found.slew
+
+    assert unsafe(0.02, 0.04, 0.0, -0.02) == (0, 0)
+    assert unsafe(0.02, 0.0399, -0.0101, -0.02) == (0, 1)  # half of the tick falls, half of it grows by 0.01
+    assert unsafe(0.02, 0.04, -0.0099, -0.029) == (0, 0)
+    assert unsafe(0.03, 0.02, 0.0, 0.0) == (0, 1)
+    assert unsafe(-0.21, -0.21, -0.21, -0.21) == (4, 1)
 
 
 def test_what_is_stated_is_what_the_configuration_says_by_itself() -> None:

@@ -206,8 +206,8 @@ class OracleJudge:
         twist = (v, omega)
         self.judge("not_finite", not np.isfinite(twist).all())
         if np.isfinite(twist).all():
-            self.judge("speed", abs(v) > r.v * (1 + 1e-9))
-            self.judge("yaw_rate", abs(omega) > r.omega * (1 + 1e-9))
+            self.judge("speed", abs(v) > (r.v_reverse or r.v if v < 0 else r.v) * (1 + 1e-9))
+            self.judge("yaw_rate", abs(omega) > (r.omega_right or r.omega if omega < 0 else r.omega) * (1 + 1e-9))
             moving = self.moves(twist)
             ahead = stamp - now
             self.judge("old_command", moving and stamp and -ahead > r.oldest)

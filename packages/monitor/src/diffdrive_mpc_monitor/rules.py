@@ -23,6 +23,10 @@ class CommandRules(StrictModel):
 
     v: Positive = Field(description="largest |v| [m/s]")
     omega: Positive = Field(description="largest |omega| [rad/s]")
+    v_reverse: NotNegative = Field(0.0, description="largest speed in reverse, if it differs from v; 0: v [m/s]")
+    omega_right: NotNegative = Field(
+        0.0, description="largest yaw rate to the right, if it differs from omega; 0: omega [rad/s]"
+    )
     v_slew: Positive = Field(description="largest rate of change of v away from zero [m/s^2]")
     omega_slew: Positive = Field(description="largest rate of change of omega away from zero [rad/s^2]")
     v_braking: Positive = Field(

@@ -29,9 +29,10 @@ _STANDS = "STOPPED"
 class StatedLimits:
     """Limits that the controller promises; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
 
-    `most`: largest command; `slew`: largest rate while driving; `braking`: rate to zero; `max_pose_age`: without a pose
-    for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`: of a command's turn, 0 where
-    there is none [m].
+    `most`: largest command forward and to the left; `slew`: largest rate of growth while driving; `braking`: rate to
+    zero; `max_pose_age`: without a pose for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`:
+    of a command's turn, 0 where there is none [m]; `behind`: largest command in reverse and to the right, and `falls`:
+    largest rate of fall while driving; None: as `most` and `slew`.
     """
 
     most: tuple[float, float]
@@ -40,6 +41,8 @@ class StatedLimits:
     max_pose_age: float
     sample_time: float
     least_radius: float = 0.0
+    behind: tuple[float, float] | None = None
+    falls: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -83,18 +86,22 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
     values = _plain(_flat(yaml.safe_load(STATED.read_text(encoding="utf-8"))))
     if config is not None:
         values |= _plain(_flat(yaml.safe_load(Path(config).read_text(encoding="utf-8"))))
-    values |= _plain(overrides)
+    values |= _plain(_flat(overrides))
 
-    def pair(ending: str) -> tuple[float, float]:
-        return float(values[f"limits.v{ending}"]), float(values[f"limits.omega{ending}"])
+    def pair(ending: str, side: str = "", other: str = "") -> tuple[float, float]:
+        keys = (f"limits.v{ending}", f"limits.omega{ending}")
+        v, omega = (values.get(f"{key}.{name}") for key, name in zip(keys, (side, other or side), strict=True))
+        return float(values[keys[0]] if v is None else v), float(values[keys[1]] if omega is None else omega)
 
     return StatedLimits(
-        pair(""),
-        pair("_slew"),
+        pair("", "forward", "left"),
+        pair("_slew", "accelerate"),
         pair("_braking"),
         max(float(values["failure.max_pose_age"]), float(values.get("failure.dead_reckoning") or 0.0)),
         float(values["sample_time"]),
         float(values.get("limits.min_commanded_radius") or 0.0),
+        pair("", "reverse", "right"),
+        pair("_slew", "brake"),
     )
 
 
@@ -121,7 +128,8 @@ def check_commands(
     # What is not finite is counted once; for the ticks around it the command counts as zero.
     sound = np.where(finite[:, None], commands, 0.0)
     before = np.vstack([np.zeros(2), sound[:-1]])
-    beyond = (np.abs(sound) > np.array(limits.most) + _ROUNDING).any(axis=1)
+    most = np.where(sound < 0.0, limits.behind or limits.most, limits.most)
+    beyond = (np.abs(sound) > most + _ROUNDING).any(axis=1)
     steps = [_keeps_step(modes[k], before[k], sound[k], limits) for k in range(len(times))]
     blind = _moves_blind(times, sound, np.asarray(pose_came, dtype=bool), limits)
     return Unsafe(
@@ -138,8 +146,14 @@ def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], 
         return bool((now == 0.0).all())
     if mode not in (*_BRAKES, *_DRIVES):
         return False
-    rates = limits.braking if mode in _BRAKES else limits.slew
-    within = bool((np.abs(now - last) <= np.array(rates) * limits.sample_time + _ROUNDING).all())
+    grows, falls = np.array(limits.slew), np.array(limits.falls or limits.slew)
+    if mode in _BRAKES:
+        grows = falls = np.array(limits.braking)
+    # Time that it takes: a fall towards zero, then growth from there.
+    along, size = np.where(last < 0.0, -now, now), np.abs(last)
+    taken = np.maximum(along - size, 0.0) / grows + np.clip(size - along, 0.0, size) / falls
+    taken += np.maximum(-along, 0.0) / grows
+    within = bool((taken <= limits.sample_time + _ROUNDING / np.minimum(grows, falls)).all())
     # While braking, a command never grows and never changes sign.
     slower = (now * last >= -_ROUNDING).all() and (np.abs(now) <= np.abs(last) + _ROUNDING).all()
     return within and (mode in _DRIVES or bool(slower))

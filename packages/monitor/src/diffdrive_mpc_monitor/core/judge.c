@@ -545,8 +545,10 @@ void ddmon_command(ddmon_judge *j, double now, double stamp, double v, double om
         int told = stamp != 0.0 && j->stamped && is_finite(stamp);
         double step = told ? stamp - j->command_stamp : j->now - j->command_at;
         step = j->commanded ? smaller(larger(step, 0.0), LONGEST_STEP) : 0.0;
-        at_most(j, DDMON_SPEED, absolute(v), rules->commands_v * (1.0 + ROUNDING), 0.0);
-        at_most(j, DDMON_YAW_RATE, absolute(omega), rules->commands_omega * (1.0 + ROUNDING), 0.0);
+        double speed = v < 0.0 && rules->commands_v_reverse > 0.0 ? rules->commands_v_reverse : rules->commands_v;
+        double turn = omega < 0.0 && rules->commands_omega_right > 0.0 ? rules->commands_omega_right : rules->commands_omega;
+        at_most(j, DDMON_SPEED, absolute(v), speed * (1.0 + ROUNDING), 0.0);
+        at_most(j, DDMON_YAW_RATE, absolute(omega), turn * (1.0 + ROUNDING), 0.0);
         judge_stamp(j, stamp, moved);
         judge_pace(j, moved);
         if (v == 0.0 && omega == 0.0) {

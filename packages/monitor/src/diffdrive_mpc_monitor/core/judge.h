@@ -15,6 +15,8 @@
 typedef struct {
     double commands_v;               /* largest |v| [m/s] */
     double commands_omega;           /* largest |omega| [rad/s] */
+    double commands_v_reverse;       /* largest speed in reverse [m/s]; 0: as v */
+    double commands_omega_right;     /* largest yaw rate to the right [rad/s]; 0: as omega */
     double commands_v_slew;          /* largest rate of change of v away from zero [m/s^2] */
     double commands_omega_slew;      /* largest rate of change of omega away from zero [rad/s^2] */
     double commands_v_braking;       /* largest rate of change of v towards zero; the monitor itself brakes at it [m/s^2] */
