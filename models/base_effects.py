@@ -61,7 +61,7 @@ class TwistSlew(StrictModel):
 
 
 def _two_sided_ramps(commands: FloatArray, limit: SlewLimit, dt: float, start: float) -> FloatArray:
-    """(K,) what follows `commands` (K,) sample by sample."""
+    """Return what follows `commands` (K,), sample by sample."""
     followed, last = np.empty(len(commands)), np.asarray(start)
     grows, falls = (rate * dt for rate in limit.sides)
     for k, command in enumerate(commands):
@@ -97,7 +97,7 @@ class TwistRange(StrictModel):
     def apply(self, twist: ArrayLike) -> FloatArray:
         """Return a twist (..., 2) cut to the range."""
         upper, lower = np.transpose([sides_of(np.inf if limit is None else limit) for limit in (self.v, self.omega)])
-        return np.clip(np.asarray(twist, dtype=float), -lower, upper)
+        return np.asarray(np.clip(np.asarray(twist, dtype=float), -lower, upper))
 
 
 class WheelCommand(StrictModel):

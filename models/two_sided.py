@@ -33,9 +33,9 @@ class TwoSided(float):
         """Copy and pickle both sides."""
         return type(self), self.sides
 
-    def __eq__(self, other: object) -> bool:
+    def __eq__(self, limit: object) -> bool:
         """Compare both sides."""
-        return self.sides == sides_of(other) if isinstance(other, (int, float)) else NotImplemented
+        return self.sides == sides_of(limit) if isinstance(limit, (int, float)) else NotImplemented
 
     __hash__ = float.__hash__
 

@@ -34,22 +34,23 @@ static void bound_commands(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
-    for (int channel = 0; channel < 2; channel++)
+    for (int channel = 0; channel < 2; channel++) {
+        const real *slew = c->constants->slew + 2 * channel;
+        real reach[2], *lower = p->lower + (2 + channel) * N, *upper = p->upper + (2 + channel) * N;
+        ddmpc_reach(p->last[channel], slew, reach);
+        lower[0] = reach[0];
+        upper[0] = reach[1];
+        for (int k = 1; k < N; k++) {
+            /* The sign of the command before is that of the shifted plan. */
+            const real before = p->guess[2 * (k - 1) + channel];
+            lower[k] = before > R(0.0) ? -slew[1] : -slew[0];
+            upper[k] = before < R(0.0) ? slew[1] : slew[0];
+        }
         for (int k = 0; k < N; k++) {
-            const real *slew = c->constants->slew + 2 * channel;
             p->upper[channel * N + k] = ddmpc_largest_command(c, k, channel, 0);
             p->lower[channel * N + k] = -ddmpc_largest_command(c, k, channel, 1);
-            real reach[2];
-            ddmpc_reach(p->last[channel], slew, reach);
-            if (k > 0) {
-                /* The sign of the command before is that of the shifted plan. */
-                const real before = p->guess[2 * (k - 1) + channel];
-                reach[0] = before > R(0.0) ? -slew[1] : -slew[0];
-                reach[1] = before < R(0.0) ? slew[1] : slew[0];
-            }
-            p->lower[(2 + channel) * N + k] = reach[0];
-            p->upper[(2 + channel) * N + k] = reach[1];
         }
+    }
 }
 
 /* Direction of the reference at sample k: 1 forwards, -1 backwards. Where it stands: its next direction up to sample

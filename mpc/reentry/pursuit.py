@@ -66,7 +66,7 @@ class Pursuit:
         self._blocked = BlockedWatch(config.reentry.blocked_after)
         self._reference: Reference | None = None
         self._native = False
-        self._top = np.zeros((2, 2))
+        self._top, self._top_speed = np.zeros((2, 2)), 0.0
         self._speed_limit = math.inf
         self.pace = math.inf
         """Largest progress rate for what lies ahead, set before each tick [-]."""
@@ -93,6 +93,7 @@ class Pursuit:
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
         # Forward, to the left; in reverse, to the right.
         self._top = np.array([twist.max(axis=0), -twist.min(axis=0)])
+        self._top_speed = float(self._top[:, 0].max())
         self._fastest = self._fastest_rate()
         self.restart()
 
@@ -116,7 +117,7 @@ class Pursuit:
         """Whether the robot may follow the reference as it stands, unless it has left its path since."""
         if not self._settings.enabled:
             return self._native
-        free = bool(self._top[:, 0].max() <= _KEPT * self._speed_limit)
+        free = self._top_speed <= _KEPT * self._speed_limit
         return self._native and self._driving and self._way_back is None and self._clock.on_time and free
 
     def passed(self, since_start: float, *, followed: bool) -> None:
@@ -230,7 +231,7 @@ class Pursuit:
                 return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
         words = self._words(still)
-        if self._top[:, 0].max() > _KEPT * self._speed_limit:
+        if self._top_speed > _KEPT * self._speed_limit:
             words = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", words]))
         if within < 1.0:
             words += f"; the wheels get no faster than {reach:.2f} m/s"
@@ -327,8 +328,7 @@ class Pursuit:
     def _limits(self) -> TrajectoryLimits:
         """Limits of the way back: not much faster than the reference itself."""
         settings, limits = self._settings, self._config.limits
-        top = float(self._top[:, 0].max())
-        cruise = settings.max_progress * top if top > STANDING else max(limits.v.sides)
+        cruise = settings.max_progress * self._top_speed if self._top_speed > STANDING else max(limits.v.sides)
         return TrajectoryLimits(
             v=limits.v.map(lambda side: min(cruise, settings.effort * side, _KEPT * self._speed_limit)),
             omega=limits.omega.map(lambda side: settings.effort * side),

@@ -166,18 +166,18 @@ def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStre
 
 
 def slowed(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
-    """Slow down what is beyond the smaller side of a limit, to a share of that side that leaves room for tracking."""
-    kept = []
+    """Return segments whose speeds beyond the smaller side of a limit are reduced, with room for tracking."""
+    timed = []
     for segment in segments:
         pairs = ((segment.v, limits.v), (segment.omega, limits.omega))
         excess = max((abs(value) / side_of(limit, value) for value, limit in pairs))
         if excess > 1.0:
             slower = excess / load_settings().reach_share
             changed = {"v": segment.v / slower, "omega": segment.omega / slower, "duration": segment.duration * slower}
-            kept.append(segment.model_copy(update=changed))
+            timed.append(segment.model_copy(update=changed))
         else:
-            kept.append(segment)
-    return kept
+            timed.append(segment)
+    return timed
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:

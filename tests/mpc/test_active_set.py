@@ -219,7 +219,7 @@ def robot_problem(rng, steps, extra=0, tight=1.0):
 
 
 def two_sided(p, rng, steps, tight=1.0):
-    """Give the commands of a robot's problem ranges of two sides, and increments as sizes that grow and fall."""
+    """Return a robot's problem whose ranges have two sides, and whose increments are sizes that grow and fall."""
     N, lower, upper = steps, p.lower.copy(), p.upper.copy()
     for channel in (0, 1):
         above, below = rng.uniform(0.2, 1.0, 2) * tight
@@ -236,9 +236,9 @@ def two_sided(p, rng, steps, tight=1.0):
     return replace(p, lower=lower, upper=upper)
 
 
-def residuals(p, found):
+def residuals(p, solution):
     """Return residuals: excess of limits, gradient of the Lagrangian over its size, gap of complementarity."""
-    plan, force = found.plan, found.multipliers
+    plan, force = solution.plan, solution.multipliers
     values, soft = p.A @ plan, np.arange(len(force)) >= p.hard
     over = np.where(soft, np.maximum(np.abs(force) - p.price, 0.0) / p.slope, 0.0)
     primal = np.maximum(np.maximum(values - p.upper, p.lower - values) - over, 0.0).max()
@@ -254,11 +254,11 @@ def check_two_sided(seed, steps=30):
     rng = np.random.default_rng(seed)
     tight = 10 ** rng.uniform(-0.5, 0.3)
     p = two_sided(robot_problem(rng, steps, tight=tight), rng, steps, tight)
-    found = solve(p, slack=1e-10)
-    assert found.status == PROVEN
+    solution = solve(p, slack=1e-10)
+    assert solution.status == PROVEN
     x, flag, _ = with_daqp(p)
     assert flag > 0
-    return *residuals(p, found), np.abs(found.plan - x).max(), found.active
+    return *residuals(p, solution), np.abs(solution.plan - x).max(), solution.active
 
 
 def test_programs_with_limits_of_two_sides_are_solved_exactly():

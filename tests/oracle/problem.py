@@ -71,14 +71,14 @@ def roll_out(
 
 
 def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
-    """(steps, 2) lower and upper bounds: one that was tightened below the last command is reached at the slew limit."""
-    given = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
+    """Return bounds (steps, 2): one that was tightened below the last command is reached at the slew limit."""
+    fallen = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
     (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
-    return np.minimum(last_command + given, [-reverse, -right]), np.maximum(last_command - given, [forward, left])
+    return np.minimum(last_command + fallen, [-reverse, -right]), np.maximum(last_command - fallen, [forward, left])
 
 
 def reached(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(2,) least and greatest command after a tick, counted by the time until the command is zero."""
+    """Return the least and greatest command (2,) after a tick, counted by the time until the command is zero."""
     bounds = []
     for command, (grows, falls) in zip(last, (limits.v_slew.sides, limits.omega_slew.sides), strict=True):
         size, sign = abs(command), -1.0 if command < 0.0 else 1.0

@@ -151,10 +151,10 @@ def test_both_sides_of_limits_are_checked() -> None:
     modes = ["TRACKING"] * 4
 
     def unsafe(*v: float) -> tuple[int, int]:
-        found = check_commands(
+        counts = check_commands(
             np.arange(len(v)) * 0.02, np.column_stack([v, np.zeros(len(v))]), modes, [True] * 4, limits
         )
-        return found.limit, found.slew
+        return counts.limit, counts.slew
 
     assert unsafe(0.02, 0.04, 0.0, -0.02) == (0, 0)
     assert unsafe(0.02, 0.0399, -0.0101, -0.02) == (0, 1)  # half of the tick falls, half of it grows by 0.01

@@ -88,9 +88,9 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
         values |= _plain(_flat(yaml.safe_load(Path(config).read_text(encoding="utf-8"))))
     values |= _plain(_flat(overrides))
 
-    def pair(ending: str, side: str = "", other: str = "") -> tuple[float, float]:
+    def pair(ending: str, v_side: str = "", omega_side: str = "") -> tuple[float, float]:
         keys = (f"limits.v{ending}", f"limits.omega{ending}")
-        v, omega = (values.get(f"{key}.{name}") for key, name in zip(keys, (side, other or side), strict=True))
+        v, omega = (values.get(f"{key}.{name}") for key, name in zip(keys, (v_side, omega_side or v_side), strict=True))
         return float(values[keys[0]] if v is None else v), float(values[keys[1]] if omega is None else omega)
 
     return StatedLimits(
