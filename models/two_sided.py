@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
+import yaml
 from numpy.typing import ArrayLike
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
@@ -36,6 +37,10 @@ class TwoSided(float):
     def __eq__(self, limit: object) -> bool:
         """Compare both sides."""
         return self.sides == sides_of(limit) if isinstance(limit, (int, float)) else NotImplemented
+
+    def __ne__(self, limit: object) -> bool:
+        """Compare both sides: float would compare the smaller ones."""
+        return not self == limit
 
     __hash__ = float.__hash__
 
@@ -87,6 +92,9 @@ class TwoSided(float):
             "type": "object",
         }
         return {"anyOf": [number, sides]}
+
+
+yaml.SafeDumper.add_multi_representer(TwoSided, lambda dumper, limit: dumper.represent_data(limit.plain))
 
 
 class SpeedLimit(TwoSided):

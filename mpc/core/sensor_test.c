@@ -592,7 +592,7 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
     return R(2.0) * least;
 }
 
-/* Whether turns of the gyro, about their mean, are another factor of those of poses: a bias makes none, nor does a fault of poses. */
+/* Return whether the gyro turns by a constant factor of poses, about the mean: neither a bias nor a faulty pose does so. */
 static int is_scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
     const real *sum = m->spread, weights = ddmpc_max(sum[0], R(1e-9));

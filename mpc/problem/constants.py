@@ -55,8 +55,10 @@ class Problem:
     def __post_init__(self) -> None:
         """Roll a linear model out once."""
         model, horizon = self.model, self.config.horizon
-        # A dead time of 1.4 samples takes two, as far as a whole sample under the command is concerned.
-        dead = model.dead_samples + (model.B1.any(axis=0) if isinstance(model, DiscreteModel) else 0)
+        # A sample counts as lost where the command before acts on more of it than its own.
+        dead = model.dead_samples
+        if isinstance(model, DiscreteModel):
+            dead = dead + (np.abs(model.B1).sum(axis=0) > np.abs(model.B0).sum(axis=0))
         least = int(dead.max()) + 1
         if horizon < least:
             raise ValueError(

@@ -35,6 +35,8 @@ def test_both_forms_of_a_limit_are_read_kept_and_written():
     assert config.limits.v.sides == (0.8, 0.2)
     assert config.limits.v == load_config("ssm", {"limits.v": {"reverse": 0.2, "forward": 0.8}}).limits.v
     assert config.limits.v not in (0.2, 0.8)
+    assert config.limits.v != load_config(config, {"limits.v.forward": 0.9}).limits.v
+    assert yaml.safe_load(yaml.safe_dump(config.limits.v)) == {"forward": 0.8, "reverse": 0.2}
     assert load_config("ssm", {"limits.v": 0.6}).limits.v.sides == (0.6, 0.6)
     assert load_config("ssm", {"limits.v": {"forward": 0.6, "reverse": 0.6}}) == load_config("ssm", {"limits.v": 0.6})
     assert load_config(config, {"limits.v.reverse": 0.3}).limits.v.sides == (0.8, 0.3)

@@ -76,7 +76,7 @@ def test_wirings_are_named_on_robots_that_track_well(tmp_path):
 
 @pytest.mark.long
 def test_wirings_are_named_on_twenty_drawn_robots(tmp_path):
-    """The first twenty that follow their path while they are wired as configured: others slide or stop by themselves."""
+    """The first twenty that follow their path while wired as configured: others slide or stop by themselves."""
     robots = [robot for robot in range(RESERVED + 300, RESERVED + 350) if follows(robot)][:20]
     wrong, lateral, count = judged(robots, tmp_path, jobs=2)
     assert len(wrong) <= 0.03 * count, wrong

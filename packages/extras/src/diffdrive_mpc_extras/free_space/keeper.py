@@ -349,7 +349,7 @@ class FreeSpaceKeeper:
         """Poses (k + 1, 3) and twists (k + 1, 2) where `command` is sent now, and from the next tick on it brakes."""
         limits, dt = self._config.limits, self._config.sample_time
         step = np.array([limits.v_braking, limits.omega_braking]) * dt
-        from_range = np.ceil((np.array([limits.v, limits.omega]) / step).max())
+        from_range = np.ceil((np.array([max(limits.v.sides), max(limits.omega.sides)]) / step).max())
         ramps = int(min(np.ceil((np.abs(command) / step).max()), max(from_range, _MOST_RAMP)))
         count = 1 + ramps + self._tick.window + int(_ROLLS_ON / dt)
         less = np.arange(count)[:, None] * step
