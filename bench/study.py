@@ -142,13 +142,13 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     """
     began = time.perf_counter()
     plan = study.plan()
-    for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
-        output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     files = (REPORT, f"{study.name}.json", f"{study.name}.md")
     with (
         staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
         ProgressBar("preparing") as bar,
     ):
+        for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
+            output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])

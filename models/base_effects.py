@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.two_sided import SlewLimit, SpeedLimit, YawRateLimit, reached, sides_of
+from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit, reached, sides_of
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 # A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
@@ -91,7 +91,7 @@ def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
 class TwistRange(StrictModel):
     """Largest twist that the base carries out, on each side; a channel left out has no limit."""
 
-    v: SpeedLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
+    v: VelocityLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
     omega: YawRateLimit | None = Field(default=None, description="largest |omega|; a number, or {left, right} [rad/s]")
 
     def apply(self, twist: ArrayLike) -> FloatArray:

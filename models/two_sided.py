@@ -97,7 +97,7 @@ class TwoSided(float):
 yaml.SafeDumper.add_multi_representer(TwoSided, lambda dumper, limit: dumper.represent_data(limit.plain))
 
 
-class SpeedLimit(TwoSided):
+class VelocityLimit(TwoSided):
     """Largest speed forward and in reverse [m/s]."""
 
     names = ("forward", "reverse")
@@ -115,7 +115,7 @@ class SlewLimit(TwoSided):
     names = ("accelerate", "brake")
 
 
-SIDES = {name: kind.names for kind in (SpeedLimit, YawRateLimit, SlewLimit) for name in kind.names}
+SIDES = {name: kind.names for kind in (VelocityLimit, YawRateLimit, SlewLimit) for name in kind.names}
 """Names of both sides by the name of either."""
 
 

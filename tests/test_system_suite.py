@@ -26,7 +26,7 @@ def test_without_its_programs_it_fails_with_one_line_that_names_the_packages(tmp
 def test_a_run_without_it_ends_with_its_size(tmp_path):
     """In the process of pytest, and with a worker of xdist."""
     for workers in ("0", "1"):
-        words = ("-n", workers, "-m", "not system", "tests/sim/test_view.py", "-k", "missing_display")
+        words = ("-n", workers, "-m", "not system", "tests/studies/test_declared_tables.py")
         done = run_pytest(*words, PATH=str(tmp_path), HOME=str(tmp_path))
         assert done.returncode == 0, done.stdout
         last = done.stdout.rstrip().splitlines()[-1]

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
-from diffdrive_mpc.models.two_sided import SlewLimit, SpeedLimit, YawRateLimit
+from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit
 from diffdrive_mpc.mpc.config.feature_groups import checked_groups, installed_schemas, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.group import FeatureGroup, Group, NotNegative, Positive
@@ -69,8 +69,8 @@ class Margin(Group):
 class Limits(Group):
     """Hard limits of the command, and soft limits of what the model predicts."""
 
-    v: Annotated[SpeedLimit, Field(gt=0)] = Field(
-        SpeedLimit(_ROBOT.limits.v), description="hard: |v_ref|; a number, or {forward, reverse} [m/s]"
+    v: Annotated[VelocityLimit, Field(gt=0)] = Field(
+        VelocityLimit(_ROBOT.limits.v), description="hard: |v_ref|; a number, or {forward, reverse} [m/s]"
     )
     omega: Annotated[YawRateLimit, Field(gt=0)] = Field(
         YawRateLimit(_ROBOT.limits.omega), description="hard: |omega_ref|; a number, or {left, right} [rad/s]"

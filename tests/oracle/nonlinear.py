@@ -65,7 +65,7 @@ def nonlinear_program(
 
     _, soft_now = problem.outcome(tick, np.zeros((N, 2, 1)), np.zeros(N))
     limit = np.tile(problem.soft_limits(soft_now[:, 0, 0]), N)
-    _, lower, upper = problem.hard_limits(tick)
+    _, lower, upper = problem.hard_limits(tick, tick.feed_forward)
     slack, n = np.zeros(10 * N), 2 * N
     rows = ca.veccat(U - ca.horzcat(np.zeros(2), U[:, :-1]), soft)
     program = {"x": ca.veccat(U, p, m), "f": cost, "g": rows}
