@@ -379,6 +379,12 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
     return (ddmpc_time)k->latest * index / (MONITORED_DELAYS - 1);
 }
 
+/* Index of the delay that is next to the one found. */
+static int nearest_delay(const ddmpc_constants *k, const ddmpc_monitor *m)
+{
+    return (int)ddmpc_rint((real)(m->delay / delay_of(k, 1)));
+}
+
 /* The motion between two instants that are earlier by a delay; 0 if it is not kept. */
 static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to,
                         ddmpc_time delay, const real pose[3], motions *by)
@@ -434,7 +440,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         m->turns[i][1] = k->late[1] * m->turns[i][1] + weight * square(turn[i]);
     }
     m->turned = k->late[1] * m->turned + weight * square(by.pose_turn);
-    const real now_turned = turn[(int)ddmpc_rint((real)(m->delay / delay_of(k, 1)))];
+    const real now_turned = turn[nearest_delay(k, m)];
     const real add[6] = {R(1.0), by.pose_turn, now_turned, square(by.pose_turn), square(now_turned), by.pose_turn * now_turned};
     for (int i = 0; i < 6; i++)
         m->spread[i] = k->late[1] * m->spread[i] + weight * add[i];
@@ -814,7 +820,7 @@ void ddmpc_monitor_report(ddmpc_controller *c)
     result->repeating = m->repeating & m->accused;
     result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
     result->pose_delay = (real)m->delay;
-    const int late = (int)ddmpc_rint((real)(m->delay / delay_of(c->constants, 1)));
+    const int late = nearest_delay(c->constants, m);
     result->reads[0] = m->turned > R(0.0) ? m->turns[late][0] / m->turned : R(0.0);
     result->reads[1] = ddmpc_fabs(m->went[2]) > R(0.0) ? m->went[1] / m->went[2] : R(0.0);
     result->reads[2] = m->went[4] > R(0.0) ? m->went[5] / m->went[4] : R(0.0);

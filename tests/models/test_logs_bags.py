@@ -453,9 +453,9 @@ def test_a_data_base_of_something_else_is_refused(tmp_path: Path, change: str, w
 
 
 def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) -> None:
-    said = {"relative_file_paths": ["bag.mcap.zstd"], "compression_format": "zstd", "compression_mode": "FILE"}
+    metadata = {"relative_file_paths": ["bag.mcap.zstd"], "compression_format": "zstd", "compression_mode": "FILE"}
     (tmp_path / "bag.mcap.zstd").write_bytes(b"")
-    (tmp_path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": said}), encoding="utf-8")
+    (tmp_path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
     assert "compressed as a whole; unpack the bag" in _refused(tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""How far the readings of a log scatter from one to the next."""
+"""Scatter of the readings of a log from one to the next."""
 
 from __future__ import annotations
 
