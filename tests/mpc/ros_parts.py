@@ -331,11 +331,14 @@ class Stack:
         self.base.node.create_subscription(kind, topic, heard.append, qos)
         return heard
 
-    def publisher(self, kind, topic):
-        """Create a publisher of the base and wait until the node is connected."""
-        made = self.base.node.create_publisher(kind, topic, 1)
-        self.base.until(lambda: made.get_subscription_count() == 1, "the node's subscription")
-        self.base.until(lambda: self.node.count_publishers(topic) == 1, "the publisher")
+    def publisher(self, kind, topic, qos=1):
+        """Create a publisher of the base and wait until either side is connected: discovery is done one way at a time."""
+        name = self.base.node.resolve_topic_name(topic)
+        (reader,) = [each for each in self.node.subscriptions if each.topic_name == name]
+        before = reader.get_publisher_count()
+        made = self.base.node.create_publisher(kind, topic, qos)
+        self.base.until(lambda: made.get_subscription_count() > 0, "the node's subscription")
+        self.base.until(lambda: reader.get_publisher_count() > before, "the publisher")
         return made
 
     def close(self):

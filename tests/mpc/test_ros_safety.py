@@ -195,8 +195,7 @@ def limited(ros_types):
     from nav2_msgs.msg import SpeedLimit
 
     with stack(drive=True) as s:
-        publisher = s.base.node.create_publisher(SpeedLimit, "speed_limit", 10)
-        s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+        publisher = s.publisher(SpeedLimit, "speed_limit", 10)
 
         def limit(value, *, percentage=False):
             publisher.publish(SpeedLimit(speed_limit=value, percentage=percentage))

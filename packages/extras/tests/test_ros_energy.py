@@ -43,7 +43,7 @@ class Watched:
     def __init__(self, s):
         self.s, self.said = s, []
         node = s.base.node
-        self.battery = node.create_publisher(BatteryState, "battery_state", qos_profile_sensor_data)
+        self.battery = s.publisher(BatteryState, "battery_state", qos_profile_sensor_data)
         node.create_subscription(DiagnosticArray, "/diagnostics", lambda one: self.said.append(one.status[0]), 10)
 
     def heard(self):
@@ -61,10 +61,12 @@ class Watched:
         self.battery.publish(message)
 
     def drive(self, ticks, voltage, current):
-        """Ticks with a reading in each."""
-        commands = []
+        """Run ticks with a reading in each; the node has taken it in before the tick."""
+        commands, inbox = [], self.s.node.parts["energy"].battery
         for _ in range(ticks):
+            count = inbox.accepted
             self.tell(voltage, current)
+            self.s.base.until(lambda count=count: inbox.accepted > count, "a reading")
             commands.append(self.s.base.step())
         return np.array(commands)
 
@@ -74,9 +76,7 @@ def battery(request):
     """A robot that drives, with a battery."""
     parameters = {"parts.energy.use_battery": True, "diagnostics_rate": 20.0, **getattr(request, "param", {})}
     with stack(drive=True, **parameters) as s:
-        watched = Watched(s)
-        s.base.until(lambda: watched.battery.get_subscription_count() == 1, "the node's subscription")
-        yield watched
+        yield Watched(s)
 
 
 @pytest.mark.parametrize("battery", [TURN_COSTS], indirect=True)
@@ -133,7 +133,6 @@ def test_the_recording_holds_the_battery_and_what_was_said(tmp_path):
         **{"parts.energy.use_battery": True},
     ) as s:
         watched = Watched(s)
-        s.base.until(lambda: watched.battery.get_subscription_count() == 1, "the node's subscription")
         watched.drive(60, 12.0, -2.0)
         s.base.until(lambda: watched.values()["battery messages"].startswith("60 "), "all readings")
         s.base.run(2)

@@ -230,8 +230,7 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
         base, seen = s.base, s.node.parts["free_space"].surroundings
         assert not base.run(20).any()
         assert "the surroundings are" in s.loop.last.message
-        publisher = base.node.create_publisher(OccupancyGrid, "costmap", 1)
-        base.until(lambda: publisher.get_subscription_count() > 0, "the subscription")
+        publisher = s.publisher(OccupancyGrid, "costmap")
 
         def show(wall):
             count = seen.costmap.accepted
