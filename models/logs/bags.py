@@ -26,6 +26,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.command_bursts import check_bursts, silences
 from diffdrive_mpc.models.logs.csv_log import motor_fields
+from diffdrive_mpc.models.logs.imu_mount import imu_decoders
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
 from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MappedWheels, MotorTopic, Topic, Topics
 from diffdrive_mpc.models.logs.record import Finding, ranges
@@ -75,6 +76,8 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         topics = topics.named(there)
         requested = _requested(path, topics, there)
         readers = dict(_DECODERS)
+        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, a stated sign replaces the transforms
+            readers["imu"] = imu_decoders(reader)
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
                 requested[role], readers[role] = side, motor_readers(side)

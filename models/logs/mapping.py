@@ -324,7 +324,7 @@ class Topics(StrictModel):
 
     command: Topic = Field(Topic(topic="/cmd_vel"), description="geometry_msgs Twist or TwistStamped")
     odometry: Topic | None = Field(None, description="nav_msgs Odometry of the encoders alone; its twist is used")
-    imu: Topic | None = Field(None, description="sensor_msgs Imu; its angular velocity about z is used")
+    imu: Topic | None = Field(None, description="sensor_msgs Imu, read about the vertical of /tf_static, else z")
     pose: Topic | None = Field(
         None, description="PoseStamped, PoseWithCovarianceStamped or Odometry of a localisation, not of the encoders"
     )

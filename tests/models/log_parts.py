@@ -1,6 +1,7 @@
 """A small drive with known answers, and writers of the files that a robot would have left."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -70,6 +71,11 @@ def message(kind, reading, seconds):
     def quaternion(theta):
         return types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
 
+    def placed(parent, child, roll):
+        turn = types["geometry_msgs/msg/Quaternion"](np.sin(roll / 2), 0.0, 0.0, np.cos(roll / 2))
+        transform = types["geometry_msgs/msg/Transform"](vector(), turn)
+        return types["geometry_msgs/msg/TransformStamped"](replace(header, frame_id=parent), child, transform)
+
     def with_covariance(name, value):
         return types[f"geometry_msgs/msg/{name}WithCovariance"](value, np.zeros(36))
 
@@ -85,7 +91,11 @@ def message(kind, reading, seconds):
             with_covariance("Pose", pose(9.0, 9.0, 0.0)),
             with_covariance("Twist", twist(*reading)),
         ],
-        "Imu": lambda: [header, quaternion(0.0), np.zeros(9), vector(z=reading[0]), np.zeros(9), vector(), np.zeros(9)],
+        "Imu": lambda: [
+            *(header, quaternion(0.0), np.zeros(9), vector(**dict(zip("zxy", reading, strict=False))), np.zeros(9)),
+            *(vector(), np.zeros(9)),
+        ],
+        "TFMessage": lambda: [[placed(*reading)]],
         "PoseStamped": lambda: [header, pose(*reading)],
         "PoseWithCovarianceStamped": lambda: [header, with_covariance("Pose", pose(*reading))],
         "String": lambda: ["hello"],

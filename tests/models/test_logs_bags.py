@@ -57,6 +57,33 @@ def test_a_bag_reads_like_the_csv_of_the_same_drive(tmp_path, storage, command, 
     assert np.allclose(record.pose[record.fresh_pose], measured[::5], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("mounts", "zxy"),
+    [
+        ([("body", "base_link", np.pi)], (-1, 0, 0)),
+        ([("body", "base_link", np.pi / 2)], (0, np.nan, 1)),
+        ([("body", "mast", np.pi / 2), ("mast", "base_link", np.pi / 2)], (-1, 0, 0)),
+        ([("body", "base_link", np.pi / 6)], (np.cos(np.pi / 6), 0, np.sin(np.pi / 6))),
+    ],
+)
+def test_gyro_of_a_bag_is_read_about_the_vertical_of_tf_static(tmp_path, mounts, zxy):
+    """Mounts: upside down, on its side, upside down by two frames, and tilted."""
+    topics = bag_topics(COLUMNS)
+    topics["/imu"] = (*topics["/imu"][:3], np.outer(COLUMNS["gyro"], zxy))
+    topics["/tf_static"] = ("tf2_msgs/msg/TFMessage", [0.0] * len(mounts), [0.0] * len(mounts), mounts)
+    (record,) = read_log(write_bag(tmp_path / "bag", topics)).records
+    assert np.allclose(record.yaw_rate, COLUMNS["gyro"], atol=1e-12)
+
+
+def test_stated_sign_of_a_gyro_replaces_tf_static(tmp_path):
+    """The node ignores the transforms then, too: one turn is not made twice."""
+    topics = bag_topics({**COLUMNS, "gyro": -COLUMNS["gyro"]})
+    topics["/tf_static"] = ("tf2_msgs/msg/TFMessage", [0.0], [0.0], [("body", "base_link", np.pi)])
+    mapping = write_mapping(tmp_path / "map.yaml", "topics: {odometry: /odom, imu: {topic: /imu, sign: -1}}\n")
+    (record,) = read_log(write_bag(tmp_path / "bag", topics), mapping).records
+    assert np.array_equal(record.yaw_rate, COLUMNS["gyro"])
+
+
 def test_without_a_mapping_the_usual_topics_are_taken(tmp_path):
     bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), "mcap")
     (whole,) = read_log(bag).records
