@@ -11,6 +11,7 @@ import yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
+from diffdrive_mpc.models.logs.drive_log.reader import OWN_FORMAT as DRIVE_FORMAT
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topics, load_mapping
 from diffdrive_mpc.models.logs.record import MappingChange
@@ -21,14 +22,14 @@ _SIGNS_OF_TOPICS = ("omega.sign", "yaw_rate.sign", "theta.sign")
 _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
 
 
-def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping | None:
-    """The mapping that a log is read with; None where there is none, as for what a node recorded."""
+def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping:
+    """Return the mapping that a log is read with."""
     if isinstance(mapping, LogMapping):
         return mapping
     if mapping is not None:
         return load_mapping(mapping)
     if is_drive_log(path):
-        return None
+        return load_mapping(DRIVE_FORMAT)
     if not is_bag(path):
         return load_mapping(OWN_FORMAT)
     from diffdrive_mpc.models.logs.bag_topics import opened  # noqa: PLC0415 - only bags need it

@@ -85,8 +85,8 @@ def read_log(
 
 def _raw(path: Path, mapping: LogMapping | None) -> RawLog:
     """What the reader of such a file hands over."""
-    if mapping is None and is_drive_log(path):
-        return read_drive(path)
+    if (mapping is None or mapping.columns is not None) and is_drive_log(path):
+        return read_drive(path, mapping)
     return (read_bag if is_bag(path) else read_csv)(path, mapping)
 
 

@@ -6,11 +6,13 @@ import yaml
 from identification_parts import DT, set_points
 
 from commands import call
-from diffdrive_mpc import identify, load_config, make_plant
+from diffdrive_mpc import Controller, identify, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.fit.sensors import find_corrections, stated_corrections
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.sim.log_mcap import write_log
 
 COLUMNS = {
     "time": "t",
@@ -104,3 +106,16 @@ def test_a_log_of_a_wired_robot_becomes_a_configuration_that_drives_it(tmp_path)
     sensors = load_config(tmp_path / "robot" / "config.yaml").sensors
     assert sensors.yaw_rate.sign == -1
     assert sensors.pose.delay == pytest.approx(0.11, abs=0.01)
+
+
+def test_the_record_of_a_drive_with_a_gyro_upside_down_becomes_such_a_configuration_too(tmp_path):
+    """The record holds readings as they were, also where the controller that drove had the sign."""
+    (tmp_path / "sensors.yaml").write_text("gyro: {scale: -1.0}", encoding="utf-8")
+    controller = Controller(load_config("sm", {"sensors.yaw_rate.sign": -1}))
+    plant = make_plant("mujoco", seed=3, sensors=tmp_path / "sensors.yaml")
+    write_log(simulate(controller, plant, load_trajectory("figure8")), tmp_path / "drive.mcap")
+    with pytest.raises(AdvisedError, match="runs against the command") as refused:
+        identify(tmp_path / "drive.mcap")
+    refused.value.advice.write(tmp_path)
+    identify(tmp_path / "drive.mcap", tmp_path / "fixed.yaml").write(tmp_path)
+    assert load_config(tmp_path / "config.yaml").sensors.yaw_rate.sign == -1

@@ -20,7 +20,7 @@ from diffdrive_mpc.models.logs.csv_table import CsvTable
 from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
 from diffdrive_mpc.models.logs.drive_log import topics as topic
 from diffdrive_mpc.models.logs.drive_log.tick import TickRow, measurement_of, tick_schema
-from diffdrive_mpc.models.logs.mapping import FOUR_WHEELS, Columns, load_mapping
+from diffdrive_mpc.models.logs.mapping import FOUR_WHEELS, Columns, LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mcap_file import McapChannel, McapContent, McapMessage, McapMetadata, mcap_content
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.logs.sampling import RawLog
@@ -184,8 +184,8 @@ OWN_FORMAT = "drive_log"
 _IDLE = ("IDLE", "FAULT")
 
 
-def read_drive(path: Path) -> RawLog:
-    """Read the file of a drive; raises models.checked_yaml.ConfigError if it cannot be used."""
+def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
+    """Read the file of a drive by a mapping or `OWN_FORMAT`; raises models.checked_yaml.ConfigError on failure."""
     log = read_drive_log(path)
     columns = log.columns
     # At other ticks nobody asked the controller, and nothing was read: the robot may have been pushed meanwhile.
@@ -194,16 +194,16 @@ def read_drive(path: Path) -> RawLog:
     number = np.flatnonzero(driven)
     empty = {name: np.isnan(column) for name, column in values.items()}
     table = CsvTable(path, list(values), number, number + 1, values, empty)
-    raw = log_of_table(table, _columns(log, {name for name in values if not empty[name].all()}))
+    raw = log_of_table(table, _columns(log, mapping, {name for name in values if not empty[name].all()}))
     return replace(raw, findings=(*_cut(log), *raw.findings))
 
 
-def _columns(log: DriveLog, there: set[str]) -> Columns:
+def _columns(log: DriveLog, mapping: LogMapping | None, there: set[str]) -> Columns:
     """The mapping without the sensors that did not read, or that only sum up others."""
-    columns = load_mapping(OWN_FORMAT).columns
-    assert columns is not None and columns.encoders is not None
+    columns = (mapping or load_mapping(OWN_FORMAT)).columns
+    assert columns is not None
     encoders = columns.encoders
-    if "wheel_fl_rad_s" not in there:
+    if encoders is not None and "wheel_fl_rad_s" not in there:
         encoders = encoders.model_copy(update=dict.fromkeys(FOUR_WHEELS))
     by_name = {
         "encoders": encoders if "v_wheel_m_s" in there else None,
