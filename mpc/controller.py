@@ -35,7 +35,7 @@ from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepared
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
-from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
+from diffdrive_mpc.mpc.problem.build import chosen_model, is_from_file, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.margin import with_increments
@@ -153,7 +153,8 @@ class Controller:
 
     def _problem(self, config: ControllerConfig) -> Problem:
         predicted = self._predicted
-        return Problem(_limited(config, self._speed_limit), predicted.sampled, predicted.feed_forward, self._terms)
+        limited, from_file = _limited(config, self._speed_limit), is_from_file(predicted.model)
+        return Problem(limited, predicted.sampled, predicted.feed_forward, self._terms, from_file)
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return load_backend(config.solver.backend)(config.horizon, self._kinds, config.solver, config.weights)

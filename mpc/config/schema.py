@@ -224,6 +224,7 @@ class Estimator(Group):
     # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
     v_offset_uncertainty: ClassVar[float] = fixed_values()["estimator.v_offset_uncertainty"]
     omega_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.omega_gain_uncertainty"]
+    unknown_omega_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.unknown_omega_gain_uncertainty"]
     yaw_gain_uncertainty: ClassVar[float] = fixed_values()["estimator.yaw_gain_uncertainty"]
     turn_ahead_uncertainty: ClassVar[float] = fixed_values()["estimator.turn_ahead_uncertainty"]
     turn_left_uncertainty: ClassVar[float] = fixed_values()["estimator.turn_left_uncertainty"]

@@ -68,10 +68,16 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
     return model
 
 
+def is_from_file(model: VelocityModel | NonlinearModel) -> bool:
+    """Return True for a model of a file, which states whose robot it is; one made in Python is of an unknown robot."""
+    return model.provenance.get("origin", "python-control") != "python-control"
+
+
 def build_problem(
     config: ControllerConfig, model: VelocityModel | NonlinearModel, terms: Sequence[Term] = ()
 ) -> Problem:
     """Build the problem for `model`; raises like `sampled_model`, `with_increments` and `Problem`."""
     dt = config.sample_time
     sampled = sampled_model(model, dt)
-    return Problem(with_increments(config, sampled), sampled, FeedForward.of(model, dt), tuple(terms))
+    increments, feed_forward = with_increments(config, sampled), FeedForward.of(model, dt)
+    return Problem(increments, sampled, feed_forward, tuple(terms), is_from_file(model))

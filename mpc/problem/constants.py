@@ -40,6 +40,8 @@ HARD_KINDS = 4
 class Problem:
     """Definition of one controller's problem: its configuration, its sampled model, and the user's terms.
 
+    A model that is not `from_file` starts with an unknown ratio of yaw rates of wheels and model.
+
     Raises
     ------
     ValueError
@@ -50,6 +52,7 @@ class Problem:
     model: DiscreteModel | NonlinearModel
     feed_forward: FeedForward
     terms: tuple[Term, ...] = ()
+    from_file: bool = True
     prediction: Prediction | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -183,6 +186,9 @@ class Problem:
         )
         kinds = (*PRIORS, "gyro_bias", "delay", "delay")
         uncertainty = estimated * np.array([s.uncertainty(kind) for kind in kinds])
+        if not self.from_file:
+            # Its wheels may turn by another ratio of tracks than `wheels` states.
+            uncertainty[kinds.index("omega_gain")] *= s.unknown_omega_gain_uncertainty / s.omega_gain_uncertainty
         drift = estimated * np.array([s.drift(kind) for kind in kinds])
         prior = configured_slip(self.config)
         # Gains have their own bounds; curved slip is bounded by its initial uncertainty.

@@ -332,7 +332,7 @@ class Stack:
         return heard
 
     def publisher(self, kind, topic, qos=1):
-        """Create a publisher of the base and wait until either side is connected: discovery is done one way at a time."""
+        """Create a publisher of the base and wait until both sides are connected, which takes two discoveries."""
         name = self.base.node.resolve_topic_name(topic)
         (reader,) = [each for each in self.node.subscriptions if each.topic_name == name]
         before = reader.get_publisher_count()
