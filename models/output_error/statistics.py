@@ -6,8 +6,8 @@ Robust Statistics, Wiley 1981: min(1, c / |z|) of residuals z over their scale.
 
 Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of
 the scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise);
-Newey, West, Econometrica 1987, 55(3), 703-708 (weights of the lags); Andrews, Econometrica 1991, 59(3), 817-858
-(how many lags). Where parts of a log differ by more than S says, their scatter stands in for it.
+Lazarus, Lewis, Stock, Watson, Journal of Business & Economic Statistics 2018, 36(4), 541-559 (equally weighted cosines,
+and Student's distribution). Where parts of a log differ by more than S says, their scatter stands in for it.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _NEIGHBOURS = 5
 _MEDIAN = 0.6745
 # The scale of spikes is not taken below this part of the residuals.
 _LEAST_SHARE = 0.1
-# Correlations of scores are capped here in the choice of the window: beyond, the window would take in everything.
-_MOST_CORRELATED = 0.97
+# Cosines per K^(2/3) of K rows, as in the source.
+_COSINES = 0.41
 
 
 def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
@@ -126,25 +126,33 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     shaped = information / np.outer(spread, spread)
     bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
     used = sum(int(np.isfinite(error).sum()) for error in errors)
-    white = bread @ long_run_covariance(scores) @ bread * used / max(used - count, 1)
+    long_run, freedom = long_run_covariance(scores)
+    white = student_factor(freedom) ** 2 * bread @ long_run @ bread * used / max(used - count, 1)
     covariance = _widened(white, scores, bread)
     return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(shaped)))
 
 
-def long_run_covariance(scores: Sequence[FloatArray]) -> FloatArray:
-    """(q, q) covariance of the scores' (K, q) sum, Bartlett weights.
+def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
+    """(q, q) covariance of the scores' (K, q) sum, and its degrees of freedom: equally weighted cosine estimate.
 
-    Nothing is correlated across experiments. The window is chosen from the scores' first autocorrelation (Andrews' rule
-    for Bartlett weights).
+    Rows without a reading are left out: they would hide how readings are correlated. Experiments stand end to end.
     """
-    window = _window(scores)
-    total = np.zeros((scores[0].shape[1],) * 2)
-    for row in scores:
-        total += row.T @ row
-        for lag in range(1, min(window + 1, len(row))):
-            part = row[lag:].T @ row[:-lag]
-            total += (1 - lag / (window + 1)) * (part + part.T)
-    return total
+    from scipy import fft  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+    rows = np.concatenate(scores)
+    rows = rows[rows.any(axis=1)]
+    if len(rows) < 2:
+        return rows.T @ rows, 1
+    count = max(1, min(int(_COSINES * len(rows) ** (2 / 3)), len(rows) - 1))
+    projected = np.sqrt(len(rows)) * fft.dct(rows, axis=0, norm="ortho")[1 : count + 1]
+    return projected.T @ projected / count, count
+
+
+def student_factor(freedom: int) -> float:
+    """95 % interval of Student's distribution over that of the normal one."""
+    from scipy import special  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+    return float(special.stdtrit(freedom, 0.975) / special.ndtri(0.975))
 
 
 def block_covariance(scores: Sequence[FloatArray], count: int) -> FloatArray:
@@ -169,7 +177,7 @@ def _widened(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatA
     wider, settings = np.ones(len(variance)), estimator_settings().scatter
     for count in settings.blocks:
         ratio = np.diag(bread @ block_covariance(scores, count) @ bread) / variance
-        student = stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975)
+        student = student_factor(count - 1)
         # Rounding may leave a variance of nothing below zero.
         shown = ratio > stats.chi2.ppf(settings.certain, count - 1) / (count - 1)
         wider = np.where(shown, np.maximum(wider, student * np.sqrt(np.maximum(ratio, 0.0))), wider)
@@ -183,16 +191,6 @@ def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:
         column = [np.nan_to_num(error[:, row : row + 1]) for error in errors]
         used = sum(int(np.isfinite(error[:, row]).sum()) for error in errors)
         power = sum(float((c**2).sum()) for c in column)
-        inflation = float(long_run_covariance(column)[0, 0]) / power if power else 1.0
+        inflation = float(long_run_covariance(column)[0][0, 0]) / power if power else 1.0
         worth.append(used / max(inflation, 1.0))
     return np.array(worth)
-
-
-def _window(scores: Sequence[FloatArray]) -> int:
-    """Lags that count: 1.1447 (4 rho^2 / (1 - rho^2)^2 K)^(1/3), rho the strongest autocorrelation of any score."""
-    power = sum((row**2).sum(axis=0) for row in scores)
-    lagged = sum((row[1:] * row[:-1]).sum(axis=0) for row in scores)
-    rho = np.abs(lagged / np.maximum(power, np.finfo(float).tiny)).max()
-    rho = min(rho, _MOST_CORRELATED)
-    samples = sum(map(len, scores))
-    return int(1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * samples) ** (1 / 3))
