@@ -39,7 +39,8 @@ def check(
     corrections = find_corrections(content.name, content.records, mapping)
     echo("\n".join([*summary(content), *counted([*content.findings, *corrections.findings])]))
     stated = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
-    echo(stated.rstrip() if corrections.settings else "sensors: as they are")
+    otherwise = "sensors: not known before the errors are mended" if content.errors else "sensors: as they are"
+    echo(stated.rstrip() if corrections.settings else otherwise)
     if content.errors:
         raise typer.Exit(FAILED)
 

@@ -76,7 +76,7 @@ def node_text(topics: Topics) -> str:
 
 
 def _reason(topics: Topics, role: str) -> str:
-    return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # no {role} in the log"
+    return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # no {role} was read from the log"
 
 
 # How often the controller of an identified robot is asked, and how far it looks ahead.
