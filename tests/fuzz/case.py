@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import traceback
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -48,10 +47,6 @@ class Fuzzer(Protocol):
 
     def check(self, case: Case) -> None:
         """Raise FaultError or an error of the product if a promise is broken."""
-        ...
-
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield simpler cases, the simplest first."""
         ...
 
 

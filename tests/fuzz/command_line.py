@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
 
 from diffdrive_mpc.models.plug_ins import plug_in_names
-from fuzz import odd, shrink
+from fuzz import odd
 from fuzz.case import Case, FaultError, HangError
 
 # These run for minutes or until interrupted, or belong to packages: only their options are parsed, with an unknown one.
@@ -71,12 +70,6 @@ class CommandLineFuzzer:
                 raise FaultError(f"error lines: {len(lines)}: {done.output[-300:]!r}")
             if lines and (len(lines[0]) > 1100 or not lines[0].isprintable()):
                 raise FaultError(f"error line: cannot be shown: {lines[0][:300]!r}")
-
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield commands of fewer words."""
-        for words in shrink.fewer(case["words"]):
-            if words:
-                yield {**case, "words": words}
 
 
 def _is_long(path: tuple[str, ...]) -> bool:

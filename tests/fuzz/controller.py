@@ -7,7 +7,7 @@ import math
 import pickle
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from random import Random
@@ -35,7 +35,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
-from fuzz import odd, shrink
+from fuzz import odd
 from fuzz.case import Case, FaultError
 from fuzz.configs import Overrides, draw_overrides, draw_value, fields
 
@@ -172,24 +172,6 @@ class ControllerFuzzer:
         finally:
             self.steps, self.late = self.steps + life.steps, self.late + life.late
             self.longest_step = max(self.longest_step, life.longest_step)
-
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield cases with fewer events and settings, and with plainer numbers."""
-        for events in shrink.fewer(case["events"]):
-            yield {**case, "events": events}
-        for overrides in shrink.without_keys(case["overrides"]):
-            yield {**case, "overrides": overrides}
-        for terms in shrink.fewer(case["terms"]):
-            yield {**case, "terms": terms}
-        for place, event in enumerate(case["events"]):
-            if event[0] == "drive" and event[1] > 1:
-                for count in (1, event[1] // 2, event[1] - 1):
-                    yield {**case, "events": [*case["events"][:place], ["drive", count], *case["events"][place + 1 :]]}
-        for key in ("references", "overrides", "events"):
-            for plain in shrink.plainer(case[key]):
-                yield {**case, key: plain}
-        if case["config"] != "ssm":
-            yield {**case, "config": "ssm"}
 
 
 class Life:

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -69,10 +68,6 @@ class CoreFuzzer:
         )
         if done.returncode:
             raise FaultError(f"core: {done.stderr[-1500:]}")
-
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield nothing: a seed has no parts."""
-        yield from ()
 
 
 def _without_bounds() -> None:

@@ -6,7 +6,6 @@ import atexit
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -18,7 +17,7 @@ from diffdrive_mpc.app.replay.own_log import read_recording
 from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.mpc import load_config
-from fuzz import mutation, shrink
+from fuzz import mutation
 from fuzz.case import Case, FaultError
 from fuzz.promises import refused_or
 
@@ -45,10 +44,6 @@ class LogFuzzer:
                     if not np.isfinite(record.command).all():
                         raise FaultError("log: a command of a record is not finite")
 
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield cases with fewer changes."""
-        yield from fewer_changes(case)
-
 
 class ReplayFuzzer:
     """The same files, as `log replay` reads them."""
@@ -56,7 +51,6 @@ class ReplayFuzzer:
     name, longest, count = "replay", 60.0, 80
 
     draw = LogFuzzer.draw
-    simpler = LogFuzzer.simpler
 
     def check(self, case: Case) -> None:
         """Read the ticks; replay them after a single change."""
@@ -77,13 +71,6 @@ def draw_messages(random: Random) -> list[list[object]]:
     if random.random() < 0.5:
         return []
     return [[random.random(), mutation.draw_bytes_edit(random)] for _ in range(random.choice((1, 3, 10)))]
-
-
-def fewer_changes(case: Case) -> Iterator[Case]:
-    """Yield the same file with fewer changes."""
-    for key in ("messages", "edits"):
-        for fewer in shrink.fewer(case[key]):
-            yield {**case, key: fewer}
 
 
 def changed_file(case: Case, folder: Path) -> tuple[Path, Path | None]:

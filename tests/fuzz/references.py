@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 
 from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from fuzz import shrink
 from fuzz.case import Case
 from fuzz.controller import checked_reference, draw_speed
 from fuzz.promises import refused_or
@@ -73,15 +71,6 @@ class ReferenceFuzzer:
             reference = refused_or(lambda: load_trajectory(path))
             if reference is not None:
                 checked_reference(reference, TrajectoryLimits.of_robot())
-
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield cases with fewer rows and plainer numbers."""
-        for rows in shrink.fewer(case["rows"]):
-            yield {**case, "rows": rows}
-        for more in shrink.without_keys(case["more"]):
-            yield {**case, "more": more}
-        for rows in shrink.plainer(case["rows"]):
-            yield {**case, "rows": rows}
 
 
 def _smoothing(random: Random) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Run a fuzzer in a process with limits of count, time and memory; reduce and save its findings.
+"""Run a fuzzer in a process with limits of count, time and memory; save its findings.
 
 The process may die or hang in compiled code. Its report names the case, which the parent saves before the next one.
 """
@@ -29,8 +29,6 @@ _MOST_MEMORY = 8_000_000_000
 """Address space of a process; libraries alone reserve 2 GB [byte]."""
 _MOST_MORE = 600_000
 """Growth of the peak memory that a case may cause [kB]."""
-_SMALLER_FOR = 20.0
-"""Time limit for the reduction of a finding [s]."""
 _KINDS_OF_FINDINGS = 20
 """Number of different findings that ends a run."""
 _CASES_OF_A_PROCESS = 1000
@@ -160,12 +158,9 @@ def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
             if fault is None or fault[1] in known:
                 continue
             known.add(fault[1])
-            case, description = smaller(fuzzer, case, *fault)
-            path = Finding(fuzzer.name, description, fault[1], case).save(folder)
+            path = Finding(fuzzer.name, *fault, case).save(folder)
             single = Order(order.fuzzer, order.seed, order.first + begun, 1, 0.0)
-            out.write(
-                json.dumps({"begun": begun + 1, "found": f"{description}\n    {single.words()}\n    {path}"}) + "\n"
-            )
+            out.write(json.dumps({"begun": begun + 1, "found": f"{fault[0]}\n    {single.words()}\n    {path}"}) + "\n")
         account = {name: getattr(fuzzer, name, 0) for name in ("steps", "late", "longest_step")}
         out.write(json.dumps({"account": account}) + "\n")
 
@@ -182,21 +177,6 @@ def judged(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:
     if fault is None and more > _MOST_MORE:
         return f"memory: it takes {more // 1000} MB", f"{fuzzer.name}: memory"
     return fault
-
-
-def smaller(fuzzer: Fuzzer, case: Case, description: str, signature: str) -> tuple[Case, str]:
-    """Reduce a case as long as its fault stays the same; return it and its description."""
-    end, again = time.monotonic() + _SMALLER_FOR, True
-    while again:
-        again = False
-        for simpler in fuzzer.simpler(case):
-            if time.monotonic() > end:
-                return case, description
-            fault = judged(fuzzer, simpler)
-            if fault is not None and fault[1] == signature:
-                case, description, again = simpler, fault[0], True
-                break
-    return case, description
 
 
 @contextlib.contextmanager

@@ -97,10 +97,6 @@ class Planted:
         if 9 in case:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    def simpler(self, case):
-        for i in range(len(case)):
-            yield case[:i] + case[i + 1 :]
-
 
 def lived(worst, tmp_path):
     fuzzer = Planted()
@@ -117,15 +113,15 @@ def gentle(monkeypatch):
     monkeypatch.setattr(runner.logging, "disable", lambda *_: None)
 
 
-def test_finding_is_reduced_saved_and_reported_once_with_its_command(gentle, tmp_path):
+def test_finding_is_saved_and_reported_once_with_its_command(gentle, tmp_path):
     findings = lived(7, tmp_path)
     assert len(findings) == 1
     assert 'make fuzz FUZZ="planted --seed 1 --only 4"' in findings[0]
-    assert {fuzzer: case for (fuzzer, _), case in saved_findings(tmp_path).items()} == {"planted": [7]}
+    ((fuzzer, _), case) = next(iter(saved_findings(tmp_path).items()))
+    assert fuzzer == "planted" and case[-1] == 7
 
 
-def test_hang_is_a_finding(gentle, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "_SMALLER_FOR", 0.0)
+def test_hang_is_a_finding(gentle, tmp_path):
     (finding,) = lived(8, tmp_path)
     assert "hangs: it takes longer than 0.2 s" in finding
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 from file_kinds import KINDS
-from fuzz import mutation, shrink
+from fuzz import mutation
 from fuzz.case import Case, FaultError
 from fuzz.controller import Life, checked_reference
 from fuzz.promises import refused_or
@@ -69,12 +69,6 @@ class YamlFuzzer:
             path = Path(folder, f"{case['file']}.yaml")
             path.write_bytes(text)
             refused_or(lambda: DOORS[case["kind"]](path))
-
-    def simpler(self, case: Case) -> Iterator[Case]:
-        """Yield cases with fewer changes."""
-        for key in ("edits", "raw"):
-            for fewer in shrink.fewer(case[key]):
-                yield {**case, key: fewer}
 
 
 @cache
