@@ -281,9 +281,8 @@ int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c)
 }
 
 /* Reduce `mean` by a share of what it owes to the difference of the states `group` from their prior: all of it while the
-   difference is no larger than `noise` squared deviations, less with more evidence: by the square, or a ratio of tracks of
-   another robot would keep a part of its error. `doubt` is a variance of a single state that the filter does not know of.
-   The filter itself learns as before. */
+   difference is no larger than `noise` squared deviations, less with more evidence. `doubt` is a variance of a single
+   state that the filter does not know of. The filter itself learns as before. */
 static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, const int *group, int count, real noise,
                      real doubt, real *mean)
 {
@@ -312,7 +311,10 @@ static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, cons
     }
     if (count == 1)
         squared *= L[0][0] * L[0][0] / ddmpc_max(L[0][0] * L[0][0] + doubt, R(1e-12));
-    const real ratio = squared > noise ? noise / squared : R(1.0), share = ratio * ratio;
+    real share = squared > noise ? noise / squared : R(1.0);
+    if (*group == OMEGA_GAIN)
+        /* By the square, or the ratio of tracks of another robot would keep a part of its error. */
+        share *= share;
     for (int j = 0; j < count; j++)
         for (int i = 0; i < Z; i++)
             mean[i] -= share * solved[j] * P[i * Z + n + group[j]];

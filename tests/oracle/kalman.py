@@ -172,7 +172,7 @@ class SlipFilter:
             if not P.any():
                 continue
             squared = off @ np.linalg.solve(P + doubt**2 * np.eye(len(group)), off)
-            share = min(1.0, noise**2 / squared) ** 2 if squared else 1.0
+            share = min(1.0, noise**2 / squared) ** (2 if group == [n + 1] else 1) if squared else 1.0
             mean -= share * belief.covariance[:, group] @ np.linalg.solve(P, off)
         return self.bounded(mean)
 
