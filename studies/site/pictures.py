@@ -16,7 +16,7 @@ from PIL import Image
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.sim.viewer import BLUE, GREY, ORANGE, RobotScene, draw_line
+from studies.site.robot_scene import BLUE, GREY, ORANGE, RobotScene, draw_line
 
 FOLDER = Path("docs/pictures")
 # Figures have few colours; a palette takes a third of the room.

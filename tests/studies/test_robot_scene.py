@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc.sim.viewer import GREY, RobotScene, draw_line
+from studies.site.robot_scene import GREY, RobotScene, draw_line
 
 
 @pytest.mark.parametrize("plant", ["mujoco", "mujoco:heavy", "model:sm", "drawn:3"])
