@@ -197,6 +197,24 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
     }
 }
 
+/* Forget poses of a delay that was wrong by `change` [s], and the slip and delays learned from them; return the node to
+   filter from. */
+static int relearn(ddmpc_controller *c, real change)
+{
+    const int n = STATES(c), Z = BELIEF(c);
+    ddmpc_belief *oldest = &node_at(c, 0)->prior, *initial = &newest(c)->posterior;
+    disbelieve(c, 1 << DDMPC_OF_POSE);
+    initial_belief(c, initial);
+    for (int i = n; i < n + POSE(c); i++) {
+        oldest->mean[i] = initial->mean[i];
+        for (int j = 0; j < Z; j++)
+            oldest->covariance[i * Z + j] = oldest->covariance[j * Z + i] = initial->covariance[i * Z + j];
+    }
+    for (int i = 0; i < 3; i++)
+        oldest->covariance[(n + POSE(c) + i) * (Z + 1)] += ddmpc_fastest(c->constants, i / 2) * change * ddmpc_fastest(c->constants, i / 2) * change;
+    return 0;
+}
+
 /* Restart the history with one node at `pose`, with all but the pose taken from `motion`. */
 static void start(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_pose *pose, const ddmpc_belief *motion)
 {
@@ -226,8 +244,10 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         return ddmpc_estimator_state(c);
     }
     int first = estimator->nodes;
+    const ddmpc_time delay = ddmpc_monitor_delay(c);
     ddmpc_monitor_move(c, t, twist, wheels, twists);
     const int newly = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
+    const real change = (real)(ddmpc_monitor_delay(c) - delay);
     const int unused = c->monitor.accused | ddmpc_monitor_doubts(c, t);
     if (has_pose) {
         ddmpc_monitor_widen(c, &pose);
@@ -238,6 +258,8 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         disbelieve(c, newly);
         first = 0;
     }
+    if (ddmpc_fabs(change) > c->constants->delay_fit[4])
+        first = relearn(c, change);
     for (int i = 0; i < twists; i++) {
         if (unused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;

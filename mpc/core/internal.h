@@ -157,7 +157,7 @@ enum { FORWARD, LEFT, HEADING, WHEEL_DISTANCE, WHEEL_TURN, GYRO_TURN, TURNED, MO
 enum {
     MONITORED = 96,       /* instants at which the monitor keeps the motion */
     MONITORED_POSES = 36, /* poses that it keeps */
-    MONITORED_DELAYS = 7  /* delays of poses that it weighs */
+    MONITORED_DELAYS = 13 /* delays of poses that it weighs */
 };
 
 typedef struct {
@@ -193,7 +193,9 @@ typedef struct {
     int residuals;
     real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* of turning, as quotients of sums */
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
-    real turns[MONITORED_DELAYS][2], turned; /* sums that it is made of: turns by the gyro times those by poses, and squared; by poses */
+    real fit[MONITORED_DELAYS][3], fit_covariance[3][3]; /* heading of poses less the gyro's at that delay: offset [rad], bias [rad/s], share of the turn */
+    real fits, delay_deviation;     /* fitted poses, older ones count less; standard deviation of the delay below [s] */
+    int sure;                       /* 1 if the fits determine the delay now */
     real spread[6];                 /* weights of turns, times those by poses, by the gyro, both squared, and their product */
     ddmpc_time delay;               /* by which they are later than stamped, as far as motion says so [s] */
     int creeping;                   /* whether poses and gyro begin to differ */

@@ -105,9 +105,8 @@ static void rebase(ddmpc_monitor *m, int i)
         /* What was summed up is lost, and what it taught. */
         m->now.sum[i] = R(0.0);
         m->moves = m->poses = m->residuals = m->seen = m->anchored = 0;
-        m->apart = m->witness = m->settled = m->turned = m->turning[0] = m->turning[1] = R(0.0);
+        m->apart = m->witness = m->settled = m->fits = m->turning[0] = m->turning[1] = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
-        memset(m->turns, 0, sizeof m->turns);
         memset(m->spread, 0, sizeof m->spread);
         memset(m->went, 0, sizeof m->went);
         return;
@@ -379,12 +378,6 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
     return (ddmpc_time)k->latest * index / (MONITORED_DELAYS - 1);
 }
 
-/* Index of the delay that is next to the one found. */
-static int nearest_delay(const ddmpc_constants *k, const ddmpc_monitor *m)
-{
-    return (int)ddmpc_rint((real)(m->delay / delay_of(k, 1)));
-}
-
 /* The motion between two instants that are earlier by a delay; 0 if it is not kept. */
 static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to,
                         ddmpc_time delay, const real pose[3], motions *by)
@@ -416,50 +409,68 @@ static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motion
     learn_gain(m->wheels_by_model, k->gains[2], model, wheels);
 }
 
-/* Learn how late poses are from turning, by least squares at each delay, with a scale of its own, so that a gyro of a wrong scale
- * makes none. Of driving it cannot be told: a body follows its wheels late, by its tyres. */
-static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now,
-                        const real pose[3], const real noise[2])
+/* Learn by which factor the gyro turns, from windows that it explains by one factor. */
+static void learn_spread(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by, real noise)
 {
-    motions by;
-    const real noise_of_turn = k->gyro[ABSOLUTE] + noise[1], weight = R(1.0) / square(noise_of_turn);
-    real turn[MONITORED_DELAYS], off = HUGE_VAL;
-    for (int i = 0; i < MONITORED_DELAYS; i++) {
-        if (!compare_late(k, m, from, now, delay_of(k, i), pose, &by))
-            return;
-        turn[i] = by.gyro_turn;
-        const real scale = m->turns[i][1] > R(0.0) ? m->turns[i][0] / m->turns[i][1] : R(1.0);
-        off = ddmpc_min(off, ddmpc_fabs(by.pose_turn - scale * by.gyro_turn));
-    }
-    /* A gyro that fails all at once is late at no delay. */
-    const int fits = off <= R(1.5) * noise_of_turn + k->uneven * ddmpc_fabs(by.pose_turn);
-    if (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || (m->turned > k->plausible && !fits))
+    const real noise_of_turn = k->gyro[ABSOLUTE] + noise, weight = R(1.0) / square(noise_of_turn);
+    const real pose = by->pose_turn, gyro = by->gyro_turn, scale = m->spread[4] > R(0.0) ? m->spread[5] / m->spread[4] : R(1.0);
+    if (m->spread[3] > k->late[2] && ddmpc_fabs(pose - scale * gyro) > R(1.5) * noise_of_turn + k->uneven * ddmpc_fabs(pose))
         return;
-    for (int i = 0; i < MONITORED_DELAYS; i++) {
-        m->turns[i][0] = k->late[1] * m->turns[i][0] + weight * by.pose_turn * turn[i];
-        m->turns[i][1] = k->late[1] * m->turns[i][1] + weight * square(turn[i]);
-    }
-    m->turned = k->late[1] * m->turned + weight * square(by.pose_turn);
-    const real now_turned = turn[nearest_delay(k, m)];
-    const real add[6] = {R(1.0), by.pose_turn, now_turned, square(by.pose_turn), square(now_turned), by.pose_turn * now_turned};
+    const real add[6] = {R(1.0), pose, gyro, square(pose), square(gyro), pose * gyro};
     for (int i = 0; i < 6; i++)
         m->spread[i] = k->late[1] * m->spread[i] + weight * add[i];
+}
+
+/* Learn how late poses are. At each delay a Kalman filter explains their heading less that of the gyro by an offset, a drifting
+ * bias and a share of the turn, so that neither bias nor scale makes a delay; all have one covariance. Driving does not tell the
+ * delay: a body follows its wheels late, by its tyres. */
+static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
+{
+    const real dt = (real)(now->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
+    const real left = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)), own = R(0.5) * square(noise) + square(k->delay_fit[3]);
+    real off[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
+    ddmpc_motion then;
+    const int silent = m->now.time - m->gyro.changed > (ddmpc_time)k->silence;
+    if (silent || (m->accused & BY_POSE) || !motion_at(m, now->time - (ddmpc_time)k->latest, &then))
+        return;
+    for (int j = 0; j < 3; j++)
+        P[0][j] += dt * P[1][j] + turn * P[2][j];
+    for (int j = 0; j < 3; j++)
+        P[j][0] += dt * P[j][1] + turn * P[j][2];
+    P[0][0] += dt * square(k->delay_fit[0]);
+    P[1][1] += dt * square(k->delay_fit[1]);
+    const real all = P[0][0] + own, gain[3] = {P[0][0] / all, P[1][0] / all, P[2][0] / all};
+    for (int i = 0; i < MONITORED_DELAYS; i++) {
+        motion_at(m, now->time - delay_of(k, i), &then);
+        m->fit[i][0] += dt * m->fit[i][1] + turn * m->fit[i][2];
+        off[i] = now->sum[GYRO_TURN] - then.sum[GYRO_TURN] - m->apart - m->fit[i][0];
+        low = ddmpc_min(low, off[i]);
+        high = ddmpc_max(high, off[i]);
+    }
+    /* No delay explains a leap: begin again. An accused gyro may turn by any factor. */
+    const real first[3] = {own, square(k->delay_fit[2]), m->accused & BY_GYRO ? R(4.0) : square(k->gyro[SHARE])};
+    const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > R(5.0) * ddmpc_sqrt(all);
+    m->fits = restart ? R(1.0) : left * m->fits + R(1.0);
     int best = 1;
     for (int i = 0; i < MONITORED_DELAYS; i++) {
-        m->misfit[i] = m->turned - (m->turns[i][1] > R(0.0) ? square(m->turns[i][0]) / m->turns[i][1] : R(0.0));
-        if (i < MONITORED_DELAYS - 1 && m->misfit[i] < m->misfit[best])
-            best = i > 1 ? i : 1;
+        m->misfit[i] = restart ? R(0.0) : left * m->misfit[i] + square(off[i]) / all;
+        for (int j = 0; j < 3; j++)
+            m->fit[i][j] = !restart ? m->fit[i][j] + gain[j] * off[i] : j == 0 ? m->fit[i][0] + off[i] : R(0.0);
+        best = i > 1 && i < MONITORED_DELAYS - 1 && m->misfit[i] < m->misfit[best] ? i : best;
     }
-    /* Between delays by a parabola. Stamps are believed until motion says otherwise, and so is then a delay: steady motion tells
-     * of none. */
-    const real *misfit = &m->misfit[best], slope = misfit[-1] - misfit[1], curved = misfit[-1] - R(2.0) * misfit[0] + misfit[1];
-    if (!(curved > R(0.0)) || m->turned < k->late[2])
-        return;
-    const real between = R(0.5) * slope / curved, least = misfit[0] - R(0.25) * slope * between;
-    if (least + k->late[0] < m->misfit[0] && least < R(0.5) * m->turned && m->turns[best][1] > R(0.05) * m->turned)
-        m->delay = delay_of(k, 1) * (ddmpc_time)ddmpc_max(ddmpc_min((real)best + between, (real)(MONITORED_DELAYS - 1)), R(0.0));
-    else if ((real)best + between < R(0.2))
-        m->delay = 0.0;
+    for (int i = 0; i < 9; i++)
+        P[i / 3][i % 3] = !restart ? P[i / 3][i % 3] - gain[i / 3] * gain[i % 3] * all : i % 4 == 0 ? first[i / 4] : R(0.0);
+    /* Between delays by a parabola, whose curvature tells the deviation: steady motion tells of no delay. */
+    const real *misfit = &m->misfit[best], slope = misfit[-1] - misfit[1], step = (real)delay_of(k, 1);
+    const real curved = ddmpc_max(misfit[-1] - R(2.0) * misfit[0] + misfit[1], R(1e-6));
+    const real delay = ddmpc_max(step * ((real)best + R(0.5) * slope / curved), R(0.0));
+    const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)), deviation = step * ddmpc_sqrt(R(2.0) * scatter / curved);
+    m->sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
+              deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
+    if (m->sure && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
+        m->delay = (ddmpc_time)delay;
+        m->delay_deviation = deviation;
+    }
 }
 
 /* Which sensors have come without a pause since `time`. */
@@ -513,14 +524,11 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
 {
     verdict least;
     int first = 1;
-    real best = m->misfit[0];
     memset(&least, 0, sizeof least);
-    for (int i = 1; i < MONITORED_DELAYS; i++)
-        best = ddmpc_min(best, m->misfit[i]);
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         motions by;
         /* Delays that have been excluded so far explain nothing. */
-        if (m->misfit[i] > best + k->scatter[2] || !compare_late(k, m, from, now, delay_of(k, i), pose, &by))
+        if ((m->sure && ddmpc_fabs((real)(delay_of(k, i) - m->delay)) > (real)delay_of(k, 2)) || !compare_late(k, m, from, now, delay_of(k, i), pose, &by))
             continue;
         const verdict result = weigh(k, m, &by, heard, noise, k->windows[window]);
         if (first)
@@ -628,6 +636,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
     motions half, whole;
     if (heard_since(k, m, now->time) & BY_GYRO)
         follow_course(k, m, now, pose->value, noise[0]);
+    learn_delay(k, m, now, pose->value, noise[1]);
     for (int window = SHORT; window < WINDOWS; window++) {
         const ddmpc_seen_pose *from = seen_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
         motions *by = window == LONG ? &whole : &half;
@@ -683,8 +692,8 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         const int alike = square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
         if (!accused && alive && there == both && alike && result.honest < k->plausible && !m->creeping)
             learn_gains(k, m, by);
-        if (!(accused & BY_POSE) && there & BY_GYRO && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
-            learn_delay(k, m, from, now, pose->value, noise);
+        if (!(accused & BY_POSE) && there & BY_GYRO && m->now.time - m->gyro.changed <= (ddmpc_time)k->silence && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
+            learn_spread(k, m, by, noise[1]);
     }
     /* A reading that repeats itself against the commands, or at the end of its range, is no witness against poses. */
     const int rests = m->now.time - m->gyro.changed > (ddmpc_time)k->silence && ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
@@ -768,10 +777,9 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     }
     if (m->accused & ~before) {
         /* What was made of the delay by a wrong sensor. */
-        memset(m->misfit, 0, sizeof m->misfit);
-        memset(m->turns, 0, sizeof m->turns);
+        m->sure = 0;
         memset(m->spread, 0, sizeof m->spread);
-        m->turned = R(0.0);
+        m->fits = R(0.0);
         m->delay = 0.0;
     }
     if (m->poses == 0 || pose->stamp >= m->next_pose) {
@@ -820,8 +828,7 @@ void ddmpc_monitor_report(ddmpc_controller *c)
     result->repeating = m->repeating & m->accused;
     result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
     result->pose_delay = (real)m->delay;
-    const int late = nearest_delay(c->constants, m);
-    result->reads[0] = m->turned > R(0.0) ? m->turns[late][0] / m->turned : R(0.0);
+    result->reads[0] = m->spread[3] > R(0.0) ? m->spread[5] / m->spread[3] : R(0.0);
     result->reads[1] = ddmpc_fabs(m->went[2]) > R(0.0) ? m->went[1] / m->went[2] : R(0.0);
     result->reads[2] = m->went[4] > R(0.0) ? m->went[5] / m->went[4] : R(0.0);
     result->direction = m->direction;
