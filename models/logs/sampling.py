@@ -133,14 +133,14 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
     """
     place = (signal.time - grid[0]) / dt
     place = np.where(np.abs(place - np.rint(place)) <= tolerance / dt, np.rint(place), place)
-    begin = np.arange(len(grid), dtype=float)
-    first = np.searchsorted(place, begin, side="right") - 1
-    last = np.searchsorted(place, begin + 1.0, side="left") - 1
+    starts = np.arange(len(grid), dtype=float)
+    first = np.searchsorted(place, starts, side="right") - 1
+    last = np.searchsorted(place, starts + 1.0, side="left") - 1
     before = np.vstack(
         [np.zeros(signal.value.shape[1]), np.cumsum(np.diff(place)[:, None] * signal.value[:-1], axis=0)]
     )
-    held = before[last] - before[first] + (begin + 1.0 - place[last])[:, None] * signal.value[last]
-    held -= (begin - place[first])[:, None] * signal.value[first]
+    held = before[last] - before[first] + (starts + 1.0 - place[last])[:, None] * signal.value[last]
+    held -= (starts - place[first])[:, None] * signal.value[first]
     return np.where((first == last)[:, None], signal.value[first], held)
 
 

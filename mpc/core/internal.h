@@ -195,7 +195,6 @@ typedef struct {
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
     real fit[MONITORED_DELAYS][3], fit_covariance[3][3]; /* heading of poses less the gyro's at that delay: offset [rad], bias [rad/s], share of the turn */
     real fits, delay_deviation;     /* fitted poses, older ones count less; standard deviation of the delay below [s] */
-    int sure;                       /* 1 if the fits determine the delay now */
     real spread[6];                 /* weights of turns, times those by poses, by the gyro, both squared, and their product */
     ddmpc_time delay;               /* by which they are later than stamped, as far as motion says so [s] */
     int creeping;                   /* whether poses and gyro begin to differ */

@@ -465,9 +465,9 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const real curved = ddmpc_max(misfit[-1] - R(2.0) * misfit[0] + misfit[1], R(1e-6));
     const real delay = ddmpc_max(step * ((real)best + R(0.5) * slope / curved), R(0.0));
     const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)), deviation = step * ddmpc_sqrt(R(2.0) * scatter / curved);
-    m->sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
-              deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
-    if (m->sure && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
+    const int sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
+                     deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
+    if (sure && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
         m->delay = (ddmpc_time)delay;
         m->delay_deviation = deviation;
     }
@@ -524,11 +524,14 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
 {
     verdict least;
     int first = 1;
+    real best = m->misfit[0];
     memset(&least, 0, sizeof least);
+    for (int i = 1; i < MONITORED_DELAYS; i++)
+        best = ddmpc_min(best, m->misfit[i]);
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         motions by;
         /* Delays that have been excluded so far explain nothing. */
-        if ((m->sure && ddmpc_fabs((real)(delay_of(k, i) - m->delay)) > (real)delay_of(k, 2)) || !compare_late(k, m, from, now, delay_of(k, i), pose, &by))
+        if (m->misfit[i] > best + k->late[5] || !compare_late(k, m, from, now, delay_of(k, i), pose, &by))
             continue;
         const verdict result = weigh(k, m, &by, heard, noise, k->windows[window]);
         if (first)
@@ -777,7 +780,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     }
     if (m->accused & ~before) {
         /* What was made of the delay by a wrong sensor. */
-        m->sure = 0;
+        memset(m->misfit, 0, sizeof m->misfit);
         memset(m->spread, 0, sizeof m->spread);
         m->fits = R(0.0);
         m->delay = 0.0;
