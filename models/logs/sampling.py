@@ -125,23 +125,12 @@ def usual_step(times: list[FloatArray]) -> float:
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
 
 
-def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> FloatArray:
-    """Values (K, width) in force over the samples of `dt` [s] that begin at the times `grid` (K,) [s]: zero-order hold.
+def hold(signal: Signal, grid: FloatArray, tolerance: float) -> FloatArray:
+    """Values (K, width) in force at the times `grid` (K,) [s]: zero-order hold, from the past alone.
 
-    Where a value changes within a sample it is their mean: a command that comes late in its sample acts for less of it.
-    A value within `tolerance` [s] of a grid point belongs to that point. The first value must not be later.
+    A value at most `tolerance` [s] after a grid point belongs to that point. The first value must not be later.
     """
-    place = (signal.time - grid[0]) / dt
-    place = np.where(np.abs(place - np.rint(place)) <= tolerance / dt, np.rint(place), place)
-    starts = np.arange(len(grid), dtype=float)
-    first = np.searchsorted(place, starts, side="right") - 1
-    last = np.searchsorted(place, starts + 1.0, side="left") - 1
-    before = np.vstack(
-        [np.zeros(signal.value.shape[1]), np.cumsum(np.diff(place)[:, None] * signal.value[:-1], axis=0)]
-    )
-    held = before[last] - before[first] + (starts + 1.0 - place[last])[:, None] * signal.value[last]
-    held -= (starts - place[first])[:, None] * signal.value[first]
-    return np.where((first == last)[:, None], signal.value[first], held)
+    return signal.value[np.searchsorted(signal.time, grid + tolerance, side="right") - 1]
 
 
 def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach: float) -> tuple[FloatArray, BoolArray]:
@@ -205,9 +194,9 @@ def resample(
     if count < 1:
         return None
     grid = np.asarray(start + dt * np.arange(count))
-    sampled: dict[str, Any] = {"command": hold(command, grid, dt, tolerance)}
+    sampled: dict[str, Any] = {"command": hold(command, grid, tolerance)}
     if stretch.wheel_commands is not None:
-        sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, dt, tolerance)
+        sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, tolerance)
     for key, signal in stretch.measured.items():
         reach = settings.longest_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)

@@ -22,7 +22,7 @@ SOFT = {
     "wheels": {"limits.wheel_speed": 0.55},
     # A heading that is held more than the path leads the plan to the corridor's side.
     "corridor": {
-        **{"limits.corridor": 0.031, "weights.along": 150.0, "weights.across": 500.0},
+        **{"limits.corridor": 0.030, "weights.along": 150.0, "weights.across": 500.0},
         **{"weights.heading": 28.0, "weights.v": 20.0, "weights.omega": 2.0},
     },
 }
