@@ -117,7 +117,7 @@ def test_finding_is_saved_and_reported_once_with_its_command(gentle, tmp_path):
     findings = lived(7, tmp_path)
     assert len(findings) == 1
     assert 'make fuzz FUZZ="planted --seed 1 --only 4"' in findings[0]
-    ((fuzzer, _), case) = next(iter(saved_findings(tmp_path).items()))
+    (((fuzzer, _), case),) = saved_findings(tmp_path).items()
     assert fuzzer == "planted" and case[-1] == 7
 
 
