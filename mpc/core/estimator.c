@@ -197,9 +197,8 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
     }
 }
 
-/* Forget poses of a delay that was wrong by `change` [s], and the slip and delays learned from them; return the node to
-   filter from. */
-static int relearn(ddmpc_controller *c, real change)
+/* Forget poses of a delay that was wrong by `change` [s], and the slip and delays learned from them. */
+static void relearn(ddmpc_controller *c, real change)
 {
     const int n = STATES(c), Z = BELIEF(c);
     ddmpc_belief *oldest = &node_at(c, 0)->prior, *initial = &newest(c)->posterior;
@@ -212,7 +211,6 @@ static int relearn(ddmpc_controller *c, real change)
     }
     for (int i = 0; i < 3; i++)
         oldest->covariance[(n + POSE(c) + i) * (Z + 1)] += ddmpc_fastest(c->constants, i / 2) * change * ddmpc_fastest(c->constants, i / 2) * change;
-    return 0;
 }
 
 /* Restart the history with one node at `pose`, with all but the pose taken from `motion`. */
@@ -258,8 +256,10 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         disbelieve(c, newly);
         first = 0;
     }
-    if (ddmpc_fabs(change) > c->constants->delay_fit[4])
-        first = relearn(c, change);
+    if (ddmpc_fabs(change) > c->constants->delay_fit[4]) {
+        relearn(c, change);
+        first = 0;
+    }
     for (int i = 0; i < twists; i++) {
         if (unused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;
