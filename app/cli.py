@@ -49,7 +49,6 @@ _COMMANDS = {
     "simulate": CommandEntry("Drive", "drives"),
     "bench": CommandEntry("Drive", "drives"),
     "identify": CommandEntry("Your robot", "robot"),
-    "tune": CommandEntry("Your robot", "robot"),
     "node": CommandEntry("Robot", "node", passed_on=True),
     "sim-robot": CommandEntry("Robot", "ros", "robot", passed_on=True),
     "doctor": CommandEntry("Robot", "ros"),

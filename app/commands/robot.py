@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.command_line.echo import echo
-from diffdrive_mpc.app.command_line.options import Jobs, file_option, out_folder, out_option
+from diffdrive_mpc.app.command_line.options import out_folder
 from diffdrive_mpc.app.commands.options import Mapping, RobotName
 
 IDENTIFY_EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
@@ -86,36 +85,3 @@ def identify(
         packages=packages,
         force=force,
     )
-
-
-# `diffdrive-mpc tune`: search over the configuration of a controller, and comparison on other seeds.
-
-
-TUNE_EXAMPLE = "Example: diffdrive-mpc tune ssm --out tuned"
-
-
-def tune(
-    config: Annotated[
-        str,
-        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm."),
-    ],
-    *,
-    out: Annotated[Path, out_option("config.yaml, tune.md and figures/")],
-    plan: Annotated[Path | None, file_option("Plan", "--plan")] = None,
-    plant: Annotated[
-        str | None,
-        typer.Option(help="mujoco:ROBOT, model:NAME, or the file of a robot or twin.", show_default="from the plan"),
-    ] = None,
-    points: Annotated[
-        int | None, typer.Option(min=2, help="Configurations to try.", show_default="from the plan")
-    ] = None,
-    jobs: Jobs = None,
-) -> None:
-    """Search for weights, horizon, noises and limits with a small position error, and compare on other seeds.
-
-    If no point is better on these seeds, config.yaml holds the start configuration, and the report says so.
-    """
-    from diffdrive_mpc.app.tune.study import tune as tuned  # noqa: PLC0415 - --help does without it
-
-    result = tuned(config, out, plan=plan, plant=plant, points=points, jobs=jobs)
-    echo(f"{result.sentence}; configuration in {result.config_path}")

@@ -76,7 +76,7 @@ def completed(words: str, shell: str = "bash") -> list[str]:
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("tun", {"tune"}),
+        ("simul", {"simulate"}),
         ("models s", {"show"}),
         ("simulate --traj", {"--trajectory"}),
     ],

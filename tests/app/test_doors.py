@@ -100,7 +100,6 @@ YAML = {
     "sensors": "simulate --sensors FILE",
     "scenario": "simulate --scenario FILE",
     "mapping": "identify LOG --mapping FILE --out OUT",
-    "plan of a search": "tune ssm --plan FILE --out OUT",
 }
 
 

@@ -14,7 +14,7 @@ from fuzz import odd
 from fuzz.case import Case, FaultError, HangError
 
 # These run for minutes or until interrupted, or belong to packages: only their options are parsed, with an unknown one.
-_LONG = {"bench", "doctor", "node", "sim-robot", "tune", *plug_in_names("commands")}
+_LONG = {"bench", "doctor", "node", "sim-robot", *plug_in_names("commands")}
 _CODES = {0, 1, 2}
 _FOR = 8.0
 FILES = ("own.csv", "mapped.csv", "mapping.yaml", "own.mcap", "bag", "short.yaml")

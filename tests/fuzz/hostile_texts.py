@@ -141,7 +141,7 @@ def _changed(door: str, random: Random) -> str:
     return str(yaml.safe_dump(tree))
 
 
-_DOORS = ("controller", "model", "trajectory", "mapping", "stated-robot", "scenario", "experiment", "tune")
+_DOORS = ("controller", "model", "trajectory", "mapping", "stated-robot", "scenario", "experiment")
 TEXTS: dict[str, Maker] = {
     **{
         f"{_DOORS[(i + k) % len(_DOORS)]}: YAML {name}": partial(written, "file.yaml", make)

@@ -15,7 +15,6 @@ import yaml
 
 from diffdrive_mpc import Controller, VelocityModel, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.app.schemas import PACKAGE
-from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.stated_robot import load_stated_robot
@@ -30,7 +29,6 @@ from fuzz.promises import refused_or
 
 _SEEDS = {
     "base": "sim/ros/base.yaml",
-    "tune": "app/tune/default.yaml",
     "experiment": "../../studies/tracking/quick.yaml",
 }
 """Shipped files that are changed for kinds whose names no shell completes."""
@@ -126,6 +124,5 @@ DOORS: dict[str, Callable[[Path], object]] = {
     "sensors": lambda path: _plant("mujoco", sensors=path),
     "scenario": lambda path: (load_scenario(path), _plant("mujoco", scenario=path)),
     "experiment": load_experiment,
-    "tune": load_plan,
     "base": load_base_settings,
 }

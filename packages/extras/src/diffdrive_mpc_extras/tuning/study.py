@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 from pandas import DataFrame
 
-from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint, Values, best_of, failed
-from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, KeyFigure, Series, Shown, Warned
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -25,6 +23,8 @@ from diffdrive_mpc.models.whole_file import check_not_read, whole_file
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.rooms import plain_key
+from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint, Values, best_of, failed
+from diffdrive_mpc_extras.tuning.tune_file import TunePlan, load_plan
 
 CONFIG = "config.yaml"
 _OTHER_FIGURES = ("lateral_max_m", "heading_rmse_rad", "iterations_mean", "fallbacks")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffdrive_mpc.app.tune.tune_file import TunePlan
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.sweep import sweep
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -19,6 +18,7 @@ from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.rooms import plain_key
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc_extras.tuning.tune_file import TunePlan
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -140,6 +140,6 @@ def import_optuna() -> Any:  # noqa: ANN401 - a module
     try:
         import optuna  # noqa: PLC0415 - optional
     except ImportError as error:
-        raise MissingPackageError("tune needs Optuna: pip install diffdrive-mpc[tune]") from error
+        raise MissingPackageError("tune needs Optuna: pip install 'diffdrive-mpc-extras[tune]'") from error
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna

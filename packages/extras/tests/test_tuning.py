@@ -12,10 +12,10 @@ from opened_report import content_of
 
 from commands import call
 from diffdrive_mpc import load_config
-from diffdrive_mpc.app.tune.search import ConfigurationSearch, TunePoint
-from diffdrive_mpc.app.tune.study import Comparison, TuningOutcome, tune
-from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint
+from diffdrive_mpc_extras.tuning.study import Comparison, TuningOutcome, tune
+from diffdrive_mpc_extras.tuning.tune_file import load_plan
 
 
 @pytest.fixture(scope="module")
