@@ -16,6 +16,10 @@ _HONEST = 0.1
 """By which what a sound sensor reads differs from what poses say [-]."""
 _ASIDE = 15.0
 """Angle between way and heading that no side-slip explains [deg]."""
+_BOTH = 0.35
+"""Ratio above which both wheels read the same way round [-]."""
+_SCALES = {"yaw rate": "sensors.yaw_rate.scale (57.3 for degrees)", "wheel speed": "sensors.wheels.scale"}
+"""Settings that undo a wrong unit."""
 
 
 class MessageFormatter:
@@ -146,7 +150,8 @@ class MessageFormatter:
                 repeats = c.repeating >> subject & 1
                 why = "it repeats itself, and " if repeats else ""
                 words.append(
-                    f"{name} not used: {why}the other sensors contradict it{'' if repeats else _wiring(name, c)}"
+                    f"{name} not used: {why}the other sensors contradict it"
+                    f"{'' if repeats else _wiring(name, c, unreal=bool(c.unreal >> subject & 1))}"
                 )
         if c.reasons & lib.DDMPC_POSES_SCATTER:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
@@ -190,10 +195,12 @@ class MessageFormatter:
         return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
 
 
-def _wiring(name: str, c: Any) -> str:  # noqa: ANN401
+def _wiring(name: str, c: Any, *, unreal: bool) -> str:  # noqa: ANN401
     """Return how a sensor seems to be built in, if not as configured, and the remedy; empty where nothing fits."""
     turn, way, rolled = (float(ratio) for ratio in c.reads)
     off = math.degrees(c.direction)
+    if unreal:
+        return f"; many of its readings are more than this robot moves: mend its unit, or set {_SCALES[name]}"
     if name == "yaw rate" and turn and abs(turn) < _HONEST:
         return "; it does not turn while poses do: mend its axis, or its unit"
     if name == "yaw rate" and turn and abs(turn - 1) > _HONEST:
@@ -202,11 +209,16 @@ def _wiring(name: str, c: Any) -> str:  # noqa: ANN401
             remedies.append(f"sensors.yaw_rate.scale: {abs(turn):.2f}")
         return f"; it turns {turn:.2f} times as far as poses: set {' and '.join(remedies)}, or mend its axis"
     if name == "wheel speed" and (abs(way - 1) > _HONEST or rolled < 0):
+        signs = {"sign": way, "turn_sign": rolled}
+        stated = " and ".join(f"sensors.wheels.{key}: -1" for key, ratio in signs.items() if ratio < 0)
         wired = "exchange their sides, or mend their signs"
-        remedy = wired if min(way, rolled) < 0 else "mend ticks and radius, or set sensors.wheels.scale"
+        if stated and min(abs(way), abs(rolled)) > _BOTH:
+            wired += f", or set {stated}"
+        remedy = wired if stated or way < _BOTH else "mend ticks and radius, or set sensors.wheels.scale"
         return f"; wheels go {way:.2f} and turn {rolled:.2f} times as far as poses: {remedy}"
     if name == "pose" and abs(off) > _ASIDE:
-        return f"; they move at {off:.0f} deg to their own heading: turn or mirror their frame"
+        heading = f"set sensors.pose.heading: {-c.direction:.2f}"
+        return f"; they move at {off:.0f} deg to their own heading: {heading} if that is so everywhere, or mirror their frame"
     return ""
 
 

@@ -293,6 +293,7 @@ typedef struct {
     int notes; /* measurements that were rejected */
     ddmpc_note note[DDMPC_NOTES];
     int repeating;      /* accused sensors that repeat themselves, as bits 1 << ddmpc_subject */
+    int unreal;         /* those that give readings that no robot has */
     real pose_scatter;  /* of poses over what they state, see DDMPC_POSES_SCATTER [-] */
     real pose_delay;    /* by which poses are later than stamped, see DDMPC_POSES_LATE [s] */
     real pose_interval; /* between the stamps of accepted poses, see DDMPC_POSES_RARE [s] */

@@ -209,7 +209,7 @@ typedef struct {
                                        poses, squared, and times those by wheels [rad^2] */
     int contradictions[3];          /* in a row, by subject */
     ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
-    int accused, repeating;         /* bits 1 << subject */
+    int accused, repeating, unreal; /* bits 1 << subject */
 } ddmpc_monitor;
 
 /* Response of a linear model to a plan; see the fields of ddmpc_constants with these names. */

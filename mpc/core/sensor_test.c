@@ -77,6 +77,12 @@ void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible)
     *count = c->constants->impossible[1] * *count + (real)impossible;
 }
 
+/* Whether a sensor of late gives readings that no robot has: then its others are wrong, too. */
+static int is_impossible(const ddmpc_controller *c, int subject)
+{
+    return c->monitor.impossible[subject] > c->constants->impossible[0];
+}
+
 int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
@@ -93,9 +99,8 @@ int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
     const int gyro_repeats = t - m->gyro.heard <= silence && t - m->gyro.changed > silence;
     /* Wheels that turn as they are told, and a gyro that says the opposite all along. */
     const int gyro_opposes = m->turning[1] > k->gyro[ABSOLUTE] && m->turning[0] < R(-0.5) * m->turning[1];
-    const int no_wheels = m->impossible[0] > k->impossible[0], no_gyro = m->impossible[1] > k->impossible[0];
-    return ((wheels && wheels_repeat) || no_wheels ? BY_WHEELS : 0) |
-           ((gyro && gyro_repeats) || gyro_opposes || no_gyro ? BY_GYRO : 0);
+    return ((wheels && wheels_repeat) || is_impossible(c, DDMPC_OF_WHEELS) ? BY_WHEELS : 0) |
+           ((gyro && gyro_repeats) || gyro_opposes || is_impossible(c, DDMPC_OF_YAW_RATE) ? BY_GYRO : 0);
 }
 
 /* Count a sum from nought again, wherever it is kept. */
@@ -430,7 +435,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const real left = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)), own = R(0.5) * square(noise) + square(k->delay_fit[3]);
     real off[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
     ddmpc_motion then;
-    const int silent = m->now.time - m->gyro.changed > (ddmpc_time)k->silence;
+    const int silent = m->now.time - m->gyro.changed > (ddmpc_time)k->silence || m->unreal & BY_GYRO;
     if (silent || (m->accused & BY_POSE) || !motion_at(m, now->time - (ddmpc_time)k->latest, &then))
         return;
     for (int j = 0; j < 3; j++)
@@ -695,7 +700,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         const int alike = square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
         if (!accused && alive && there == both && alike && result.honest < k->plausible && !m->creeping)
             learn_gains(k, m, by);
-        if (!(accused & BY_POSE) && there & BY_GYRO && m->now.time - m->gyro.changed <= (ddmpc_time)k->silence && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
+        if (!((accused & BY_POSE) | (m->unreal & BY_GYRO)) && there & BY_GYRO && m->now.time - m->gyro.changed <= (ddmpc_time)k->silence && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
             learn_spread(k, m, by, noise[1]);
     }
     /* A reading that repeats itself against the commands, or at the end of its range, is no witness against poses. */
@@ -733,10 +738,11 @@ static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreein
             m->accused |= bit;
         } else {
             m->contradictions[i] = 0;
-            if ((m->accused & agreeing & bit) && !repeats[i])
+            if ((m->accused & agreeing & bit) && !repeats[i] && !is_impossible(c, i))
                 m->agreed[i] += passed;
             if (m->agreed[i] >= (ddmpc_time)k->monitor_trust) {
                 m->accused &= ~bit;
+                m->unreal &= ~bit;
                 m->agreed[i] = 0.0;
             }
         }
@@ -773,6 +779,10 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     } else {
         m->frozen = now;
     }
+    for (int i = 0; i < DDMPC_OF_POSE; i++)
+        if (is_impossible(c, i))
+            m->unreal |= 1 << i;
+    m->accused |= m->unreal;
     if (frozen) {
         m->accused |= BY_POSE;
         m->repeating |= BY_POSE;
@@ -829,6 +839,7 @@ void ddmpc_monitor_report(ddmpc_controller *c)
     const real wheels = quotient(m->wheels_by_model) / ratio, body = quotient(m->body_by_wheels) * ratio;
     result->reasons |= (unsigned int)m->accused * DDMPC_WHEELS_ACCUSED;
     result->repeating = m->repeating & m->accused;
+    result->unreal = m->unreal;
     result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
     result->pose_delay = (real)m->delay;
     result->reads[0] = m->spread[3] > R(0.0) ? m->spread[5] / m->spread[3] : R(0.0);

@@ -387,7 +387,7 @@ static void clear(ddmpc_result *result)
     result->solver = not_run;
     result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;
-    result->notes = result->repeating = 0;
+    result->notes = result->repeating = result->unreal = 0;
     result->has_estimate = result->has_plan = 0;
 }
 
