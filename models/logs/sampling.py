@@ -125,12 +125,22 @@ def usual_step(times: list[FloatArray]) -> float:
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
 
 
-def hold(signal: Signal, grid: FloatArray, tolerance: float) -> FloatArray:
-    """Values (K, width) in force at the times `grid` (K,) [s]: zero-order hold, from the past alone.
+def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> FloatArray:
+    """Values (K, width) in force over the samples of `dt` [s] that begin at the times `grid` (K,) [s]: zero-order hold.
 
-    A value at most `tolerance` [s] after a grid point belongs to that point. The first value must not be later.
+    Where a value changes within a sample it is their mean: a command that comes late in its sample acts for less of it.
+    A value within `tolerance` [s] of a grid point belongs to that point. The first value must not be later.
     """
-    return signal.value[np.searchsorted(signal.time, grid + tolerance, side="right") - 1]
+    # Only changes count, so that a value that is sent again leaves the rest to the bit.
+    changes = np.concatenate([[True], (np.diff(signal.value, axis=0) != 0).any(axis=1)])
+    value, place = signal.value[changes], (signal.time[changes] - grid[0]) / dt
+    place = np.where(np.abs(place - np.rint(place)) <= tolerance / dt, np.rint(place), place)
+    begin = np.arange(len(grid), dtype=float)
+    first, last = np.searchsorted(place, begin, side="right") - 1, np.searchsorted(place, begin + 1.0, side="left") - 1
+    passed = np.vstack([np.zeros(value.shape[1]), np.cumsum(np.diff(place)[:, None] * value[:-1], axis=0)])
+    held = passed[last] - passed[first] + (begin + 1.0 - place[last])[:, None] * value[last]
+    held -= (begin - place[first])[:, None] * value[first]
+    return np.where((first == last)[:, None], value[first], held)
 
 
 def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach: float) -> tuple[FloatArray, BoolArray]:
@@ -194,9 +204,9 @@ def resample(
     if count < 1:
         return None
     grid = np.asarray(start + dt * np.arange(count))
-    sampled: dict[str, Any] = {"command": hold(command, grid, tolerance)}
+    sampled: dict[str, Any] = {"command": hold(command, grid, dt, tolerance)}
     if stretch.wheel_commands is not None:
-        sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, tolerance)
+        sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, dt, tolerance)
     for key, signal in stretch.measured.items():
         reach = settings.longest_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)

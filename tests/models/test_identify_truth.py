@@ -8,7 +8,9 @@ import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
 
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.logs.sampling import RawStretch, Signal, resample
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.statistics import effective_samples, long_run_covariance
 from diffdrive_mpc.models.output_error.validation import validate
@@ -239,3 +241,22 @@ def test_one_wild_reading_in_a_hundred_costs_nothing(size, tmp_path):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_sound_drive_has_none(seed, tmp_path):
     assert as_read(noisy_drive(SPIKED, seed), tmp_path)[1] == []
+
+
+def test_commands_that_come_at_uneven_times_do_not_shorten_the_dead_time():
+    """20 Hz with 8 ms of jitter: the command in force at each grid point alone would miss 16 ms."""
+    period, fine, seconds, random = 0.05, 0.001, 80.0, np.random.default_rng(0)
+    count = int(seconds / period)
+    sent, read = period * np.arange(count) + np.clip(random.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
+    commands, grid = set_points(1, count, (0.8, 1.5), 12), np.arange(0, seconds + 1, fine)
+    twist = SM.discretise(fine).simulate(commands[np.clip(np.searchsorted(sent, grid, side="right") - 1, 0, None)])
+    seen = twist[np.searchsorted(grid, read)] + random.normal(0, (0.01, 0.03), (count, 2))
+    signals = {"twist": Signal(read, seen), "yaw_rate": Signal(read, seen[:, 1:])}
+    even = resample("log", RawStretch(sent, Signal(sent, commands), signals), 0.0, seconds, period, check_settings())
+    parameters = identify_sm([even], limits=False).parameters
+    for channel in ("v", "omega"):
+        late = [
+            read(f"{channel}.dead_time") + 2 * read(f"{channel}.damping") / read(f"{channel}.natural_frequency")
+            for read in (parameters.value, SM_TRUTH.get)
+        ]
+        assert late[0] == pytest.approx(late[1], abs=0.005)
