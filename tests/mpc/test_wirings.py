@@ -18,15 +18,15 @@ RESERVED = 9100
 """First of the seeds of drawn robots that no number was chosen on."""
 KINDS = {
     "reversed": r"(times as far as poses: set sensors.yaw_rate.sign: -1|exchange their sides, or mend their signs)",
-    "scaled": r"(rejected: \S+ is more than|it turns \d|it does not turn|it repeats itself|mend ticks and radius)",
-    "turned": r"they move at -?\d+ deg to their own heading",
+    "scaled": r"(set sensors.yaw_rate.scale|it does not turn|it repeats itself|set sensors.wheels.scale)",
+    "turned": r"set sensors.pose.heading: -?\d",
     "mirrored": "",
 }
 
 
 def named_sensors(message):
     """Return the sensors that a message gives up, refuses or calls late."""
-    named = set(re.findall(r"(wheel speed|yaw rate|pose) (?:not used|rejected: \S+ is more than)", message))
+    named = set(re.findall(r"(wheel speed|yaw rate|pose) not used", message))
     return named | ({"late"} if "later than their stamps" in message else set())
 
 
