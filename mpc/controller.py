@@ -42,6 +42,7 @@ from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
+from diffdrive_mpc.mpc.solver.quadratic_program import QuadraticProgram, quadratic_program
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
@@ -118,7 +119,7 @@ class Controller:
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
-        self._kinds, self._room = HARD_KINDS + sizes["soft"], sizes["pressing"]
+        self._kinds, self._room, self._soft_names = HARD_KINDS + sizes["soft"], sizes["pressing"], problem.soft_names
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
@@ -214,6 +215,18 @@ class Controller:
     def program(self) -> Program:
         """The quadratic program of the last tick that came as far as one; it shares the core's memory."""
         return self._program
+
+    def quadratic_program(self) -> QuadraticProgram:
+        """Return a copy of the last tick's program with all limits, for OSQP and other QP solvers.
+
+        Raises
+        ------
+        RuntimeError
+            If no tick has stated one yet.
+        """
+        if not self._program.H.any():
+            raise RuntimeError("no tick has stated a program yet: call start and step first")
+        return quadratic_program(self._program, self._config.weights, self._soft_names)
 
     @property
     def reference(self) -> Reference | None:

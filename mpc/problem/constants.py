@@ -104,6 +104,14 @@ class Problem:
         return self._turns + self._command_turns
 
     @property
+    def soft_names(self) -> tuple[str, ...]:
+        """Names of the kinds of soft limit in their order; `left` and `right` are wheels."""
+        turns = [f"{name} {side}" for name in ("turn", "commanded turn") for side in ("left", "right")]
+        given = turns[: self._turns] + turns[2 : 2 + self._command_turns]
+        of_terms = [f"{term.name}.{row}" for term in self.terms if term.soft for row in range(term.rows)]
+        return (*SHIPPED_SOFT, *given, *of_terms)
+
+    @property
     def curved(self) -> bool:
         """Whether the configuration sets or estimates curved slip, which makes the twist non-affine."""
         s = self.config.estimator
@@ -125,7 +133,7 @@ class Problem:
             "lag_v": lag_v,
             "lag_omega": lag_omega,
             "residuals": sum(term.rows for term in terms if not term.soft),
-            "soft": len(SHIPPED_SOFT) + self._all_turns + sum(term.rows for term in terms if term.soft),
+            "soft": len(self.soft_names),
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),

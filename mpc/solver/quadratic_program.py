@@ -1,0 +1,77 @@
+"""A tick's problem in the form that QP solvers take: minimise x'Px/2 + q'x subject to l <= A x <= u."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
+from diffdrive_mpc.mpc.solver.backend import Program
+
+_HARD_NAMES = ("v", "omega", "v_increment", "omega_increment")
+
+
+class QuadraticProgram(NamedTuple):
+    """Minimise x'Px/2 + q'x subject to l <= A x <= u.
+
+    The first 2 N variables are the commands v [m/s], omega [rad/s], step by step. Slacks follow: what a value with a
+    soft limit exceeds its upper limit by (`over`), then its lower one (`under`).
+
+    Attributes
+    ----------
+    P, q
+        (n, n) symmetric, (n,).
+    A
+        (m, n).
+    l, u
+        (m,) bounds, infinite where there is none. Increments of the first step count from zero: the command before is
+        part of their bounds. Soft limits are those of the values along the plan less what they are at a plan of zeros.
+    variables, rows
+        (n,), (m,) names, such as `v[3]` and `soft omega[3]`; the number is the step.
+    """
+
+    P: sparse.csc_matrix
+    q: FloatArray
+    A: sparse.csc_matrix
+    l: FloatArray
+    u: FloatArray
+    variables: tuple[str, ...]
+    rows: tuple[str, ...]
+
+
+def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[str]) -> QuadraticProgram:
+    """Copy the program of a tick with all of its limits.
+
+    Parameters
+    ----------
+    program
+        Of the controller.
+    weights
+        Prices of slacks.
+    soft_names
+        (kinds - 4,) names of the kinds of soft limit.
+    """
+    steps, n = len(program.feed_forward), len(program.g)
+    channels = [sparse.identity(n, format="csr")[i::2] for i in (0, 1)]
+    difference = sparse.identity(steps) - sparse.eye(steps, k=-1)
+    hard = sparse.vstack([*channels, *(difference @ channel for channel in channels)])
+    soft = np.concatenate([program.rows(HARD + kind) for kind in range(len(soft_names))])
+    slack, upper = sparse.identity(len(soft)), np.triu(program.H)
+    price = weights.soft_quadratic * sparse.identity(2 * len(soft))
+    kinds = [*_HARD_NAMES, *(f"soft {name}" for name in soft_names)]
+    values = [f"{kind}[{step}]" for kind in kinds for step in range(steps)]
+    slacks = [f"{side} {value}" for side in ("over", "under") for value in values[HARD * steps :]]
+    return QuadraticProgram(
+        P=sparse.block_diag([upper + np.triu(upper, 1).T, price], format="csc"),
+        q=np.concatenate([program.g, np.full(2 * len(soft), weights.soft)]),
+        A=sparse.bmat([[hard, None, None], [soft, -slack, slack], [None, slack, None], [None, None, slack]], "csc"),
+        l=np.concatenate([program.lower.reshape(-1), np.zeros(2 * len(soft))]),
+        u=np.concatenate([program.upper.reshape(-1), np.full(2 * len(soft), np.inf)]),
+        variables=(*(f"{channel}[{step}]" for step in range(steps) for channel in _HARD_NAMES[:2]), *slacks),
+        rows=(*values, *slacks),
+    )
