@@ -214,7 +214,9 @@ def _wiring(name: str, c: Any, *, unreal: bool) -> str:  # noqa: ANN401
         wired = "exchange their sides, or mend their signs"
         if stated and min(abs(way), abs(rolled)) > _BOTH:
             wired += f", or set {stated}"
-        remedy = wired if stated or way < _BOTH else "mend ticks and radius, or set sensors.wheels.scale"
+        alike = abs(rolled - way) < _BOTH * abs(way)
+        scale = f", or set sensors.wheels.scale: {way:.2f}" if alike else " of each side"
+        remedy = wired if stated or way < _BOTH else f"mend ticks and radius{scale}"
         return f"; wheels go {way:.2f} and turn {rolled:.2f} times as far as poses: {remedy}"
     if name == "pose" and abs(off) > _ASIDE:
         heading = f"set sensors.pose.heading: {-c.direction:.2f}"

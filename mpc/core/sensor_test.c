@@ -473,6 +473,9 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const int sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
                      deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
     if (sure && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
+        /* The gyro's factor came from windows that did not belong together. */
+        if (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation)
+            memset(m->spread, 0, sizeof m->spread);
         m->delay = (ddmpc_time)delay;
         m->delay_deviation = deviation;
     }
