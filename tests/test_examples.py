@@ -90,9 +90,9 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
 
 
 def test_solve_with_osqp(tmp_path):
-    said = run("solve_with_osqp.py", tmp_path)
-    assert float(re.search(r"commands: (\S+)", said)[1]) < 1e-6
-    assert re.search(r"press: omega_increment\[0\], (?!over)", said)
+    printed = run("solve_with_osqp.py", tmp_path)
+    assert float(re.search(r"commands: (\S+)", printed)[1]) < 1e-6
+    assert re.search(r"press: omega_increment\[0\], (?!over)", printed)
 
 
 def test_own_cost(tmp_path):

@@ -140,7 +140,7 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
     passed = np.vstack([np.zeros(value.shape[1]), np.cumsum(np.diff(place)[:, None] * value[:-1], axis=0)])
     held = passed[last] - passed[first] + (begin + 1.0 - place[last])[:, None] * value[last]
     held -= (begin - place[first])[:, None] * value[first]
-    return np.where((first == last)[:, None], value[first], held)
+    return np.asarray(np.where((first == last)[:, None], value[first], held))
 
 
 def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach: float) -> tuple[FloatArray, BoolArray]:
