@@ -219,8 +219,8 @@ def _wiring(name: str, c: Any, *, unreal: bool) -> str:  # noqa: ANN401
         remedy = wired if stated or way < _BOTH else f"mend ticks and radius{scale}"
         return f"; wheels go {way:.2f} and turn {rolled:.2f} times as far as poses: {remedy}"
     if name == "pose" and abs(off) > _ASIDE:
-        heading = f"set sensors.pose.heading: {-c.direction:.2f}"
-        return f"; they move at {off:.0f} deg to their own heading: {heading} if that is so everywhere, or mirror their frame"
+        heading = f"set sensors.pose.heading: {-c.direction:.2f} if that is so everywhere"
+        return f"; they move at {off:.0f} deg to their own heading: {heading}, or mirror their frame"
     return ""
 
 

@@ -38,7 +38,7 @@ class QuadraticProgram(NamedTuple):
     P: sparse.csc_matrix
     q: FloatArray
     A: sparse.csc_matrix
-    l: FloatArray
+    l: FloatArray  # noqa: E741 - its name in every QP solver
     u: FloatArray
     variables: tuple[str, ...]
     rows: tuple[str, ...]
