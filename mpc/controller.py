@@ -90,6 +90,8 @@ class Controller:
         is not added to it.
     terms
         Cost terms and soft limits in addition to those that the configuration names, see `mpc.problem.terms`.
+    overrides
+        Values of the configuration, such as ``horizon=20``; dotted keys as ``**{"weights.across": 200.0}``.
 
     Raises
     ------
@@ -106,8 +108,9 @@ class Controller:
         config: ControllerConfig | str | Path | Mapping[str, object],
         model: VelocityModel | NonlinearModel | str | Path | None = None,
         terms: Sequence[Term] = (),
+        **overrides: object,
     ) -> None:
-        config, terms = prepared(load_config(config)), checked_terms(terms)
+        config, terms = prepared(load_config(config, overrides)), checked_terms(terms)
         self._given = model, terms
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))

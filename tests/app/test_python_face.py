@@ -62,6 +62,13 @@ def test_a_controller_takes_what_load_config_takes(config):
     assert Controller(config).config.model == "ssm"
 
 
+def test_keywords_replace_values_of_the_configuration():
+    config = Controller("ssm", horizon=20, **{"weights.across": 200.0}).config
+    assert (config.horizon, config.weights.across) == (20, 200.0)
+    with pytest.raises(ConfigError, match="unknown key 'horizn'; did you mean 'horizon'"):
+        Controller("ssm", horizn=20)
+
+
 def test_a_start_at_speed_is_told_and_one_from_rest_is_not(controller):
     t = np.linspace(0.0, 0.5, 30)
     with pytest.warns(UserWarning, match="reference 'arrays' starts at 0.85 m/s and 0 rad/s, the robot at rest: "):
