@@ -69,6 +69,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     made = typer.Typer(
         cls=Commands,
         no_args_is_help=True,
+        # Rich would take units such as [m] for markup.
+        rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
         help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )

@@ -215,6 +215,11 @@ class ReadOnlyArrays:
         for name, value in state.items():
             vars(self)[name] = _locked(value) if isinstance(value, np.ndarray) else value
 
+    def __repr__(self) -> str:
+        """Return names and shapes of the arrays, not their numbers."""
+        shapes = [f"{name} {value.shape}" for name, value in vars(self).items() if isinstance(value, np.ndarray)]
+        return f"{type(self).__name__}: {', '.join(shapes)}"
+
 
 def _locked(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     view = array.view()

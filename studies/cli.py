@@ -28,6 +28,7 @@ class Studies(OneLineErrors):
 app = typer.Typer(
     cls=Studies,
     no_args_is_help=True,
+    rich_markup_mode=None,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Repeat a study: the evidence for this project's own claims.",

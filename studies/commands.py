@@ -195,7 +195,9 @@ STUDIES: dict[str, Callable[..., None]] = {
 
 
 shipped_models_app = typer.Typer(
-    no_args_is_help=True, help="Find the shipped models and the simulated robot's firmware again."
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Find the shipped models and the simulated robot's firmware again.",
 )
 
 

@@ -54,11 +54,7 @@ class OneLineErrors(TyperGroup):
         """Begin to parse; commands of this group take `--trajectory` and `--trajectories` for each other."""
         return super().make_context(*args, token_normalize_func=_singular, **kwargs)
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - of a class that typer hides
-        """Write the overview without Rich, which takes longer to load than all else that the overview needs."""
-        super(TyperGroup, self).format_help(ctx, formatter)
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - see above
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - of classes that typer hides
         """List the commands under their panels."""
         panels: dict[str, list[tuple[str, str]]] = {}
         for name in self.list_commands(ctx):
@@ -101,7 +97,9 @@ class OneLineErrors(TyperGroup):
             if type(error).__name__ == "NoArgsIsHelpError":
                 echo(error.format_message())
             else:
-                _complain(f"{error.format_message().rstrip('.')}; see --help")
+                complaint = error.format_message().rstrip(".")
+                remedy = "a value goes after its option, as in --model ssm; " if "extra argument" in complaint else ""
+                _complain(f"{complaint}; {remedy}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
             _complain("aborted")

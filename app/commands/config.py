@@ -10,7 +10,9 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.commands.options import RobotName
 
-config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain controller configurations.")
+config_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Show, check and explain controller configurations."
+)
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config show ssm > my_robot.yaml")

@@ -12,7 +12,9 @@ from diffdrive_mpc.app.command_line.groups import PackagedGroup
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
 from diffdrive_mpc.app.commands.options import ConfigFile, Mapping, Settings, TrustedFolders
 
-log_app = typer.Typer(cls=PackagedGroup, no_args_is_help=True, help="Check and replay logs of drives.")
+log_app = typer.Typer(
+    cls=PackagedGroup, no_args_is_help=True, rich_markup_mode=None, help="Check and replay logs of drives."
+)
 
 
 @log_app.callback()

@@ -9,7 +9,9 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import PackagedGroup
 
-models_app = typer.Typer(cls=PackagedGroup, no_args_is_help=True, help="List, show and check velocity models.")
+models_app = typer.Typer(
+    cls=PackagedGroup, no_args_is_help=True, rich_markup_mode=None, help="List, show and check velocity models."
+)
 
 
 @models_app.command("list", epilog="Example: diffdrive-mpc models list")

@@ -33,7 +33,7 @@ def metric_settings() -> MetricSettings:
     return load_checked(MetricSettings, Path(__file__).parent / "metrics.yaml")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrackingErrors(ReadOnlyArrays):
     """Error series over the n ticks of a run.
 

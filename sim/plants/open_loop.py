@@ -103,7 +103,7 @@ def random_commands(
     return np.asarray((total[window:] - total[:-window]) / window)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OpenLoopDrive(ReadOnlyArrays):
     """An open-loop drive, K samples. Row k was measured at `time[k]`, just before `command[k]` was sent.
 

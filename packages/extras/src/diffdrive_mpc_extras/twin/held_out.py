@@ -169,7 +169,7 @@ def _offset(model: Identified, runs: Sequence[SampledExperiment]) -> float:
     return float(np.clip(np.mean(np.concatenate(left)), low, high))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HeldOutPrediction(ReadOnlyArrays):
     """What one of them says of one record.
 
