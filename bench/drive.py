@@ -13,7 +13,6 @@ from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.models.table import escaped
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
-from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.sim import loop
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.names import PHYSICS
@@ -55,7 +54,7 @@ def simulate(
     Returns
     -------
     Run
-        See `sim.loop.simulate`. A warning says where the reference starts faster than the robot can from rest.
+        See `sim.loop.simulate`. A warning says where the reference asks for more than the robot has.
 
     Raises
     ------
@@ -77,8 +76,8 @@ def simulate(
     if isinstance(reference, (str, Path)):
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
-    if config and (message := starts_beyond_slew(reference, config.limits, config.sample_time)):
-        warnings.warn(escaped(message), stacklevel=2)
+    if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):  # type: ignore[arg-type]
+        warnings.warn(escaped(str(shortfall)), stacklevel=2)
     # The arguments are what they should be: checked above.
     return loop.simulate(
         controller,

@@ -44,6 +44,7 @@ from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.mpc.trajectories.feasibility import Shortfall, find_shortfall
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
 
@@ -343,6 +344,13 @@ class Controller:
             reference = load_trajectory(reference, self._config)
         self._check(reference, t0)
         return reference
+
+    def find_shortfall(self, reference: Reference) -> Shortfall | None:
+        """Return where `reference` takes the robot beyond limits or model, and what would do; None if nowhere.
+
+        A warning only: `start` refuses nothing for it. See `mpc.trajectories.feasibility`.
+        """
+        return find_shortfall(reference, self._config, self.model)
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):

@@ -149,6 +149,8 @@ class ControlLoop:
         Any other anomaly around the loop, for diagnostics.
     refusal
         Why the last reference or goal was refused, for diagnostics; empty once one is accepted.
+    shortfall
+        Where the last accepted reference asks for more than the robot has, in words; empty: nowhere.
     blocked
         Whether it paused because the robot was blocked.
     """
@@ -188,6 +190,7 @@ class ControlLoop:
         # A newly activated node counts as reset.
         self._was_reset = True
         self.last: LoopTick | None = None
+        self.shortfall = "" if trajectory is None else self._shortfall_of(trajectory)
 
     @property
     def reference(self) -> Reference | None:
@@ -216,6 +219,7 @@ class ControlLoop:
             placement.motion()
         # It states its frame, so it stays where it is.
         self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
+        self.shortfall = self._shortfall_of(reference)
         if self.state is LoopState.DRIVING:
             self._next = self._set_aside = None
             self._start_controller(reference, self.inbox.now)
@@ -241,7 +245,7 @@ class ControlLoop:
         if missing:
             raise RefusedError(missing)
         self._check_speeds(reference)
-        self._next, self.refusal = (reference, t0), ""
+        self._next, self.refusal, self.shortfall = (reference, t0), "", self._shortfall_of(reference)
 
     def brake(self, reason: str) -> None:
         """Brake and stand, whatever the loop is doing; a pending start is cancelled."""
@@ -260,7 +264,8 @@ class ControlLoop:
 
     def release(self) -> None:
         """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
-        self._next, self._begin_when_ready, self.blocked, self.wait_reason = None, False, False, ""
+        self._next, self._begin_when_ready, self.blocked = None, False, False
+        self.wait_reason = self.shortfall = ""
         if self._set_aside is not None:
             (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
         if self.state is not LoopState.FAULT:
@@ -295,7 +300,9 @@ class ControlLoop:
         if self.state is LoopState.FAULT:
             self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
-        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
+        self.shortfall = self._shortfall_of(self._reference)
+        begins = f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
+        return "; ".join(filter(None, [begins, self.shortfall]))
 
     def resume(self) -> str:
         """Drive on along the reference where it waits, after a pause or a failure; returns what it does.
@@ -498,6 +505,9 @@ class ControlLoop:
     def _check_speeds(self, reference: Reference) -> None:
         config = self._controller.config
         check_speeds(reference, config.limits, config.sample_time, self._controller.model.dc_gain)
+
+    def _shortfall_of(self, reference: Reference) -> str:
+        return str(self._controller.find_shortfall(reference) or "")
 
     def _start_controller(self, reference: Reference, t0: float) -> None:
         pose = self.inbox.newest_pose

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +34,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Where a reference first asks for more than the robot has.
+    """First place at which a reference asks for more than the robot has.
 
     Attributes
     ----------
@@ -43,10 +44,10 @@ class Shortfall:
         Where it begins: time of the reference [s], distance along it [m].
     key
         Limit that is reached, such as `limits.v.reverse` or `limits.omega_slew.brake`.
-    asked, available
-        Largest value that the reference asks for there, and the limit [unit of the limit].
-    behind, late
-        Largest distance behind the schedule [m], and how late the reference ends [s].
+    needed, available
+        Largest value that the reference needs there, and the limit [unit of the limit].
+    behind
+        Largest distance behind the schedule if the reference waits for the robot, roughly [m].
     duration, drivable
         Duration of the reference, and the one at which this function finds no shortfall [s]; infinite if none does.
     """
@@ -55,25 +56,24 @@ class Shortfall:
     time: float
     arc_length: float
     key: str
-    asked: float
+    needed: float
     available: float
     behind: float
-    late: float
     duration: float
     drivable: float
 
     def __str__(self) -> str:
         """Place, limit, consequence and remedy in one line."""
-        asks, unit = _KINDS[self.key.split(".")[1]]
+        needs, unit = _KINDS[self.key.split(".")[1]]
         remedy = (
-            f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s (timing: smooth)"
+            f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s"
             if math.isfinite(self.drivable)
             else "no slower timing helps: raise the limit"
         )
         return (
-            f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {asks} "
-            f"{self.asked:.3g} {unit}, {self.key} = {self.available:g}; up to {self.behind:.2f} m behind, ends "
-            f"{self.late:.1f} s late; {remedy}"
+            f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {needs} "
+            f"{self.needed:.3g} {unit}, {self.key} = {self.available:.3g}; falls about {self.behind:.2f} m "
+            f"behind; {remedy}"
         )
 
 
@@ -89,25 +89,23 @@ def find_shortfall(
     drive = ticks.drive()
     if drive is None:
         return None
-    begin, row = ticks.cause(drive)
-    name = list(_KINDS)[row]
-    limit, signed = getattr(config.limits, name), ticks.signed[begin:, row]
-    # Of the stretch that asks for too much, from where the command is first cut.
-    beyond = ticks.ratio[begin:, row] > 1.0 + _ROUNDING
-    first = int(np.argmax(beyond))
-    end = first + int(np.argmin(np.append(beyond[first:], False)))
-    worst = first + int(np.argmax(ticks.ratio[begin + first : begin + max(end, first + 1), row]))
-    sided = isinstance(limit, TwoSided) and not limit.is_symmetric
-    time = min(begin * ticks.step + ticks.lag[row % 2], reference.duration)
+    first, end = int(drive.notes[0, 0]), int(drive.notes[-1, 0]) + ticks.preview + 1
+    ratio, cuts = ticks.ratio[first:end], ticks.cuts(drive.notes)
+    # A limit that only the way back to the reference meets is no cause.
+    blamed = cuts * (ratio.max(axis=0) > 1.0 + _ROUNDING)
+    row = int(np.argmax(blamed if blamed.any() else cuts))
+    name, worst = list(_KINDS)[row], float(ticks.needed[first + int(np.argmax(ratio[:, row])), row])
+    limit = getattr(config.limits, name)
+    is_sided = isinstance(limit, TwoSided) and not limit.is_symmetric
+    time = min(first * ticks.step + float(ticks.lag[row % 2]), reference.duration)
     return Shortfall(
         reference.name,
         time,
         float(reference.sample([time]).arc_length[0]),
-        f"limits.{name}" + (f".{limit.names[bool(signed[worst] < 0.0)]}" if sided else ""),
-        abs(float(signed[worst])),
-        side_of(limit, signed[worst]),
+        f"limits.{name}" + (f".{limit.names[worst < 0.0]}" if is_sided else ""),
+        abs(worst),
+        side_of(limit, worst),
         drive.behind,
-        drive.late,
         reference.duration,
         reference.duration * _stretch(reference, config, model),
     )
@@ -115,29 +113,31 @@ def find_shortfall(
 
 def _stretch(reference: Reference, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> float:
     """Return the factor on the duration at which the reference is feasible; infinite if none up to the most is."""
-    settings, low, high = load_settings(), 1.0, 1.0
-    while _Ticks(reference, config, model, high).drive(whole=False):
+
+    def fails(stretch: float) -> bool:
+        return _Ticks(reference, config, model, stretch).drive(whole=False) is not None
+
+    settings, low, high = load_settings(), 1.0, 1.5
+    while fails(high):
         if high >= settings.max_stretch:
             return math.inf
         low, high = high, 1.5 * high
     while high > (1.0 + settings.stretch_step) * low:
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if _Ticks(reference, config, model, middle).drive(whole=False) else (low, middle)
+        low, high = (middle, high) if fails(middle) else (low, middle)
     return high
 
 
-@dataclass(frozen=True)
-class _Drive:
-    """Drive beyond the tolerance: distance behind [m], lateness at the end [s], and cuts by limit while it falls behind.
+class _Drive(NamedTuple):
+    """Drive that exceeds the tolerance: largest distance behind the schedule [m], and why it falls behind.
 
-    `cuts` (ticks, 7) are in units of the tolerances per second, of the limits in `_KINDS`; `places` (ticks,) are the
-    ticks of the reference.
+    `notes` (ticks, 9) are from where the deficit grows to where it is too large: tick of the reference, by how much v
+    and omega are cut to their range, then to their slew, twist, its wheel speed over the limit, and what is largest of
+    that and of twist over its limits.
     """
 
     behind: float
-    late: float
-    places: FloatArray
-    cuts: FloatArray
+    notes: FloatArray
 
 
 class _Ticks:
@@ -154,94 +154,95 @@ class _Ticks:
         self.body = np.stack(ahead, axis=-1) / stretch
         # Until the first command shows, the reference gets ahead of the robot at rest.
         start = reference.sample([0.0, *(self.lag / stretch)])
-        self.start = float(np.copysign(start.arc_length[1], self.body[0, 0])), float(start.pose[2, 2] - start.pose[0, 2])
-        asked = np.linalg.solve(self.gain, self.body.T).T
-        before = np.vstack([np.zeros((1, 2)), asked[:-1]])
-        change = np.abs(asked - before) / step * np.where(np.abs(asked) >= np.abs(before), 1.0, -1.0)
+        turned = float(start.pose[2, 2] - start.pose[0, 2])
+        self.start = float(np.copysign(start.arc_length[1] - start.arc_length[0], self.body[0, 0])), turned
+        command = np.linalg.solve(self.gain, self.body.T).T
+        before = np.vstack([np.zeros((1, 2)), command[:-1]])
+        change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
         wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
-        self.signed = np.column_stack([asked, change, wheels, self.body])
-        bounds = [sides_at(getattr(limits, name), self.signed[:, row]) for row, name in enumerate(_KINDS)]
-        self.ratio = np.abs(self.signed) / np.stack(bounds, axis=-1)
-        preview = max(config.horizon * config.sample_time - float(self.lag.max()), 0.0)
-        self.command = np.stack(
-            [
-                _foreseen(np.clip(column, -limit.sides[1], limit.sides[0]), slew, step, int(preview / step))
-                for column, limit, slew in zip(
-                    asked.T, (limits.v, limits.omega), (limits.v_slew, limits.omega_slew), strict=True
-                )
-            ],
-            axis=-1,
-        )
+        self.needed = np.column_stack([command, change, wheels, self.body])
+        bounds = [sides_at(getattr(limits, name), self.needed[:, row]) for row, name in enumerate(_KINDS)]
+        self.ratio = np.abs(self.needed) / np.stack(bounds, axis=-1)
+        self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
+        ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
+        cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
+        foreseen = [_foreseen(cut[:, row], slew, step, self.preview) for row, slew in enumerate(slews)]
+        self.command = np.stack(foreseen, axis=-1)
 
     def drive(self, *, whole: bool = True) -> _Drive | None:
-        """Drive the reference; return how that goes if it exceeds the tolerance, at once unless the `whole` counts."""
+        """Return the drive if it exceeds the tolerance, only its first part unless the `whole` counts; else None."""
         if (self.ratio <= 1.0 + _ROUNDING).all():
             return None
-        config, settings, h = self.config, load_settings(), self.step
-        wait, turn_wait, fastest = config.reentry.wait, config.reentry.heading_wait, config.reentry.max_progress
-        limits, half_track = config.limits, 0.5 * config.wheels.track
+        settings, reentry, limits, h = load_settings(), self.config.reentry, self.config.limits, self.step
+        wait, turn_wait, fastest = reentry.wait, reentry.heading_wait, reentry.max_progress
         (v_up, v_down), (w_up, w_down) = limits.v.sides, limits.omega.sides
-        (v_grows, v_falls), (w_grows, w_falls) = ((s.sides[0] * h, s.sides[1] * h) for s in (limits.v_slew, limits.omega_slew))
+        v_grows, v_falls, w_grows, w_falls = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
+        v_ends, w_ends = 2.0 * limits.v_slew.sides[1], 2.0 * limits.omega_slew.sides[1] / settings.catch_up_heading
+        wheel_speed, top_v, top_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
+        half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
         (i00, i01), (i10, i11) = np.linalg.inv(self.gain).tolist()
         rows = np.column_stack([self.body, self.command]).tolist()
+        length = (h * np.cumsum(np.abs(self.body[:, 0]))).tolist()
         along_gain, turn_gain, across_gain = settings.catch_up, settings.catch_up_heading, settings.catch_up_across
-        tolerance, turn_tolerance = settings.tolerance, settings.heading_tolerance
+        tolerance, turn_tolerance, grows_from = settings.tolerance, settings.heading_tolerance, settings.grows_from
+        most_across = 2.0 - settings.least_progress
         (x, turn), y = self.start, 0.0
         free_x, free_turn = self.start
         v_ref = w_ref = place = behind = 0.0
-        grows, exceeds, last, ticks = 0, 0, len(rows) - 1, []
-        while place < last and len(ticks) < 4 * last + 100:
-            ahead = len(ticks) - place
+        tick, exceeds, last, notes = 0, False, len(rows) - 1, []
+        while place < last and tick < 2 * last:
             v, w, v_wanted, w_wanted = rows[int(place)]
-            rate = min(fastest if ahead > 1.0 else 1.0, max(0.0, 2.0 - max(math.copysign(x, x * v) / wait, abs(turn) / turn_wait)))
+            # Only a robot that moves gets back to its path.
+            late = max((x if v >= 0.0 else -x) / wait, min(abs(y) / wait, most_across))
+            turned = abs(turn) / turn_wait
+            rate = min(fastest if tick - place > 1.0 else 1.0, max(0.0, 2.0 - (late if late > turned else turned)))
             v_body, w_body = along_gain * x, turn_gain * turn + across_gain * v * y
+            # No faster than the slew can end it in time.
+            v_body = math.copysign(min(abs(v_body), math.sqrt(v_ends * abs(x))), v_body)
+            w_body = math.copysign(min(abs(w_body), math.sqrt(w_ends * abs(w_body))), w_body)
             v_wanted = v_wanted * rate + i00 * v_body + i01 * w_body
             w_wanted = w_wanted * rate + i10 * v_body + i11 * w_body
             v_in, w_in = min(max(v_wanted, -v_down), v_up), min(max(w_wanted, -w_down), w_up)
             v_ref, w_ref = _reached(v_ref, v_in, v_grows, v_falls), _reached(w_ref, w_in, w_grows, w_falls)
             v_body, w_body = g00 * v_ref + g01 * w_ref, g10 * v_ref + g11 * w_ref
-            wheels = (abs(v_body) + half_track * abs(w_body)) / limits.wheel_speed
-            over = max(1.0, wheels, abs(v_body) / limits.predicted_v, abs(w_body) / limits.predicted_omega)
-            ticks.append((place, v_wanted - v_in, w_wanted - w_in, v_in - v_ref, w_in - w_ref, v_body, w_body, over, wheels))
-            v_body, w_body = v_body / over, w_body / over
-            x, y, turn = (
-                x + h * (w_body * y - v_body + v * rate * math.cos(turn)),
-                y + h * (v * rate * math.sin(turn) - w_body * x),
-                turn + h * (w * rate - w_body),
-            )
-            # Part of the deficit is time for which the reference has waited.
-            free_x, free_turn = free_x * (1.0 - along_gain * h), free_turn * (1.0 - turn_gain * h)
-            gap, angle = x - free_x + h * ahead * v, turn - free_turn + h * ahead * w
-            behind = max(behind, abs(gap))
-            size = max(math.hypot(gap, y) / tolerance, abs(angle) / turn_tolerance)
+            wheels = (abs(v_body) + half_track * abs(w_body)) / wheel_speed
+            over = max(wheels, abs(v_body) / top_v, abs(w_body) / top_w, 1.0)
             if not exceeds:
-                if size < settings.grows_from:
-                    grows = len(ticks)
+                cuts = v_wanted - v_in, w_wanted - w_in, v_in - v_ref, w_in - w_ref
+                notes.append((place, *cuts, v_body, w_body, wheels, over))
+            v_body, w_body, v, w = v_body / over, w_body / over, v * rate, w * rate
+            x, y, turn = (
+                x + h * (w_body * y - v_body + v * math.cos(turn)),
+                y + h * (v * math.sin(turn) - w_body * x),
+                turn + h * (w - w_body),
+            )
+            free_x, free_turn = free_x * (1.0 - along_gain * h), free_turn * (1.0 - turn_gain * h)
+            tick, place = tick + 1, place + rate
+            # Time for which the reference has waited is part of the deficit.
+            waited = h * (tick - place)
+            gap, angle = x - free_x + waited * v, turn - free_turn + waited * w
+            behind = max(behind, length[min(tick, last)] - length[min(int(place), last)] + abs(x))
+            if not exceeds:
+                size = max(math.hypot(gap, y) / tolerance, abs(angle) / turn_tolerance)
                 if size > 1.0:
-                    exceeds = len(ticks)
+                    exceeds = True
                     if not whole:
                         break
-            place += rate
-        if not exceeds:
-            return None
-        return _Drive(behind, h * (len(ticks) - last), *self._cuts(np.array(ticks[min(grows, exceeds - 1) : exceeds])))
+                elif size < grows_from:
+                    notes.clear()
+        return _Drive(behind, np.array(notes)) if exceeds else None
 
-    def _cuts(self, ticks: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places and cuts of `_Drive` from what `drive` noted (ticks, 9)."""
+    @staticmethod
+    def cuts(notes: FloatArray) -> FloatArray:
+        """Return the part of each limit (7,) in a deficit from the notes of a drive, in units of the tolerances."""
         settings = load_settings()
         unit = np.array([settings.tolerance, settings.heading_tolerance])
-        body, over, wheels = np.abs(ticks[:, 5:7]) / unit, ticks[:, 7], ticks[:, 8]
-        lost = body * (1.0 - 1.0 / over)[:, None]
-        by_wheels = (wheels >= over) & (over > 1.0)
-        lost_else = np.where(by_wheels[:, None], 0.0, lost)
-        cuts = np.abs(ticks[:, 1:5]) / np.tile(unit, 2)
-        return ticks[:, 0], np.column_stack([cuts, np.where(by_wheels, lost.max(axis=1), 0.0), lost_else])
-
-    def cause(self, drive: _Drive) -> tuple[int, int]:
-        """Return the tick from which a drive falls behind, and the row of the limit that causes most of it."""
-        row = int(np.argmax(drive.cuts.sum(axis=0)))
-        return int(drive.places[0]), row
+        twist, wheels, over = np.abs(notes[:, 5:7]) / unit, notes[:, 7], notes[:, 8]
+        lost = twist * (1.0 - 1.0 / over)[:, None]
+        by_wheels = wheels >= over
+        parts = [np.abs(notes[:, 1:5]) / np.tile(unit, 2), lost.max(axis=1) * by_wheels, lost * ~by_wheels[:, None]]
+        return np.asarray(np.column_stack(parts).sum(axis=0))
 
 
 def _foreseen(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:

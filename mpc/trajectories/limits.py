@@ -121,6 +121,7 @@ class TrajectorySettings(StrictModel):
     catch_up: float = Field(gt=0, description="speed for each metre behind [1/s]")
     catch_up_heading: float = Field(gt=0, description="yaw rate for each radian of heading [1/s]")
     catch_up_across: float = Field(gt=0, description="yaw rate for each metre beside and each m/s [1/m^2]")
+    least_progress: float = Field(gt=0, lt=1, description="rate of the clock for a robot beside its path")
     max_stretch: float = Field(gt=1, description="largest factor on the duration that is tried")
     stretch_step: float = Field(gt=0, description="share of the duration to which a feasible timing is found")
 
