@@ -149,7 +149,8 @@ class _Ticks:
         settings, limits = load_settings(), config.limits
         self.config, self.gain, self.lag = config, np.asarray(model.dc_gain), np.maximum(model.lag, 0.0)
         self.step = step = max(config.sample_time, settings.feasibility_step)
-        times = np.arange(int(min(reference.duration * stretch / step, settings.max_ticks)) + 2) * step
+        duration = reference.duration * stretch + config.finish.timeout
+        times = np.arange(int(min(duration / step, settings.max_ticks)) + 2) * step
         ahead = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
         self.body = np.stack(ahead, axis=-1) / stretch
         # Until the first command shows, the reference gets ahead of the robot at rest.
@@ -166,7 +167,8 @@ class _Ticks:
         self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
         ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
         cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
-        foreseen = [_foreseen(cut[:, row], slew, step, self.preview) for row, slew in enumerate(slews)]
+        previews = self.preview, int(settings.yaw_preview * self.preview)
+        foreseen = [_foreseen(cut[:, row], slews[row], step, previews[row]) for row in (0, 1)]
         self.command = np.stack(foreseen, axis=-1)
 
     def drive(self, *, whole: bool = True) -> _Drive | None:

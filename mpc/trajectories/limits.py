@@ -118,6 +118,7 @@ class TrajectorySettings(StrictModel):
     tolerance: float = Field(gt=0, description="distance from the drive without limits that is feasible [m]")
     heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
     grows_from: float = Field(gt=0, lt=1, description="share of the tolerance from which a deficit grows")
+    yaw_preview: float = Field(ge=0, le=1, description="share of the horizon over which yaw is planned ahead")
     catch_up: float = Field(gt=0, description="speed for each metre behind [1/s]")
     catch_up_heading: float = Field(gt=0, description="yaw rate for each radian of heading [1/s]")
     catch_up_across: float = Field(gt=0, description="yaw rate for each metre beside and each m/s [1/m^2]")
