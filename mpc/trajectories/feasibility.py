@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +29,12 @@ _KINDS = {
     "predicted_omega": ("omega is", "rad/s"),
 }
 _ROUNDING = 1e-6
+# Share of a tolerance from which a deficit counts as growing [-].
+_GROWS_FROM = 0.5
+# Share of the horizon beyond the lags over which yaw is planned ahead: the cost weighs headings lightly [-].
+_YAW_PREVIEW = 0.5
+# Largest factor on the duration that is tried, and the share of the duration to which a feasible one is found [-].
+_MOST_STRETCH, _STRETCH_STEP = 16.0, 1.05
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class Shortfall:
     needed, available
         Largest value that the reference needs there, and the limit [unit of the limit].
     behind
-        Largest distance behind the schedule if the reference waits for the robot, roughly [m].
+        Distance by which a robot at the limit falls behind there; angle for limits of omega [m, rad].
     duration, drivable
         Duration of the reference, and the one at which this function finds no shortfall [s]; infinite if none does.
     """
@@ -72,8 +77,8 @@ class Shortfall:
         )
         return (
             f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {needs} "
-            f"{self.needed:.3g} {unit}, {self.key} = {self.available:.3g}; falls about {self.behind:.2f} m "
-            f"behind; {remedy}"
+            f"{self.needed:.3g} {unit}, {self.key} = {self.available:.3g}; it falls {self.behind:.2f} "
+            f"{'rad' if 'rad' in unit else 'm'} behind; {remedy}"
         )
 
 
@@ -86,26 +91,30 @@ def find_shortfall(
     `settings.yaml`. Of a longer reference the first `max_ticks` are looked at.
     """
     ticks = _Ticks(reference, config, model, 1.0)
-    drive = ticks.drive()
-    if drive is None:
+    notes = ticks.deficit()
+    if notes is None:
         return None
-    first, end = int(drive.notes[0, 0]), int(drive.notes[-1, 0]) + ticks.preview + 1
-    ratio, cuts = ticks.ratio[first:end], ticks.cuts(drive.notes)
+    first, end = int(notes[0, 0]), int(notes[-1, 0]) + ticks.preview + 1
+    parts = (np.abs(notes[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
+    exceeded = ticks.ratio > 1.0 + _ROUNDING
     # A limit that only the way back to the reference meets is no cause.
-    blamed = cuts * (ratio.max(axis=0) > 1.0 + _ROUNDING)
-    row = int(np.argmax(blamed if blamed.any() else cuts))
-    name, worst = list(_KINDS)[row], float(ticks.needed[first + int(np.argmax(ratio[:, row])), row])
-    limit = getattr(config.limits, name)
+    row = int(np.argmax(np.array([*parts[:4], parts[4:].max(), *parts[4:]]) * exceeded[:end].any(axis=0)))
+    inside = np.array([-1, *np.flatnonzero(~exceeded[:, row]), len(exceeded)])
+    next_inside = int(np.searchsorted(inside, np.flatnonzero(exceeded[:end, row])[-1]))
+    stretch = slice(inside[next_inside - 1] + 1, inside[next_inside])
+    name, needed, ratio = list(_KINDS)[row], ticks.needed[stretch, row], ticks.ratio[stretch, row]
+    lost = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
+    worst, limit = float(needed[np.argmax(ratio)]), getattr(config.limits, name)
     is_sided = isinstance(limit, TwoSided) and not limit.is_symmetric
-    time = min(first * ticks.step + float(ticks.lag[row % 2]), reference.duration)
+    begins = min(first * ticks.step + float(ticks.lag[row % 2]), reference.duration)
     return Shortfall(
         reference.name,
-        time,
-        float(reference.sample([time]).arc_length[0]),
+        begins,
+        float(reference.sample([begins]).arc_length[0]),
         f"limits.{name}" + (f".{limit.names[worst < 0.0]}" if is_sided else ""),
         abs(worst),
         side_of(limit, worst),
-        drive.behind,
+        float(ticks.step * (np.abs(needed) * lost).sum()),
         reference.duration,
         reference.duration * _stretch(reference, config, model),
     )
@@ -115,29 +124,17 @@ def _stretch(reference: Reference, config: ControllerConfig, model: VelocityMode
     """Return the factor on the duration at which the reference is feasible; infinite if none up to the most is."""
 
     def fails(stretch: float) -> bool:
-        return _Ticks(reference, config, model, stretch).drive(whole=False) is not None
+        return _Ticks(reference, config, model, stretch).deficit() is not None
 
-    settings, low, high = load_settings(), 1.0, 1.5
+    low, high = 1.0, 1.5
     while fails(high):
-        if high >= settings.max_stretch:
+        if high >= _MOST_STRETCH:
             return math.inf
         low, high = high, 1.5 * high
-    while high > (1.0 + settings.stretch_step) * low:
+    while high > _STRETCH_STEP * low:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if fails(middle) else (low, middle)
     return high
-
-
-class _Drive(NamedTuple):
-    """Drive that exceeds the tolerance: largest distance behind the schedule [m], and why it falls behind.
-
-    `notes` (ticks, 9) are from where the deficit grows to where it is too large: tick of the reference, by how much v
-    and omega are cut to their range, then to their slew, twist, its wheel speed over the limit, and what is largest of
-    that and of twist over its limits.
-    """
-
-    behind: float
-    notes: FloatArray
 
 
 class _Ticks:
@@ -148,6 +145,7 @@ class _Ticks:
     ) -> None:
         settings, limits = load_settings(), config.limits
         self.config, self.gain, self.lag = config, np.asarray(model.dc_gain), np.maximum(model.lag, 0.0)
+        self.tolerance = np.array([settings.tolerance, settings.heading_tolerance])
         self.step = step = max(config.sample_time, settings.feasibility_step)
         duration = reference.duration * stretch + config.finish.timeout
         times = np.arange(int(min(duration / step, settings.max_ticks)) + 2) * step
@@ -167,84 +165,55 @@ class _Ticks:
         self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
         ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
         cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
-        previews = self.preview, int(settings.yaw_preview * self.preview)
+        previews = self.preview, int(_YAW_PREVIEW * self.preview)
         foreseen = [_foreseen(cut[:, row], slews[row], step, previews[row]) for row in (0, 1)]
         self.command = np.stack(foreseen, axis=-1)
 
-    def drive(self, *, whole: bool = True) -> _Drive | None:
-        """Return the drive if it exceeds the tolerance, only its first part unless the `whole` counts; else None."""
+    def deficit(self) -> FloatArray | None:
+        """Drive along the reference until the robot is beyond the tolerance; return None if it never is.
+
+        Returns
+        -------
+        FloatArray
+            (ticks, 7) from where the deficit grows to where it is too large: tick, and by how much v and omega are cut
+            to their range, to their slew, and to the limits of the twist.
+        """
         if (self.ratio <= 1.0 + _ROUNDING).all():
             return None
-        settings, reentry, limits, h = load_settings(), self.config.reentry, self.config.limits, self.step
-        wait, turn_wait, fastest = reentry.wait, reentry.heading_wait, reentry.max_progress
+        limits, h, gain = self.config.limits, self.step, load_settings().catch_up
+        tolerance, turn_tolerance = self.tolerance.tolist()
         (v_up, v_down), (w_up, w_down) = limits.v.sides, limits.omega.sides
         v_grows, v_falls, w_grows, w_falls = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
-        v_ends, w_ends = 2.0 * limits.v_slew.sides[1], 2.0 * limits.omega_slew.sides[1] / settings.catch_up_heading
         wheel_speed, top_v, top_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
         (i00, i01), (i10, i11) = np.linalg.inv(self.gain).tolist()
-        rows = np.column_stack([self.body, self.command]).tolist()
-        length = (h * np.cumsum(np.abs(self.body[:, 0]))).tolist()
-        along_gain, turn_gain, across_gain = settings.catch_up, settings.catch_up_heading, settings.catch_up_across
-        tolerance, turn_tolerance, grows_from = settings.tolerance, settings.heading_tolerance, settings.grows_from
-        most_across = 2.0 - settings.least_progress
         (x, turn), y = self.start, 0.0
         free_x, free_turn = self.start
-        v_ref = w_ref = place = behind = 0.0
-        tick, exceeds, last, notes = 0, False, len(rows) - 1, []
-        while place < last and tick < 2 * last:
-            v, w, v_wanted, w_wanted = rows[int(place)]
-            # Only a robot that moves gets back to its path.
-            late = max((x if v >= 0.0 else -x) / wait, min(abs(y) / wait, most_across))
-            turned = abs(turn) / turn_wait
-            rate = min(fastest if tick - place > 1.0 else 1.0, max(0.0, 2.0 - (late if late > turned else turned)))
-            v_body, w_body = along_gain * x, turn_gain * turn + across_gain * v * y
-            # No faster than the slew can end it in time.
-            v_body = math.copysign(min(abs(v_body), math.sqrt(v_ends * abs(x))), v_body)
-            w_body = math.copysign(min(abs(w_body), math.sqrt(w_ends * abs(w_body))), w_body)
-            v_wanted = v_wanted * rate + i00 * v_body + i01 * w_body
-            w_wanted = w_wanted * rate + i10 * v_body + i11 * w_body
+        v_ref = w_ref = 0.0
+        rows = np.column_stack([self.body, self.command]).tolist()
+        notes: list[tuple[float, ...]] = []
+        for tick, (v, w, v_plan, w_plan) in enumerate(rows):
+            # Across the path the return is critically damped at 1 m/s.
+            v_back, w_back = gain * x, gain * (turn + 0.25 * gain * v * y)
+            v_wanted, w_wanted = v_plan + i00 * v_back + i01 * w_back, w_plan + i10 * v_back + i11 * w_back
             v_in, w_in = min(max(v_wanted, -v_down), v_up), min(max(w_wanted, -w_down), w_up)
             v_ref, w_ref = _reached(v_ref, v_in, v_grows, v_falls), _reached(w_ref, w_in, w_grows, w_falls)
             v_body, w_body = g00 * v_ref + g01 * w_ref, g10 * v_ref + g11 * w_ref
             wheels = (abs(v_body) + half_track * abs(w_body)) / wheel_speed
             over = max(wheels, abs(v_body) / top_v, abs(w_body) / top_w, 1.0)
-            if not exceeds:
-                cuts = v_wanted - v_in, w_wanted - w_in, v_in - v_ref, w_in - w_ref
-                notes.append((place, *cuts, v_body, w_body, wheels, over))
-            v_body, w_body, v, w = v_body / over, w_body / over, v * rate, w * rate
-            x, y, turn = (
-                x + h * (w_body * y - v_body + v * math.cos(turn)),
-                y + h * (v * math.sin(turn) - w_body * x),
-                turn + h * (w - w_body),
-            )
-            free_x, free_turn = free_x * (1.0 - along_gain * h), free_turn * (1.0 - turn_gain * h)
-            tick, place = tick + 1, place + rate
-            # Time for which the reference has waited is part of the deficit.
-            waited = h * (tick - place)
-            gap, angle = x - free_x + waited * v, turn - free_turn + waited * w
-            behind = max(behind, length[min(tick, last)] - length[min(int(place), last)] + abs(x))
-            if not exceeds:
-                size = max(math.hypot(gap, y) / tolerance, abs(angle) / turn_tolerance)
-                if size > 1.0:
-                    exceeds = True
-                    if not whole:
-                        break
-                elif size < grows_from:
-                    notes.clear()
-        return _Drive(behind, np.array(notes)) if exceeds else None
-
-    @staticmethod
-    def cuts(notes: FloatArray) -> FloatArray:
-        """Return the part of each limit (7,) in a deficit from the notes of a drive, in units of the tolerances."""
-        settings = load_settings()
-        unit = np.array([settings.tolerance, settings.heading_tolerance])
-        twist, wheels, over = np.abs(notes[:, 5:7]) / unit, notes[:, 7], notes[:, 8]
-        lost = twist * (1.0 - 1.0 / over)[:, None]
-        by_wheels = wheels >= over
-        parts = [np.abs(notes[:, 1:5]) / np.tile(unit, 2), lost.max(axis=1) * by_wheels, lost * ~by_wheels[:, None]]
-        return np.asarray(np.column_stack(parts).sum(axis=0))
+            v_out, w_out = v_body / over, w_body / over
+            cuts = v_wanted - v_in, w_wanted - w_in, v_in - v_ref, w_in - w_ref, v_body - v_out, w_body - w_out
+            notes.append((tick, *cuts))
+            x, y = x + h * (w_out * y - v_out + v * math.cos(turn)), y + h * (v * math.sin(turn) - w_out * x)
+            turn += h * (w - w_out)
+            free_x, free_turn = free_x * (1.0 - gain * h), free_turn * (1.0 - gain * h)
+            size = max(math.hypot(x - free_x, y) / tolerance, abs(turn - free_turn) / turn_tolerance)
+            if size > 1.0:
+                return np.array(notes)
+            if size < _GROWS_FROM:
+                notes.clear()
+        return None
 
 
 def _foreseen(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:

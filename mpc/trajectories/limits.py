@@ -117,14 +117,7 @@ class TrajectorySettings(StrictModel):
     max_ticks: int = Field(ge=1, description="steps of a reference that it looks at")
     tolerance: float = Field(gt=0, description="distance from the drive without limits that is feasible [m]")
     heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
-    grows_from: float = Field(gt=0, lt=1, description="share of the tolerance from which a deficit grows")
-    yaw_preview: float = Field(ge=0, le=1, description="share of the horizon over which yaw is planned ahead")
-    catch_up: float = Field(gt=0, description="speed for each metre behind [1/s]")
-    catch_up_heading: float = Field(gt=0, description="yaw rate for each radian of heading [1/s]")
-    catch_up_across: float = Field(gt=0, description="yaw rate for each metre beside and each m/s [1/m^2]")
-    least_progress: float = Field(gt=0, lt=1, description="rate of the clock for a robot beside its path")
-    max_stretch: float = Field(gt=1, description="largest factor on the duration that is tried")
-    stretch_step: float = Field(gt=0, description="share of the duration to which a feasible timing is found")
+    catch_up: float = Field(gt=0, description="speed for each metre behind, yaw rate for each radian [1/s]")
 
     def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
         """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.
