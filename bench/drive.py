@@ -76,7 +76,7 @@ def simulate(
     if isinstance(reference, (str, Path)):
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
-    if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):  # type: ignore[arg-type]
+    if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
         warnings.warn(escaped(str(shortfall)), stacklevel=2)
     # The arguments are what they should be: checked above.
     return loop.simulate(
