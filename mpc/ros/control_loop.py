@@ -190,7 +190,7 @@ class ControlLoop:
         # A newly activated node counts as reset.
         self._was_reset = True
         self.last: LoopTick | None = None
-        self.shortfall = "" if trajectory is None else self._shortfall_of(trajectory)
+        self.shortfall = "" if trajectory is None else str(controller.find_shortfall(trajectory) or "")
 
     @property
     def reference(self) -> Reference | None:
@@ -212,14 +212,13 @@ class ControlLoop:
         ValueError
             If the reference exceeds the speed limits, or the position of its frame is not known.
         """
-        self._check_speeds(reference)
         if self._is_latched:
             raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
             placement.motion()
+        self._check(reference)
         # It states its frame, so it stays where it is.
         self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
-        self.shortfall = self._shortfall_of(reference)
         if self.state is LoopState.DRIVING:
             self._next = self._set_aside = None
             self._start_controller(reference, self.inbox.now)
@@ -244,8 +243,8 @@ class ControlLoop:
         missing = self.missing()
         if missing:
             raise RefusedError(missing)
-        self._check_speeds(reference)
-        self._next, self.refusal, self.shortfall = (reference, t0), "", self._shortfall_of(reference)
+        self._check(reference)
+        self._next, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
         """Brake and stand, whatever the loop is doing; a pending start is cancelled."""
@@ -296,11 +295,10 @@ class ControlLoop:
             raise RefusedError("it is driving already; pause it first")
         self._refuse_if_missing()
         assert self._reference is not None
-        self._check_speeds(self._reference)
+        self._check(self._reference)
         if self.state is LoopState.FAULT:
             self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
-        self.shortfall = self._shortfall_of(self._reference)
         begins = f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
         return "; ".join(filter(None, [begins, self.shortfall]))
 
@@ -502,12 +500,10 @@ class ControlLoop:
         if missing:
             raise RefusedError(missing)
 
-    def _check_speeds(self, reference: Reference) -> None:
+    def _check(self, reference: Reference) -> None:
         config = self._controller.config
         check_speeds(reference, config.limits, config.sample_time, self._controller.model.dc_gain)
-
-    def _shortfall_of(self, reference: Reference) -> str:
-        return str(self._controller.find_shortfall(reference) or "")
+        self.shortfall = str(self._controller.find_shortfall(reference) or "")
 
     def _start_controller(self, reference: Reference, t0: float) -> None:
         pose = self.inbox.newest_pose

@@ -8,27 +8,26 @@ heading, which later commands work off as far as the limits allow.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, side_of, sides_at
+from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, sides_at
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.speed_check import at_side, checked_reference
 
-_KINDS = {
-    "v": ("v_ref is", "m/s"),
-    "omega": ("omega_ref is", "rad/s"),
-    "v_slew": ("v_ref changes by", "m/s^2"),
-    "omega_slew": ("omega_ref changes by", "rad/s^2"),
-    "wheel_speed": ("a wheel turns at", "m/s"),
-    "predicted_v": ("v is", "m/s"),
-    "predicted_omega": ("omega is", "rad/s"),
-}
+_LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "predicted_omega")
 _ROUNDING = 1e-6
+# Step [s] and largest number of steps: a shorter sample time is not resolved; longer references are looked at so far.
+_STEP, _MOST_TICKS = 0.05, 12_000
+# Speed for each metre behind, and yaw rate for each radian [1/s].
+_CATCH_UP = 5.0
 # Share of a tolerance from which a deficit counts as growing [-].
 _GROWS_FROM = 0.5
 # Share of the horizon beyond the lags over which yaw is planned ahead: the cost weighs headings lightly [-].
@@ -69,16 +68,14 @@ class Shortfall:
 
     def __str__(self) -> str:
         """Place, limit, consequence and remedy in one line."""
-        needs, unit = _KINDS[self.key.split(".")[1]]
-        remedy = (
-            f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s"
-            if math.isfinite(self.drivable)
-            else "no slower timing helps: raise the limit"
-        )
+        name, unit = self.key.split(".")[1], "rad" if "omega" in self.key else "m"
+        remedy = f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s"
+        if math.isinf(self.drivable):
+            remedy = "no slower timing helps: raise the limit"
         return (
-            f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {needs} "
-            f"{self.needed:.3g} {unit}, {self.key} = {self.available:.3g}; it falls {self.behind:.2f} "
-            f"{'rad' if 'rad' in unit else 'm'} behind; {remedy}"
+            f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {name} takes "
+            f"{self.needed:.3g} {unit}/s{'^2' if 'slew' in name else ''}, {self.key} = {self.available:.3g}; "
+            f"it falls {self.behind:.2f} {unit} behind; {remedy}"
         )
 
 
@@ -88,9 +85,10 @@ def find_shortfall(
     """Return where `reference` first takes the robot of `config` and `model` beyond its limits; None if nowhere.
 
     The robot starts at rest on the reference. Steps and corners that lags round off do not count. Tolerances are in
-    `settings.yaml`. Of a longer reference the first `max_ticks` are looked at.
+    `settings.yaml`. Of a longer reference the first ten minutes are looked at.
     """
-    ticks = _Ticks(reference, config, model, 1.0)
+    timed = partial(_Ticks, checked_reference(reference), config, model)
+    ticks = timed(1.0)
     notes = ticks.deficit()
     if notes is None:
         return None
@@ -98,42 +96,37 @@ def find_shortfall(
     parts = (np.abs(notes[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
     exceeded = ticks.ratio > 1.0 + _ROUNDING
     # A limit that only the way back to the reference meets is no cause.
-    row = int(np.argmax(np.array([*parts[:4], parts[4:].max(), *parts[4:]]) * exceeded[:end].any(axis=0)))
-    inside = np.array([-1, *np.flatnonzero(~exceeded[:, row]), len(exceeded)])
-    next_inside = int(np.searchsorted(inside, np.flatnonzero(exceeded[:end, row])[-1]))
-    stretch = slice(inside[next_inside - 1] + 1, inside[next_inside])
-    name, needed, ratio = list(_KINDS)[row], ticks.needed[stretch, row], ticks.ratio[stretch, row]
+    row = int(np.argmax(np.where(exceeded[:end].any(axis=0), [*parts[:4], parts[4:].max(), *parts[4:]], -1.0)))
+    over, name = np.flatnonzero(exceeded[:, row]), _LIMITS[row]
+    run = [run for run in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if run[0] < end][-1]
+    needed, ratio = ticks.needed[run, row], ticks.ratio[run, row]
     lost = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
-    worst, limit = float(needed[np.argmax(ratio)]), getattr(config.limits, name)
-    is_sided = isinstance(limit, TwoSided) and not limit.is_symmetric
-    begins = min(first * ticks.step + float(ticks.lag[row % 2]), reference.duration)
+    limit = getattr(config.limits, name)
+    size, bound, side = at_side(needed[np.argmax(ratio)], limit if isinstance(limit, TwoSided) else TwoSided(limit))
+    time = min(first * ticks.step + float(ticks.lag[int("omega" in name)]), reference.duration)
     return Shortfall(
         reference.name,
-        begins,
-        float(reference.sample([begins]).arc_length[0]),
-        f"limits.{name}" + (f".{limit.names[worst < 0.0]}" if is_sided else ""),
-        abs(worst),
-        side_of(limit, worst),
+        time,
+        float(reference.sample([time]).arc_length[0]),
+        f"limits.{name}{side}",
+        size,
+        bound,
         float(ticks.step * (np.abs(needed) * lost).sum()),
         reference.duration,
-        reference.duration * _stretch(reference, config, model),
+        reference.duration * _least_stretch(lambda stretch: timed(stretch).deficit() is None),
     )
 
 
-def _stretch(reference: Reference, config: ControllerConfig, model: VelocityModel | NonlinearModel) -> float:
-    """Return the factor on the duration at which the reference is feasible; infinite if none up to the most is."""
-
-    def fails(stretch: float) -> bool:
-        return _Ticks(reference, config, model, stretch).deficit() is not None
-
+def _least_stretch(is_feasible: Callable[[float], bool]) -> float:
+    """Return the factor on the duration from which a reference is feasible; infinite if none up to the most is."""
     low, high = 1.0, 1.5
-    while fails(high):
+    while not is_feasible(high):
         if high >= _MOST_STRETCH:
             return math.inf
         low, high = high, 1.5 * high
     while high > _STRETCH_STEP * low:
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if fails(middle) else (low, middle)
+        low, high = (low, middle) if is_feasible(middle) else (middle, high)
     return high
 
 
@@ -146,21 +139,20 @@ class _Ticks:
         settings, limits = load_settings(), config.limits
         self.config, self.gain, self.lag = config, np.asarray(model.dc_gain), np.maximum(model.lag, 0.0)
         self.tolerance = np.array([settings.tolerance, settings.heading_tolerance])
-        self.step = step = max(config.sample_time, settings.feasibility_step)
+        self.step = step = max(config.sample_time, _STEP)
         duration = reference.duration * stretch + config.finish.timeout
-        times = np.arange(int(min(duration / step, settings.max_ticks)) + 2) * step
+        times = np.arange(int(np.fmin(duration / step, _MOST_TICKS)) + 2) * step
         ahead = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
         self.body = np.stack(ahead, axis=-1) / stretch
         # Until the first command shows, the reference gets ahead of the robot at rest.
-        start = reference.sample([0.0, *(self.lag / stretch)])
-        turned = float(start.pose[2, 2] - start.pose[0, 2])
-        self.start = float(np.copysign(start.arc_length[1] - start.arc_length[0], self.body[0, 0])), turned
+        lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
+        self.lead = float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
         before = np.vstack([np.zeros((1, 2)), command[:-1]])
         change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
         wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
         self.needed = np.column_stack([command, change, wheels, self.body])
-        bounds = [sides_at(getattr(limits, name), self.needed[:, row]) for row, name in enumerate(_KINDS)]
+        bounds = [sides_at(getattr(limits, name), self.needed[:, row]) for row, name in enumerate(_LIMITS)]
         self.ratio = np.abs(self.needed) / np.stack(bounds, axis=-1)
         self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
         ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
@@ -180,7 +172,7 @@ class _Ticks:
         """
         if (self.ratio <= 1.0 + _ROUNDING).all():
             return None
-        limits, h, gain = self.config.limits, self.step, load_settings().catch_up
+        limits, h, gain = self.config.limits, self.step, _CATCH_UP
         tolerance, turn_tolerance = self.tolerance.tolist()
         (v_up, v_down), (w_up, w_down) = limits.v.sides, limits.omega.sides
         v_grows, v_falls, w_grows, w_falls = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
@@ -188,9 +180,8 @@ class _Ticks:
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
         (i00, i01), (i10, i11) = np.linalg.inv(self.gain).tolist()
-        (x, turn), y = self.start, 0.0
-        free_x, free_turn = self.start
-        v_ref = w_ref = 0.0
+        x = free_x = self.lead
+        y = turn = v_ref = w_ref = 0.0
         rows = np.column_stack([self.body, self.command]).tolist()
         notes: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(rows):
@@ -207,8 +198,8 @@ class _Ticks:
             notes.append((tick, *cuts))
             x, y = x + h * (w_out * y - v_out + v * math.cos(turn)), y + h * (v * math.sin(turn) - w_out * x)
             turn += h * (w - w_out)
-            free_x, free_turn = free_x * (1.0 - gain * h), free_turn * (1.0 - gain * h)
-            size = max(math.hypot(x - free_x, y) / tolerance, abs(turn - free_turn) / turn_tolerance)
+            free_x *= 1.0 - gain * h
+            size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
             if size > 1.0:
                 return np.array(notes)
             if size < _GROWS_FROM:

@@ -113,11 +113,8 @@ class TrajectorySettings(StrictModel):
     max_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
     most_segments: int = Field(ge=1, description="of a file")
     most_joints: int = Field(ge=1, description="different ones that smooth timing rounds")
-    feasibility_step: float = Field(gt=0, description="step of the check of feasibility [s]")
-    max_ticks: int = Field(ge=1, description="steps of a reference that it looks at")
     tolerance: float = Field(gt=0, description="distance from the drive without limits that is feasible [m]")
     heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
-    catch_up: float = Field(gt=0, description="speed for each metre behind, yaw rate for each radian [1/s]")
 
     def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
         """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.

@@ -100,14 +100,14 @@ def check_speeds(
     needed = twist if gain is None else np.asarray(np.linalg.solve(gain, twist.T).T, dtype=float)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
         worst = int(np.argmax(np.abs(twist[:, row]) / sides_at(limit, twist[:, row])))
-        value, bound, side = _at_side(twist[worst, row], limit)
+        value, bound, side = at_side(twist[worst, row], limit)
         if not value <= bound * _SPEED_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
                 f"limits.{name}{side} = {bound:g}; slow the reference down or raise the limit"
             )
         worst = int(np.argmax(np.abs(needed[:, row]) / sides_at(limit, needed[:, row])))
-        value, bound, side = _at_side(needed[worst, row], limit)
+        value, bound, side = at_side(needed[worst, row], limit)
         if not value <= bound * _COMMAND_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {abs(twist[worst, row]):.3g} at {times[worst]:.2f} s takes a "
@@ -129,7 +129,7 @@ def check_speeds(
             )
 
 
-def _at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
+def at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
     """Return the size of a value, the limit on its side, and the ending of that side's key if the sides differ."""
     ending = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
     return abs(float(value)), side_of(limit, value), ending

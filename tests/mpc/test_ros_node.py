@@ -329,9 +329,9 @@ def test_diagnostics_contain_times_ages_and_faults():
 def test_infeasible_reference_is_named_before_driving_and_driven():
     with stack({"limits.wheel_speed": 0.45}, diagnostics_rate=20.0) as s:
         heard = s.listen(DiagnosticArray, "/diagnostics")
-        answer = s.trigger("start")
-        assert answer.success and "'circle': infeasible from" in answer.message
-        assert "limits.wheel_speed = 0.45" in answer.message
+        response = s.trigger("start")
+        assert response.success and "'circle': infeasible from" in response.message
+        assert "limits.wheel_speed = 0.45" in response.message
         assert s.base.run(30)[-1, 0] > 0.1
         s.base.until(lambda: heard and "infeasible" in heard[-1].status[0].message, "diagnostics")
         assert heard[-1].status[0].level == DiagnosticStatus.WARN
