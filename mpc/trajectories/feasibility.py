@@ -8,7 +8,6 @@ heading, which later commands work off as far as the limits allow.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -32,8 +31,9 @@ _CATCH_UP = 5.0
 _GROWS_FROM = 0.5
 # Share of the horizon beyond the lags over which yaw is planned ahead: the cost weighs headings lightly [-].
 _YAW_PREVIEW = 0.5
-# Largest factor on the duration that is tried, and the share of the duration to which a feasible one is found [-].
-_MOST_STRETCH, _STRETCH_STEP = 16.0, 1.05
+# Factors on the duration that are tried [-].
+_STRETCHES = [1.1**step for step in range(1, 31)]
+_Model = VelocityModel | NonlinearModel
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Shortfall:
     behind
         Distance by which a robot at the limit falls behind there; angle for limits of omega [m, rad].
     duration, drivable
-        Duration of the reference, and the one at which this function finds no shortfall [s]; infinite if none does.
+        Duration of the reference, and the shortest of those tried at which it is feasible [s]; infinite if none is.
     """
 
     reference: str
@@ -79,9 +79,7 @@ class Shortfall:
         )
 
 
-def find_shortfall(
-    reference: Reference, config: ControllerConfig, model: VelocityModel | NonlinearModel
-) -> Shortfall | None:
+def find_shortfall(reference: Reference, config: ControllerConfig, model: _Model) -> Shortfall | None:
     """Return where `reference` first takes the robot of `config` and `model` beyond its limits; None if nowhere.
 
     The robot starts at rest on the reference. Steps and corners that lags round off do not count. Tolerances are in
@@ -113,35 +111,20 @@ def find_shortfall(
         bound,
         float(ticks.step * (np.abs(needed) * lost).sum()),
         reference.duration,
-        reference.duration * _least_stretch(lambda stretch: timed(stretch).deficit() is None),
+        reference.duration * next((stretch for stretch in _STRETCHES if timed(stretch).deficit() is None), math.inf),
     )
-
-
-def _least_stretch(is_feasible: Callable[[float], bool]) -> float:
-    """Return the factor on the duration from which a reference is feasible; infinite if none up to the most is."""
-    low, high = 1.0, 1.5
-    while not is_feasible(high):
-        if high >= _MOST_STRETCH:
-            return math.inf
-        low, high = high, 1.5 * high
-    while high > _STRETCH_STEP * low:
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if is_feasible(middle) else (middle, high)
-    return high
 
 
 class _Ticks:
     """Commands that a reference asks for, `stretch` times as slow, and the drive that the limits allow."""
 
-    def __init__(
-        self, reference: Reference, config: ControllerConfig, model: VelocityModel | NonlinearModel, stretch: float
-    ) -> None:
+    def __init__(self, reference: Reference, config: ControllerConfig, model: _Model, stretch: float) -> None:
         settings, limits = load_settings(), config.limits
         self.config, self.gain, self.lag = config, np.asarray(model.dc_gain), np.maximum(model.lag, 0.0)
         self.tolerance = np.array([settings.tolerance, settings.heading_tolerance])
         self.step = step = max(config.sample_time, _STEP)
-        duration = reference.duration * stretch + config.finish.timeout
-        times = np.arange(int(np.fmin(duration / step, _MOST_TICKS)) + 2) * step
+        end = reference.duration * stretch + config.finish.timeout
+        times = np.arange(0.0, np.fmin(end, _MOST_TICKS * step) + step, step)
         ahead = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
         self.body = np.stack(ahead, axis=-1) / stretch
         # Until the first command shows, the reference gets ahead of the robot at rest.
@@ -179,15 +162,12 @@ class _Ticks:
         wheel_speed, top_v, top_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
-        (i00, i01), (i10, i11) = np.linalg.inv(self.gain).tolist()
         x = free_x = self.lead
         y = turn = v_ref = w_ref = 0.0
-        rows = np.column_stack([self.body, self.command]).tolist()
         notes: list[tuple[float, ...]] = []
-        for tick, (v, w, v_plan, w_plan) in enumerate(rows):
+        for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
             # Across the path the return is critically damped at 1 m/s.
-            v_back, w_back = gain * x, gain * (turn + 0.25 * gain * v * y)
-            v_wanted, w_wanted = v_plan + i00 * v_back + i01 * w_back, w_plan + i10 * v_back + i11 * w_back
+            v_wanted, w_wanted = v_plan + gain * x, w_plan + gain * (turn + 0.25 * gain * v * y)
             v_in, w_in = min(max(v_wanted, -v_down), v_up), min(max(w_wanted, -w_down), w_up)
             v_ref, w_ref = _reached(v_ref, v_in, v_grows, v_falls), _reached(w_ref, w_in, w_grows, w_falls)
             v_body, w_body = g00 * v_ref + g01 * w_ref, g10 * v_ref + g11 * w_ref
