@@ -11,6 +11,7 @@ from diffdrive_mpc.models.errors import ArgumentError, wrong_type
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 from diffdrive_mpc.sim import loop
@@ -93,7 +94,7 @@ def plant_settings(config: ControllerConfig) -> dict[str, Any]:
     """Sample time and limits of the plant of a controller, as `make_plant` takes them."""
     carried = load_robot().limits
     # What the link of the papers' robot carries is no limit of another robot's model.
-    bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
+    bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(carried, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc import ConfigError, Controller, Measurement, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.hold import Hold
@@ -139,6 +140,11 @@ def test_a_reference_is_compared_with_its_own_side():
         controller.checked_reference(reference(-0.3, 0.0))
     with pytest.raises(ValueError, match=r"omega = 1.2 at .* more than limits.omega.right = 1; slow"):
         controller.checked_reference(reference(0.1, -1.2))
+
+
+def test_link_of_a_plant_carries_the_larger_side():
+    limits = {"limits": {"v": {"forward": 2.5, "reverse": 0.2}}}
+    assert plant_settings(load_config("ssm", limits))["limits"].v == 2.5
 
 
 def test_smooth_timing_keeps_the_speed_of_each_direction_and_both_rates():
