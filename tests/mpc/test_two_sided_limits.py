@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc import ConfigError, Controller, Measurement, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
