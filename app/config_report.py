@@ -58,10 +58,9 @@ def feasibility(controller: Controller, name: str) -> Iterator[str]:
     Raises ConfigError if the trajectory cannot be loaded with the limits of the configuration.
     """
     trajectory = load_trajectory(name, controller.config)
-    if trajectory.remark:
-        yield trajectory.remark
     shortfall = controller.find_shortfall(trajectory)
-    yield str(shortfall or f"reference '{trajectory.name}': feasible in {trajectory.duration:.1f} s")
+    feasible = f"reference '{trajectory.name}': feasible in {trajectory.duration:.1f} s"
+    yield from filter(None, (trajectory.remark, str(shortfall or feasible)))
     with suppress(ConfigError):
         smooth = load_trajectory(name, controller.config, "smooth") if shortfall else None
         if smooth and not controller.find_shortfall(smooth):

@@ -345,12 +345,12 @@ class Controller:
         self._check(reference, t0)
         return reference
 
-    def find_shortfall(self, reference: Reference) -> Shortfall | None:
-        """Return where `reference` takes the robot beyond limits or model, and what would do; None if nowhere.
+    def find_shortfall(self, reference: Reference, *, is_moving: bool = False) -> Shortfall | None:
+        """Return where `reference` takes the robot beyond its limits, and a feasible duration; None if nowhere.
 
-        A warning only: `start` refuses nothing for it. See `mpc.trajectories.feasibility`.
+        The robot begins at rest, or with the twist of the reference if it `is_moving`. `start` refuses nothing for it.
         """
-        return find_shortfall(reference, self._config, self.model)
+        return find_shortfall(reference, self._config, self.model, is_moving=is_moving)
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):

@@ -263,8 +263,7 @@ class ControlLoop:
 
     def release(self) -> None:
         """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
-        self._next, self._begin_when_ready, self.blocked = None, False, False
-        self.wait_reason = self.shortfall = ""
+        self._next, self._begin_when_ready, self.blocked, self.wait_reason, self.shortfall = None, False, False, "", ""
         if self._set_aside is not None:
             (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
         if self.state is not LoopState.FAULT:
@@ -503,7 +502,7 @@ class ControlLoop:
     def _check(self, reference: Reference) -> None:
         config = self._controller.config
         check_speeds(reference, config.limits, config.sample_time, self._controller.model.dc_gain)
-        self.shortfall = str(self._controller.find_shortfall(reference) or "")
+        self.shortfall = str(self._controller.find_shortfall(reference, is_moving=self.is_moving) or "")
 
     def _start_controller(self, reference: Reference, t0: float) -> None:
         pose = self.inbox.newest_pose

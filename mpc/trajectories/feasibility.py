@@ -25,12 +25,10 @@ _LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "
 _ROUNDING = 1e-6
 # Step [s] and largest number of steps: a shorter sample time is not resolved; longer references are looked at so far.
 _STEP, _MOST_TICKS = 0.05, 12_000
-# Speed for each metre behind, and yaw rate for each radian [1/s].
-_CATCH_UP = 5.0
-# Share of a tolerance from which a deficit counts as growing [-].
-_GROWS_FROM = 0.5
-# Share of the horizon beyond the lags over which yaw is planned ahead: the cost weighs headings lightly [-].
-_YAW_PREVIEW = 0.5
+# Speed for each metre behind and yaw rate for each radian [1/s]; share of a tolerance from which a deficit grows [-].
+_CATCH_UP, _GROWS_FROM = 5.0, 0.5
+# Share of the horizon beyond the lags over which v and omega are planned ahead: the cost weighs headings lightly [-].
+_PREVIEWS = 1.0, 0.5
 # Factors on the duration that are tried [-].
 _STRETCHES = [1.1**step for step in range(1, 31)]
 _Model = VelocityModel | NonlinearModel
@@ -79,13 +77,15 @@ class Shortfall:
         )
 
 
-def find_shortfall(reference: Reference, config: ControllerConfig, model: _Model) -> Shortfall | None:
+def find_shortfall(
+    reference: Reference, config: ControllerConfig, model: _Model, *, is_moving: bool = False
+) -> Shortfall | None:
     """Return where `reference` first takes the robot of `config` and `model` beyond its limits; None if nowhere.
 
-    The robot starts at rest on the reference. Steps and corners that lags round off do not count. Tolerances are in
-    `settings.yaml`. Of a longer reference the first ten minutes are looked at.
+    The robot starts on the reference, at rest or, if it `is_moving`, with the reference's twist. Steps and corners that
+    lags round off do not count. Tolerances are in `settings.yaml`. The first ten minutes of a reference are looked at.
     """
-    timed = partial(_Ticks, checked_reference(reference), config, model)
+    timed = partial(_Ticks, checked_reference(reference), config, model, is_moving)
     ticks = timed(1.0)
     notes = ticks.deficit()
     if notes is None:
@@ -118,20 +118,22 @@ def find_shortfall(reference: Reference, config: ControllerConfig, model: _Model
 class _Ticks:
     """Commands that a reference asks for, `stretch` times as slow, and the drive that the limits allow."""
 
-    def __init__(self, reference: Reference, config: ControllerConfig, model: _Model, stretch: float) -> None:
+    def __init__(
+        self, reference: Reference, config: ControllerConfig, model: _Model, is_moving: bool, stretch: float
+    ) -> None:
         settings, limits = load_settings(), config.limits
         self.config, self.gain, self.lag = config, np.asarray(model.dc_gain), np.maximum(model.lag, 0.0)
         self.tolerance = np.array([settings.tolerance, settings.heading_tolerance])
         self.step = step = max(config.sample_time, _STEP)
         end = reference.duration * stretch + config.finish.timeout
         times = np.arange(0.0, np.fmin(end, _MOST_TICKS * step) + step, step)
-        ahead = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
-        self.body = np.stack(ahead, axis=-1) / stretch
+        body = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
+        self.body = np.stack(body, axis=-1) / stretch
         # Until the first command shows, the reference gets ahead of the robot at rest.
         lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
-        self.lead = float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
+        self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
-        before = np.vstack([np.zeros((1, 2)), command[:-1]])
+        self.before = before = np.vstack([is_moving * command[:1], command[:-1]])
         change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
         wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
         self.needed = np.column_stack([command, change, wheels, self.body])
@@ -140,9 +142,8 @@ class _Ticks:
         self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
         ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
         cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
-        previews = self.preview, int(_YAW_PREVIEW * self.preview)
-        foreseen = [_foreseen(cut[:, row], slews[row], step, previews[row]) for row in (0, 1)]
-        self.command = np.stack(foreseen, axis=-1)
+        ahead = [int(share * self.preview) for share in _PREVIEWS]
+        self.command = np.stack([_foreseen(cut[:, row], slews[row], step, ahead[row]) for row in (0, 1)], axis=-1)
 
     def deficit(self) -> FloatArray | None:
         """Drive along the reference until the robot is beyond the tolerance; return None if it never is.
@@ -163,7 +164,7 @@ class _Ticks:
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
         x = free_x = self.lead
-        y = turn = v_ref = w_ref = 0.0
+        y, turn, v_ref, w_ref = 0.0, 0.0, *self.before[0].tolist()
         notes: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
             # Across the path the return is critically damped at 1 m/s.

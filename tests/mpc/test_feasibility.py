@@ -10,7 +10,7 @@ from diffdrive_mpc.mpc import Controller, Trajectory, load_config, load_trajecto
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
 
 FAST = TrajectoryLimits(v=2.0, omega=3.0, v_acceleration=1.0, omega_acceleration=2.0)
 
@@ -25,6 +25,17 @@ class Stretched:
         factor = self.duration / self.reference.duration
         sample = self.reference.sample(np.asarray(times) / factor)
         return ReferenceSample(sample.pose, sample.twist / factor, sample.arc_length)
+
+
+class Later:
+    """`reference` from time `start` on."""
+
+    def __init__(self, reference, start):
+        self.reference, self.start, self.name = reference, start, reference.name
+        self.duration = reference.duration - start
+
+    def sample(self, times):
+        return self.reference.sample(np.maximum(times, 0.0) + self.start)
 
 
 def drive(segments, **limits):
@@ -83,6 +94,10 @@ def test_start_at_speed_is_reported():
     model = Controller(config).model
     fast = find_shortfall(Trajectory.from_arrays(times, 0.85 * times, 0 * times), config, model)
     assert fast.key == "limits.v_slew" and fast.time < 0.3
+    steady = lay_commanded([Segment(v=0.85, omega=0.3, duration=4.0)], FAST, name="steady")
+    under_way = Later(steady, 2.0)
+    assert find_shortfall(under_way, config, model) is not None
+    assert find_shortfall(under_way, config, model, is_moving=True) is None
     assert find_shortfall(Trajectory.from_waypoints([(0, 0), (1, 0)]), config, model) is None
 
 
