@@ -164,7 +164,7 @@ class _Ticks:
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
         x = free_x = self.lead
-        y, turn, v_ref, w_ref = 0.0, 0.0, *self.before[0].tolist()
+        y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
         notes: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
             # Across the path the return is critically damped at 1 m/s.
