@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 from pydantic import BaseModel
@@ -14,6 +16,8 @@ from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.trajectories.load import load_trajectory
 
 _OF_THE_ROBOT = {
     "sample_time": "s",
@@ -46,6 +50,21 @@ def check_term_files(config: ControllerConfig) -> list[str]:
         if not is_file(file):
             raise ConfigError(f"{file}: no such Python file; a term names it, seen from the configuration's folder")
     return files
+
+
+def feasibility(controller: Controller, name: str) -> Iterator[str]:
+    """Yield lines on what the robot of a controller lacks for a trajectory, and on the timings that would do.
+
+    Raises ConfigError if the trajectory cannot be loaded with the limits of the configuration.
+    """
+    trajectory = load_trajectory(name, controller.config)
+    shortfall = controller.find_shortfall(trajectory)
+    feasible = f"reference '{trajectory.name}': feasible in {trajectory.duration:.1f} s"
+    yield from filter(None, (trajectory.remark, str(shortfall or feasible)))
+    with suppress(ConfigError):
+        smooth = load_trajectory(name, controller.config, "smooth") if shortfall else None
+        if smooth and not controller.find_shortfall(smooth):
+            yield f"timing: smooth makes it feasible, in {smooth.duration:.1f} s"
 
 
 def print_schema(part: str | None = None) -> None:

@@ -11,9 +11,9 @@ from diffdrive_mpc.models.errors import ArgumentError, wrong_type
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.models.table import escaped
+from diffdrive_mpc.models.two_sided import sides_of
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
-from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.sim import loop
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.names import PHYSICS
@@ -55,7 +55,7 @@ def simulate(
     Returns
     -------
     Run
-        See `sim.loop.simulate`. A warning says where the reference starts faster than the robot can from rest.
+        See `sim.loop.simulate`. A warning says where the reference asks for more than the robot has.
 
     Raises
     ------
@@ -77,8 +77,8 @@ def simulate(
     if isinstance(reference, (str, Path)):
         reference = load_trajectory(reference, config)
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
-    if config and (message := starts_beyond_slew(reference, config.limits, config.sample_time)):
-        warnings.warn(escaped(message), stacklevel=2)
+    if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
+        warnings.warn(escaped(str(shortfall)), stacklevel=2)
     # The arguments are what they should be: checked above.
     return loop.simulate(
         controller,
@@ -94,7 +94,7 @@ def plant_settings(config: ControllerConfig) -> dict[str, Any]:
     """Sample time and limits of the plant of a controller, as `make_plant` takes them."""
     carried = load_robot().limits
     # What the link of the papers' robot carries is no limit of another robot's model.
-    bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
+    bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(carried, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 
 

@@ -45,6 +45,7 @@ from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
 from diffdrive_mpc.mpc.solver.quadratic_program import QuadraticProgram, quadratic_program
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.mpc.trajectories.feasibility import Shortfall, find_shortfall
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
 
@@ -359,6 +360,13 @@ class Controller:
             reference = load_trajectory(reference, self._config)
         self._check(reference, t0)
         return reference
+
+    def find_shortfall(self, reference: Reference, *, is_moving: bool = False) -> Shortfall | None:
+        """Return where `reference` takes the robot beyond its limits, and a feasible duration; None if nowhere.
+
+        The robot begins at rest, or with the twist of the reference if it `is_moving`. `start` refuses nothing for it.
+        """
+        return find_shortfall(reference, self._config, self.model, is_moving=is_moving)
 
     def _check(self, reference: Reference, t0: float) -> None:
         if not isinstance(reference, Reference):

@@ -47,14 +47,21 @@ def show(
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")
-def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configuration file.")]) -> None:
+def check(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A configuration file.")],
+    *,
+    trajectory: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Also tell where this trajectory asks for more than the robot has."),
+    ] = None,
+) -> None:
     """Check a configuration file, and that a controller can be built from it; the Python of terms is not run."""
-    from diffdrive_mpc.app.config_report import check_term_files, robot_defaults  # noqa: PLC0415 - --help needs none
+    from diffdrive_mpc.app.config_report import check_term_files, feasibility, robot_defaults  # noqa: PLC0415 - see show
     from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
 
     config = load_config(file)
     not_run = check_term_files(config)
-    Controller(config.model_copy(update={"terms": []}))
+    controller = Controller(config.model_copy(update={"terms": []}))
     echo(
         f"{file}: valid, horizon {config.horizon} steps of {config.sample_time:g} s "
         f"({config.horizon * config.sample_time:.2f} s)"
@@ -64,6 +71,8 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configurat
         echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
     if not_run:
         echo(f"note: not run here: {', '.join(not_run)}; a controller runs this Python, so read it before you use it")
+    for line in feasibility(controller, trajectory) if trajectory else ():
+        echo(line)
 
 
 @config_app.command(epilog="Example: diffdrive-mpc config schema weights")

@@ -22,7 +22,9 @@ from diffdrive_mpc.bench.run_row import RunOutcome, who_drives
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
-from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
+from diffdrive_mpc.mpc.problem.build import chosen_model as predicting_model
+from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
+from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.plants.plug_ins import columns_of
 from diffdrive_mpc.sim.run import NO_SOLVER
@@ -96,10 +98,11 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
         console.print(table.rich())
     if outcome.case.controller not in PEERS:
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
-        for check in (steps_beyond_slew, sharper_than_commands):
-            complaints = check(outcome.run.reference, config.limits, config.sample_time)
-            if complaints:
-                console.print(complaints, markup=False, highlight=False)
+        reference = outcome.run.reference
+        shortfall = find_shortfall(reference, config, predicting_model(config, None))
+        for words in (shortfall, sharper_than_commands(reference, config.limits, config.sample_time)):
+            if words:
+                console.print(str(words), markup=False, highlight=False)
     for sentence in (*other_robots([outcome.case]), *reference_remarks([outcome.case])):
         console.print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     if details and outcome.run.ended:

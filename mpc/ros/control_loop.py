@@ -149,6 +149,8 @@ class ControlLoop:
         Any other anomaly around the loop, for diagnostics.
     refusal
         Why the last reference or goal was refused, for diagnostics; empty once one is accepted.
+    shortfall
+        Where the last accepted reference asks for more than the robot has, in words; empty: nowhere.
     blocked
         Whether it paused because the robot was blocked.
     """
@@ -188,6 +190,7 @@ class ControlLoop:
         # A newly activated node counts as reset.
         self._was_reset = True
         self.last: LoopTick | None = None
+        self.shortfall = "" if trajectory is None else str(controller.find_shortfall(trajectory) or "")
 
     @property
     def reference(self) -> Reference | None:
@@ -209,11 +212,11 @@ class ControlLoop:
         ValueError
             If the reference exceeds the speed limits, or the position of its frame is not known.
         """
-        self._check_speeds(reference)
         if self._is_latched:
             raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
             placement.motion()
+        self._check(reference)
         # It states its frame, so it stays where it is.
         self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
         if self.state is LoopState.DRIVING:
@@ -240,7 +243,7 @@ class ControlLoop:
         missing = self.missing()
         if missing:
             raise RefusedError(missing)
-        self._check_speeds(reference)
+        self._check(reference)
         self._next, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
@@ -260,7 +263,7 @@ class ControlLoop:
 
     def release(self) -> None:
         """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
-        self._next, self._begin_when_ready, self.blocked, self.wait_reason = None, False, False, ""
+        self._next, self._begin_when_ready, self.blocked, self.wait_reason, self.shortfall = None, False, False, "", ""
         if self._set_aside is not None:
             (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
         if self.state is not LoopState.FAULT:
@@ -291,11 +294,12 @@ class ControlLoop:
             raise RefusedError("it is driving already; pause it first")
         self._refuse_if_missing()
         assert self._reference is not None
-        self._check_speeds(self._reference)
+        self._check(self._reference)
         if self.state is LoopState.FAULT:
             self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
-        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
+        begins = f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
+        return "; ".join(filter(None, [begins, self.shortfall]))
 
     def resume(self) -> str:
         """Drive on along the reference where it waits, after a pause or a failure; returns what it does.
@@ -495,9 +499,10 @@ class ControlLoop:
         if missing:
             raise RefusedError(missing)
 
-    def _check_speeds(self, reference: Reference) -> None:
+    def _check(self, reference: Reference) -> None:
         config = self._controller.config
         check_speeds(reference, config.limits, config.sample_time, self._controller.model.dc_gain)
+        self.shortfall = str(self._controller.find_shortfall(reference, is_moving=self.is_moving) or "")
 
     def _start_controller(self, reference: Reference, t0: float) -> None:
         pose = self.inbox.newest_pose

@@ -46,7 +46,7 @@ def diagnostics(
         status.level = _level(loop)
         if loop.last is not None:
             objection = "" if loop.objection in loop.last.message else loop.objection
-            faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal
+            faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal, loop.shortfall
             words = "; ".join(filter(None, faults))
             status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
     for part in parts:
@@ -67,13 +67,13 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.ERROR
     if loop.objection:
         return DiagnosticStatus.ERROR
-    tick = loop.last
+    tick, concern = loop.last, loop.warning or loop.refusal or loop.shortfall
     if tick is None or tick.result is None:
-        return DiagnosticStatus.WARN if loop.held or loop.warning or loop.refusal else DiagnosticStatus.OK
+        return DiagnosticStatus.WARN if loop.held or concern else DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
     well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
-    well = well and not loop.warning and not loop.refusal
+    well = well and not concern
     return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
 
 

@@ -102,7 +102,7 @@ class TrackingNode(PartHost):
             lambda: None if self._loop is None else self._controller,
             lambda: self._each_part(lambda part: part.change_limits()),
         )
-        self.failure = ""
+        self.failure = self._shortfall = ""
         self.label = "unconfigured"
         self._controller: Controller | None = None
         self._loop: ControlLoop | None = None
@@ -335,6 +335,9 @@ class TrackingNode(PartHost):
         name = self.get_fully_qualified_name().lstrip("/")
         message = diagnostics(name, time, self.label, self._loop, self.parts.values())
         self._diagnostics.publish(message)
+        before, self._shortfall = self._shortfall, "" if self._loop is None else self._loop.shortfall
+        if self._shortfall and self._shortfall != before:
+            self.get_logger().warning(self._shortfall)
         self._each_part(lambda part: part.after_diagnostics(message, time))
 
     def _serve(self, request: Callable[[ControlLoop], str]) -> Callable[[Any, Any], Any]:

@@ -113,6 +113,8 @@ class TrajectorySettings(StrictModel):
     max_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
     most_segments: int = Field(ge=1, description="of a file")
     most_joints: int = Field(ge=1, description="different ones that smooth timing rounds")
+    tolerance: float = Field(gt=0, description="distance from the drive without limits that is feasible [m]")
+    heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
 
     def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
         """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.

@@ -1,4 +1,4 @@
-"""Refuse a reference that the limits cannot follow, before the robot moves; tell of one that steps."""
+"""Refuse a reference that the limits cannot follow, before the robot moves."""
 
 from __future__ import annotations
 
@@ -100,14 +100,14 @@ def check_speeds(
     needed = twist if gain is None else np.asarray(np.linalg.solve(gain, twist.T).T, dtype=float)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
         worst = int(np.argmax(np.abs(twist[:, row]) / sides_at(limit, twist[:, row])))
-        value, bound, side = _at_side(twist[worst, row], limit)
+        value, bound, side = at_side(twist[worst, row], limit)
         if not value <= bound * _SPEED_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
                 f"limits.{name}{side} = {bound:g}; slow the reference down or raise the limit"
             )
         worst = int(np.argmax(np.abs(needed[:, row]) / sides_at(limit, needed[:, row])))
-        value, bound, side = _at_side(needed[worst, row], limit)
+        value, bound, side = at_side(needed[worst, row], limit)
         if not value <= bound * _COMMAND_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {abs(twist[worst, row]):.3g} at {times[worst]:.2f} s takes a "
@@ -129,7 +129,7 @@ def check_speeds(
             )
 
 
-def _at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
+def at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
     """Return the size of a value, the limit on its side, and the ending of that side's key if the sides differ."""
     ending = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
     return abs(float(value)), side_of(limit, value), ending
@@ -172,49 +172,6 @@ def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain:
         f"reference '{reference.name}': for {count * (times[1] - times[0]):.1f} s it turns tighter than "
         f"limits.min_commanded_radius = {radius:g}, down to {v[worst] / omega[worst]:.2g} m at {times[worst]:.2f} s; "
         "its corners are cut"
-    )
-
-
-def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
-    """One line on the largest steps of the reference's twist, where the command's slew takes longer for them than `dt`.
-
-    Such a reference is not refused: the controller rounds what the robot cannot follow. Empty where there is none.
-    """
-    # From before the start to after the end, where it rests.
-    times = np.concatenate([[-dt], _instants(reference, dt), [reference.duration + dt]])
-    twist = reference.sample(times).twist
-    steps = np.abs(np.diff(twist, axis=0))
-    sentences = []
-    for row, (name, unit) in enumerate((("v", "m/s"), ("omega", "rad/s"))):
-        # Through zero a step falls, then grows.
-        size, slew = np.abs(twist[:, row]), getattr(limits, f"{name}_slew")
-        falls = np.where(twist[1:, row] * twist[:-1, row] < 0.0, size[:-1], np.maximum(size[:-1] - size[1:], 0.0))
-        takes = (steps[:, row] - falls) / slew.sides[0] + falls / slew.sides[1]
-        worst = int(np.argmax(takes))
-        if takes[worst] > (times[2] - times[1]) * (1 + 1e-6):
-            sentences.append(
-                f"{name} steps by up to {steps[worst, row]:.3g} {unit}, for which limits.{name}_slew takes "
-                f"{takes[worst]:.2g} s"
-            )
-    return f"reference '{reference.name}': {'; '.join(sentences)}" if sentences else ""
-
-
-def starts_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
-    """One line on a reference that begins faster than a robot at rest can follow within `dt` [s]; empty otherwise."""
-    v, omega = np.abs(reference.sample([0.0]).twist[0]).tolist()
-    late = [
-        f"limits.{name}_slew = {slew:g} {unit}^2 takes {speed / slew:.2g} s to {speed:.3g} {unit}"
-        for name, unit, speed, (slew, _) in (
-            ("v", "m/s", v, limits.v_slew.sides),
-            ("omega", "rad/s", omega, limits.omega_slew.sides),
-        )
-        if speed > slew * dt * (1 + 1e-6)
-    ]
-    if not late:
-        return ""
-    return (
-        f"reference '{reference.name}' starts at {v:.3g} m/s and {omega:.3g} rad/s, the robot at rest: "
-        f"{', '.join(late)}; let the reference begin at rest, or expect the robot behind it"
     )
 
 

@@ -29,6 +29,18 @@ def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) ->
     assert "valid, horizon 30 steps" in checked.stdout
 
 
+def test_config_check_names_what_a_trajectory_lacks_and_the_timing_that_would_do(tmp_path: Path) -> None:
+    config, path = tmp_path / "mine.yaml", tmp_path / "arcs.yaml"
+    config.write_text("{model: ssm, limits: {omega_slew: 0.8}}")
+    arcs = [{"v": 0.6, "omega": omega, "duration": 3.0} for omega in (1.0, -1.0)]
+    path.write_text(yaml.safe_dump({"segments": arcs, "timing": "commanded"}))
+    lines = invoke(app, "config", "check", config, "--trajectory", path).stdout.splitlines()
+    assert "6.0 s in the file, driven in" in lines[1] and "(timing: commanded)" in lines[1]
+    assert "'arcs': infeasible from" in lines[2] and "limits.omega_slew = 0.8" in lines[2]
+    assert "timing: smooth makes it feasible, in" in lines[3]
+    assert "reference 'circle': feasible in" in invoke(app, "config", "check", config, "--trajectory", "circle").stdout
+
+
 def test_the_schema_lists_every_key_with_its_default() -> None:
     flat = {row.key: row for row in schema_rows()}
     assert flat["horizon"].default == str(ControllerConfig().horizon)

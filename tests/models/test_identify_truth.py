@@ -250,8 +250,8 @@ def test_commands_that_come_at_uneven_times_do_not_shorten_the_dead_time():
     sent, read = period * np.arange(count) + np.clip(random.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
     commands, grid = set_points(1, count, (0.8, 1.5), 12), np.arange(0, seconds + 1, fine)
     twist = SM.discretise(fine).simulate(commands[np.clip(np.searchsorted(sent, grid, side="right") - 1, 0, None)])
-    seen = twist[np.searchsorted(grid, read)] + random.normal(0, (0.01, 0.03), (count, 2))
-    signals = {"twist": Signal(read, seen), "yaw_rate": Signal(read, seen[:, 1:])}
+    readings = twist[np.searchsorted(grid, read)] + random.normal(0, (0.01, 0.03), (count, 2))
+    signals = {"twist": Signal(read, readings), "yaw_rate": Signal(read, readings[:, 1:])}
     even = resample("log", RawStretch(sent, Signal(sent, commands), signals), 0.0, seconds, period, check_settings())
     parameters = identify_sm([even], limits=False).parameters
     for channel in ("v", "omega"):

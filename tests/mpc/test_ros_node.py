@@ -324,3 +324,17 @@ def test_diagnostics_contain_times_ages_and_faults():
         s.base.until(lambda: heard, "diagnostics")
         assert heard[-1].status[0].level == DiagnosticStatus.WARN
         assert "TRACKING: imu is 0." in heard[-1].status[0].message
+
+
+def test_infeasible_reference_is_named_before_driving_and_driven():
+    with stack({"limits.wheel_speed": 0.45}, diagnostics_rate=20.0) as s:
+        heard = s.listen(DiagnosticArray, "/diagnostics")
+        response = s.trigger("start")
+        assert response.success and "'circle': infeasible from" in response.message
+        assert "limits.wheel_speed = 0.45" in response.message
+        assert s.base.run(30)[-1, 0] > 0.1
+        s.base.until(lambda: heard and "infeasible" in heard[-1].status[0].message, "diagnostics")
+        assert heard[-1].status[0].level == DiagnosticStatus.WARN
+        s.loop.shortfall = ""
+        s.loop.follow(s.loop.reference)
+        assert "infeasible" in s.loop.shortfall

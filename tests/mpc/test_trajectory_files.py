@@ -19,7 +19,6 @@ from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
-from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
@@ -345,10 +344,3 @@ def test_wrong_waypoints_are_reported_in_one_sentence(points, settings, message)
 def test_reference_beyond_the_limits_is_rejected_at_start():
     with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
         Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
-
-
-def test_start_beyond_the_slew_limit_is_reported():
-    limits, dt = load_config("ssm").limits, 0.0202
-    told = starts_beyond_slew(Trajectory.from_arrays(TIMES, 0.85 * TIMES, 0 * TIMES), limits, dt)
-    assert told.startswith("reference 'arrays' starts at 0.85 m/s and 0 rad/s, the robot at rest: limits.v_slew = ")
-    assert starts_beyond_slew(Trajectory.from_waypoints([(0, 0), (1, 0)]), limits, dt) == ""

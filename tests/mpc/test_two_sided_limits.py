@@ -7,12 +7,12 @@ import pytest
 import yaml
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
-from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew, steps_beyond_slew
 from fuzz.controller import check_step
 
 SIDES = {
@@ -142,19 +142,9 @@ def test_a_reference_is_compared_with_its_own_side():
         controller.checked_reference(reference(0.1, -1.2))
 
 
-def test_slew_of_a_reference_is_compared_by_growth_and_fall():
-    limits = load_config("ssm", TWO_SIDED).limits
-    ramps = TrajectoryLimits.of_robot()
-    steps = lay_commanded(
-        [Segment(v=0.1, omega=0.0, duration=2.0), Segment(v=0.5, omega=0.0, duration=2.0)], ramps, name="up"
-    )
-    # The ramp at its end is quicker than the brakes; the step up takes 0.4 s.
-    assert "v steps by up to 0.4 m/s, for which limits.v_slew takes 0.4 s" in steps_beyond_slew(steps, limits, 0.02)
-    back = lay_commanded(
-        [Segment(v=0.2, omega=0.0, duration=2.0), Segment(v=-0.2, omega=0.0, duration=2.0)], ramps, name="back"
-    )
-    assert "limits.v_slew takes 0.7 s" in steps_beyond_slew(back, limits, 0.02)
-    assert starts_beyond_slew(back, limits, 0.02) == ""
+def test_link_of_a_plant_carries_the_larger_side():
+    limits = {"limits": {"v": {"forward": 2.5, "reverse": 0.2}}}
+    assert plant_settings(load_config("ssm", limits))["limits"].v == 2.5
 
 
 def test_smooth_timing_keeps_the_speed_of_each_direction_and_both_rates():
@@ -168,8 +158,8 @@ def test_smooth_timing_keeps_the_speed_of_each_direction_and_both_rates():
     assert v.max() == pytest.approx(0.8, rel=1e-3) and v.min() == pytest.approx(-0.2, rel=1e-3)
     rate = np.diff(np.abs(v)) / np.diff(times)
     assert rate.max() == pytest.approx(0.5, rel=0.02) and rate.min() == pytest.approx(-0.2, rel=0.02)
-    assert steps_beyond_slew(trajectory, config.limits, config.sample_time) == ""
-    Controller(config).checked_reference(trajectory)
+    controller = Controller(config)
+    assert controller.find_shortfall(controller.checked_reference(trajectory)) is None
 
 
 @pytest.mark.parametrize("timing", ["stop", "smooth"])

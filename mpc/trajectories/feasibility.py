@@ -1,0 +1,215 @@
+"""Find where a reference asks for more than model and limits give, before the robot moves, and which timing would do.
+
+The linear model without limits follows a reference up to what its lags round off. So only the difference to that robot
+is computed, in the twists that commands settle at: commands that the limits cut leave a deficit of distance and
+heading, which later commands work off as far as the limits allow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, sides_at
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.speed_check import at_side, checked_reference
+
+_LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "predicted_omega")
+_ROUNDING = 1e-6
+# Step [s] and largest number of steps: a shorter sample time is not resolved; longer references are looked at so far.
+_STEP, _MOST_TICKS = 0.05, 12_000
+# Speed for each metre behind and yaw rate for each radian [1/s]; share of a tolerance from which a deficit grows [-].
+_CATCH_UP, _GROWS_FROM = 5.0, 0.5
+# Share of the horizon beyond the lags over which v and omega are planned ahead: the cost weighs headings lightly [-].
+_PREVIEWS = 1.0, 0.5
+# Factors on the duration that are tried [-].
+_STRETCHES = [1.1**step for step in range(1, 31)]
+_Model = VelocityModel | NonlinearModel
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """First place at which a reference asks for more than the robot has.
+
+    Attributes
+    ----------
+    reference
+        Name of the reference.
+    time, arc_length
+        Where it begins: time of the reference [s], distance along it [m].
+    key
+        Limit that is reached, such as `limits.v.reverse` or `limits.omega_slew.brake`.
+    needed, available
+        Largest value that the reference needs there, and the limit [unit of the limit].
+    behind
+        Distance by which a robot at the limit falls behind there; angle for limits of omega [m, rad].
+    duration, drivable
+        Duration of the reference, and the shortest of those tried at which it is feasible [s]; infinite if none is.
+    """
+
+    reference: str
+    time: float
+    arc_length: float
+    key: str
+    needed: float
+    available: float
+    behind: float
+    duration: float
+    drivable: float
+
+    def __str__(self) -> str:
+        """Place, limit, consequence and remedy in one line."""
+        name, unit = self.key.split(".")[1], "rad" if "omega" in self.key else "m"
+        remedy = f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s"
+        if math.isinf(self.drivable):
+            remedy = "no slower timing helps: raise the limit"
+        return (
+            f"reference '{self.reference}': infeasible from {self.time:.2f} s ({self.arc_length:.2f} m): {name} takes "
+            f"{self.needed:.3g} {unit}/s{'^2' if 'slew' in name else ''}, {self.key} = {self.available:.3g}; "
+            f"it falls {self.behind:.2f} {unit} behind; {remedy}"
+        )
+
+
+def find_shortfall(
+    reference: Reference, config: ControllerConfig, model: _Model, *, is_moving: bool = False
+) -> Shortfall | None:
+    """Return where `reference` first takes the robot of `config` and `model` beyond its limits; None if nowhere.
+
+    The robot starts on the reference, at rest or, if it `is_moving`, with the reference's twist. Steps and corners that
+    lags round off do not count. Tolerances are in `settings.yaml`. The first ten minutes of a reference are looked at.
+    """
+    timed = partial(_Ticks, checked_reference(reference), config, model, is_moving)
+    ticks = timed(1.0)
+    notes = ticks.deficit()
+    if notes is None:
+        return None
+    first, end = int(notes[0, 0]), int(notes[-1, 0]) + ticks.preview + 1
+    parts = (np.abs(notes[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
+    exceeded = ticks.ratio > 1.0 + _ROUNDING
+    # A limit that only the way back to the reference meets is no cause.
+    row = int(np.argmax(np.where(exceeded[:end].any(axis=0), [*parts[:4], parts[4:].max(), *parts[4:]], -1.0)))
+    over, name = np.flatnonzero(exceeded[:, row]), _LIMITS[row]
+    run = [run for run in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if run[0] < end][-1]
+    needed, ratio = ticks.needed[run, row], ticks.ratio[run, row]
+    lost = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
+    limit = getattr(config.limits, name)
+    size, bound, side = at_side(needed[np.argmax(ratio)], limit if isinstance(limit, TwoSided) else TwoSided(limit))
+    time = min(first * ticks.step + float(ticks.lag[int("omega" in name)]), reference.duration)
+    return Shortfall(
+        reference.name,
+        time,
+        float(reference.sample([time]).arc_length[0]),
+        f"limits.{name}{side}",
+        size,
+        bound,
+        float(ticks.step * (np.abs(needed) * lost).sum()),
+        reference.duration,
+        reference.duration * next((stretch for stretch in _STRETCHES if timed(stretch).deficit() is None), math.inf),
+    )
+
+
+class _Ticks:
+    """Commands that a reference asks for, `stretch` times as slow, and the drive that the limits allow."""
+
+    def __init__(
+        self, reference: Reference, config: ControllerConfig, model: _Model, is_moving: bool, stretch: float
+    ) -> None:
+        settings, limits = load_settings(), config.limits
+        self.config, self.gain, self.lag = config, np.asarray(model.dc_gain), np.maximum(model.lag, 0.0)
+        self.tolerance = np.array([settings.tolerance, settings.heading_tolerance])
+        self.step = step = max(config.sample_time, _STEP)
+        end = reference.duration * stretch + config.finish.timeout
+        times = np.arange(0.0, np.fmin(end, _MOST_TICKS * step) + step, step)
+        body = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
+        self.body = np.stack(body, axis=-1) / stretch
+        # Until the first command shows, the reference gets ahead of the robot at rest.
+        lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
+        self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
+        command = np.linalg.solve(self.gain, self.body.T).T
+        self.before = before = np.vstack([is_moving * command[:1], command[:-1]])
+        change = np.abs(command - before) / step * np.where(np.abs(command) >= np.abs(before), 1.0, -1.0)
+        wheels = np.abs(self.body) @ [1.0, 0.5 * config.wheels.track]
+        self.needed = np.column_stack([command, change, wheels, self.body])
+        bounds = [sides_at(getattr(limits, name), self.needed[:, row]) for row, name in enumerate(_LIMITS)]
+        self.ratio = np.abs(self.needed) / np.stack(bounds, axis=-1)
+        self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
+        ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
+        cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
+        ahead = [int(share * self.preview) for share in _PREVIEWS]
+        self.command = np.stack([_foreseen(cut[:, row], slews[row], step, ahead[row]) for row in (0, 1)], axis=-1)
+
+    def deficit(self) -> FloatArray | None:
+        """Drive along the reference until the robot is beyond the tolerance; return None if it never is.
+
+        Returns
+        -------
+        FloatArray
+            (ticks, 7) from where the deficit grows to where it is too large: tick, and by how much v and omega are cut
+            to their range, to their slew, and to the limits of the twist.
+        """
+        if (self.ratio <= 1.0 + _ROUNDING).all():
+            return None
+        limits, h, gain = self.config.limits, self.step, _CATCH_UP
+        tolerance, turn_tolerance = self.tolerance.tolist()
+        (v_up, v_down), (w_up, w_down) = limits.v.sides, limits.omega.sides
+        v_grows, v_falls, w_grows, w_falls = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
+        wheel_speed, top_v, top_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
+        half_track = 0.5 * self.config.wheels.track
+        (g00, g01), (g10, g11) = self.gain.tolist()
+        x = free_x = self.lead
+        y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
+        notes: list[tuple[float, ...]] = []
+        for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
+            # Across the path the return is critically damped at 1 m/s.
+            v_wanted, w_wanted = v_plan + gain * x, w_plan + gain * (turn + 0.25 * gain * v * y)
+            v_in, w_in = min(max(v_wanted, -v_down), v_up), min(max(w_wanted, -w_down), w_up)
+            v_ref, w_ref = _reached(v_ref, v_in, v_grows, v_falls), _reached(w_ref, w_in, w_grows, w_falls)
+            v_body, w_body = g00 * v_ref + g01 * w_ref, g10 * v_ref + g11 * w_ref
+            wheels = (abs(v_body) + half_track * abs(w_body)) / wheel_speed
+            over = max(wheels, abs(v_body) / top_v, abs(w_body) / top_w, 1.0)
+            v_out, w_out = v_body / over, w_body / over
+            cuts = v_wanted - v_in, w_wanted - w_in, v_in - v_ref, w_in - w_ref, v_body - v_out, w_body - w_out
+            notes.append((tick, *cuts))
+            x, y = x + h * (w_out * y - v_out + v * math.cos(turn)), y + h * (v * math.sin(turn) - w_out * x)
+            turn += h * (w - w_out)
+            free_x *= 1.0 - gain * h
+            size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
+            if size > 1.0:
+                return np.array(notes)
+            if size < _GROWS_FROM:
+                notes.clear()
+        return None
+
+
+def _foreseen(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
+    """Return commands (K,) that begin to change so early that a change beyond the slew lies in the middle of its ramp.
+
+    Half of the time by which the ramp takes longer is before it: that is a slope of the harmonic mean of both.
+    """
+    change, bounds = np.diff(cut, prepend=0.0) / step, []
+    for sense in (1.0, -1.0):
+        rate = np.where(sense * cut >= 0.0, slew.sides[1], slew.sides[0])
+        slope = 2.0 * step / (1.0 / rate + 1.0 / np.where(-sense * change > rate, -sense * change, np.inf))
+        bound = sense * cut
+        for ahead in range(1, min(preview, len(cut) - 1) + 1):
+            bound[:-ahead] = np.minimum(bound[:-ahead], sense * cut[ahead:] + ahead * slope[ahead:])
+        bounds.append(sense * bound)
+    high, low = bounds
+    return np.asarray(np.where(high < cut, high, low))
+
+
+def _reached(last: float, command: float, grows: float, falls: float) -> float:
+    """Return one channel of `models.two_sided.reached` as a plain number, which a loop takes ten times as fast."""
+    low, high = last - (falls if last > 0.0 else grows), last + (falls if last < 0.0 else grows)
+    if last > 0.0 > low:
+        low *= grows / falls
+    if last < 0.0 < high:
+        high *= grows / falls
+    return min(max(command, low), high)

@@ -1,0 +1,113 @@
+"""Feasibility of a reference before driving: which limit, where, and which timing would do."""
+
+import time
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.mpc import Controller, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.trajectories.feasibility import find_shortfall
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
+
+FAST = TrajectoryLimits(v=2.0, omega=3.0, v_acceleration=1.0, omega_acceleration=2.0)
+
+
+class Stretched:
+    """`reference` in `duration` seconds."""
+
+    def __init__(self, reference, duration):
+        self.reference, self.name, self.duration = reference, reference.name, duration
+
+    def sample(self, times):
+        factor = self.duration / self.reference.duration
+        sample = self.reference.sample(np.asarray(times) / factor)
+        return ReferenceSample(sample.pose, sample.twist / factor, sample.arc_length)
+
+
+class Later:
+    """`reference` from time `start` on."""
+
+    def __init__(self, reference, start):
+        self.reference, self.start, self.name = reference, start, reference.name
+        self.duration = reference.duration - start
+
+    def sample(self, times):
+        return self.reference.sample(np.maximum(times, 0.0) + self.start)
+
+
+def drive(segments, **limits):
+    """Return the reference of `segments`, and what a robot with these limits lacks for it."""
+    controller = Controller(
+        replace_values(load_config("ssm"), {f"limits.{key}": value for key, value in limits.items()})
+    )
+    reference = lay_segments([Segment(v=v, omega=omega, duration=t) for v, omega, t in segments], FAST, name="drive")
+    return controller, reference, controller.find_shortfall(reference)
+
+
+@pytest.mark.parametrize(
+    ("segments", "limits", "key", "needed"),
+    [
+        # Forwards 2 s, then backwards at 0.6 m/s, for a robot that goes back at 0.3 m/s.
+        ([(0.6, 0.0, 2.0), (-0.6, 0.0, 3.0)], {"v": {"forward": 1.5, "reverse": 0.3}}, "limits.v.reverse", 0.6),
+        ([(1.2, 0.0, 4.0)], {"v_slew": {"accelerate": 4.0, "brake": 0.3}}, "limits.v_slew.brake", 1.0),
+        ([(0.5, 0.0, 2.0), (0.6, -1.2, 4.0)], {"omega": {"left": 2.0, "right": 0.6}}, "limits.omega.right", 1.2),
+        # The outer wheel: 1.0 m/s + 0.2 m * 1.0 rad/s.
+        ([(0.5, 0.0, 2.0), (1.0, 1.0, 4.0)], {"wheel_speed": 0.9}, "limits.wheel_speed", 1.2),
+    ],
+)
+def test_limit_is_named_with_side_size_and_place(segments, limits, key, needed):
+    _, reference, lack = drive(segments, **limits)
+    assert lack.key == key and lack.needed == pytest.approx(needed, rel=0.1)
+    first = next(i for i, segment in enumerate(segments) if "brake" in key or i == len(segments) - 1)
+    assert lack.time > (reference.breaks[first] if hasattr(reference, "breaks") else 0.0) - 0.5
+    assert reference.sample([lack.time]).arc_length[0] == pytest.approx(lack.arc_length)
+    assert f"infeasible from {lack.time:.2f} s" in str(lack) and f"{key} = " in str(lack)
+    assert lack.behind > 0.04
+
+
+def test_named_timing_is_feasible_and_a_shorter_one_is_not():
+    controller, reference, lack = drive([(1.2, 0.9, 4.0)], omega=0.6, v_slew=0.7)
+    assert controller.find_shortfall(Stretched(reference, lack.drivable)) is None
+    assert controller.find_shortfall(Stretched(reference, 0.9 * lack.drivable)) is not None
+    # The deficit that is tolerated lets it be a little quicker than the limit says.
+    assert lack.drivable == pytest.approx(reference.duration * 0.9 / 0.6, rel=0.15)
+
+
+def test_distance_behind_a_brake_limit_follows_from_both_decelerations():
+    # From 1 m/s at 1 m/s^2; at 0.25 m/s^2 the robot stops 1/2/0.25 - 1/2/1 = 1.5 m later.
+    _, reference, lack = drive([(1.0, 0.0, 4.0)], v_slew={"accelerate": 4.0, "brake": 0.25})
+    assert lack.behind == pytest.approx(1.5, rel=0.05) and lack.time > reference.duration - 2.0
+
+
+def test_shipped_paths_are_feasible_for_the_shipped_models():
+    for name in ("mbm", "sm", "ssm", "two_delays"):
+        controller = Controller(name)
+        for path in ("circle", "square", "s", "cane"):
+            assert controller.find_shortfall(load_trajectory(path, controller.config)) is None, (name, path)
+
+
+def test_start_at_speed_is_reported():
+    config, times = load_config("ssm"), np.linspace(0, 5, 200)
+    model = Controller(config).model
+    fast = find_shortfall(Trajectory.from_arrays(times, 0.85 * times, 0 * times), config, model)
+    assert fast.key == "limits.v_slew" and fast.time < 0.3
+    steady = lay_commanded([Segment(v=0.85, omega=0.3, duration=4.0)], FAST, name="steady")
+    under_way = Later(steady, 2.0)
+    assert find_shortfall(under_way, config, model) is not None
+    assert find_shortfall(under_way, config, model, is_moving=True) is None
+    assert find_shortfall(Trajectory.from_waypoints([(0, 0), (1, 0)]), config, model) is None
+
+
+def test_a_minute_is_checked_within_a_tick_or_two():
+    config = replace_values(load_config("ssm"), {"limits.omega": 0.5, "sample_time": 0.05, "horizon": 15})
+    model = Controller(config).model
+    path = lay_segments([Segment(v=0.5, omega=side, duration=10.0) for side in 3 * (0.7, -0.7)], FAST, name="minute")
+    took = []
+    for _ in range(3):
+        began = time.process_time()
+        assert find_shortfall(path, config, model) is not None
+        took.append(time.process_time() - began)
+    assert min(took) < 0.05
