@@ -135,11 +135,14 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
     changes = np.concatenate([[True], (np.diff(signal.value, axis=0) != 0).any(axis=1)])
     value, place = signal.value[changes], (signal.time[changes] - grid[0]) / dt
     place = np.where(np.abs(place - np.rint(place)) <= tolerance / dt, np.rint(place), place)
-    begin = np.arange(len(grid), dtype=float)
-    first, last = np.searchsorted(place, begin, side="right") - 1, np.searchsorted(place, begin + 1.0, side="left") - 1
+    starts = np.arange(len(grid), dtype=float)
+    first, last = (
+        np.searchsorted(place, starts, side="right") - 1,
+        np.searchsorted(place, starts + 1.0, side="left") - 1,
+    )
     passed = np.vstack([np.zeros(value.shape[1]), np.cumsum(np.diff(place)[:, None] * value[:-1], axis=0)])
-    held = passed[last] - passed[first] + (begin + 1.0 - place[last])[:, None] * value[last]
-    held -= (begin - place[first])[:, None] * value[first]
+    held = passed[last] - passed[first] + (starts + 1.0 - place[last])[:, None] * value[last]
+    held -= (starts - place[first])[:, None] * value[first]
     return np.asarray(np.where((first == last)[:, None], value[first], held))
 
 

@@ -77,7 +77,7 @@ void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible)
     *count = c->constants->impossible[1] * *count + (real)impossible;
 }
 
-/* Whether a sensor of late gives readings that no robot has: then its others are wrong, too. */
+/* Return whether a sensor of late gives readings that no robot has: then its others are wrong, too. */
 static int is_impossible(const ddmpc_controller *c, int subject)
 {
     return c->monitor.impossible[subject] > c->constants->impossible[0];

@@ -107,9 +107,9 @@ class Problem:
     def soft_names(self) -> tuple[str, ...]:
         """Names of the kinds of soft limit in their order; `left` and `right` are wheels."""
         turns = [f"{name} {side}" for name in ("turn", "commanded turn") for side in ("left", "right")]
-        given = turns[: self._turns] + turns[2 : 2 + self._command_turns]
+        kinds = turns[: self._turns] + turns[2 : 2 + self._command_turns]
         of_terms = [f"{term.name}.{row}" for term in self.terms if term.soft for row in range(term.rows)]
-        return (*SHIPPED_SOFT, *given, *of_terms)
+        return (*SHIPPED_SOFT, *kinds, *of_terms)
 
     @property
     def curved(self) -> bool:

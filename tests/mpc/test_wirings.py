@@ -81,3 +81,39 @@ def test_wirings_are_named_on_twenty_drawn_robots(tmp_path):
     wrong, lateral, count = judged(robots, tmp_path, jobs=2)
     assert len(wrong) <= 0.03 * count, wrong
     assert np.median(lateral) < 0.1
+
+
+def named_settings(messages):
+    """Return the settings that the last message with any of them names, by key."""
+    words = [re.findall(r"(sensors\.\w+\.(?:\w+_)?(?:sign|scale|heading)): (-?[\d.]+)", text) for text in messages]
+    last = next((pairs for pairs in reversed(words) if pairs), [])
+    return tuple((key, int(value) if key.endswith("sign") else float(value)) for key, value in last)
+
+
+def remedied(wiring, robot, folder):
+    """Return the lateral error with the named setting over that of the robot wired as configured; None without one."""
+    settings = named_settings(drive(wiring, robot, folder)[0])
+    if not settings:
+        return None
+    wired = {"sensors": str(Path(folder, f"{wiring}.yaml")), "overrides": settings}
+    errors = []
+    for options in (wired, {}):
+        path, seeds = PATHS[robot % len(PATHS)], (robot, robot + 1000, robot + 2000)
+        cases = [Case(model="sm", trajectory=path, plant=f"drawn:{robot}", seed=seed, **options) for seed in seeds]
+        runs = [run_case(case) for case in cases]
+        errors.append(np.mean([np.mean(np.asarray(run.errors.lateral)[run.time > 3.0] ** 2) for run in runs]))
+    return float(np.sqrt(errors[0] / errors[1]))
+
+
+@pytest.mark.long
+def test_the_setting_that_a_message_names_restores_tracking(tmp_path):
+    """Wirings that a setting undoes, on the first twenty robots: from 3 s on, three seeds each."""
+    robots = [robot for robot in range(RESERVED + 300, RESERVED + 350) if follows(robot)][:20]
+    wirings = [
+        name for name, stated in WIRINGS.items() if set(stated["answer"].values()) & {"reversed", "scaled", "turned"}
+    ]
+    for name in wirings:
+        Path(tmp_path, f"{name}.yaml").write_text(yaml.safe_dump(WIRINGS[name]["sensors"]), encoding="utf-8")
+    cases = [(name, robot, tmp_path) for name in wirings for robot in robots]
+    ratios = [ratio for ratio in run_tasks([partial(remedied, *case) for case in cases], 2, lambda *_: None) if ratio]
+    assert np.mean(np.array(ratios) <= 1.5) >= 0.95
