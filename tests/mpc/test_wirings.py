@@ -50,10 +50,14 @@ def is_right(wiring, messages):
     )
 
 
-def judged(robots, folder, jobs=1):
-    """Return wirings and robots with a wrong answer, and the lateral errors before the answers [m]."""
+def write_sensor_sets(folder):
     for wiring, stated in WIRINGS.items():
         Path(folder, f"{wiring}.yaml").write_text(yaml.safe_dump(stated["sensors"]), encoding="utf-8")
+
+
+def judged(robots, folder, jobs=1):
+    """Return wirings and robots with a wrong answer, and the lateral errors before the answers [m]."""
+    write_sensor_sets(folder)
     cases = [(wiring, robot) for wiring in WIRINGS for robot in robots]
     drives = run_tasks([partial(drive, *case, folder) for case in cases], jobs, lambda *_: None)
     wrong = [case for case, (messages, _) in zip(cases, drives, strict=True) if not is_right(case[0], messages)]
@@ -67,6 +71,11 @@ def follows(robot):
     return metrics.completed and metrics.position_rmse_m < 0.1
 
 
+def robots_that_follow():
+    """Return the first twenty that follow their path while wired as configured: others slide or stop by themselves."""
+    return [robot for robot in range(RESERVED + 300, RESERVED + 350) if follows(robot)][:20]
+
+
 def test_wirings_are_named_on_robots_that_track_well(tmp_path):
     """The first two reserved robots of different paths that drive within 15 mm while they are wired as configured."""
     wrong, lateral, count = judged([RESERVED + 3, RESERVED + 11], tmp_path)
@@ -76,8 +85,7 @@ def test_wirings_are_named_on_robots_that_track_well(tmp_path):
 
 @pytest.mark.long
 def test_wirings_are_named_on_twenty_drawn_robots(tmp_path):
-    """The first twenty that follow their path while wired as configured: others slide or stop by themselves."""
-    robots = [robot for robot in range(RESERVED + 300, RESERVED + 350) if follows(robot)][:20]
+    robots = robots_that_follow()
     wrong, lateral, count = judged(robots, tmp_path, jobs=2)
     assert len(wrong) <= 0.03 * count, wrong
     assert np.median(lateral) < 0.1
@@ -108,12 +116,11 @@ def remedied(wiring, robot, folder):
 @pytest.mark.long
 def test_the_setting_that_a_message_names_restores_tracking(tmp_path):
     """Wirings that a setting undoes, on the first twenty robots: from 3 s on, three seeds each."""
-    robots = [robot for robot in range(RESERVED + 300, RESERVED + 350) if follows(robot)][:20]
+    robots = robots_that_follow()
     wirings = [
         name for name, stated in WIRINGS.items() if set(stated["answer"].values()) & {"reversed", "scaled", "turned"}
     ]
-    for name in wirings:
-        Path(tmp_path, f"{name}.yaml").write_text(yaml.safe_dump(WIRINGS[name]["sensors"]), encoding="utf-8")
+    write_sensor_sets(tmp_path)
     cases = [(name, robot, tmp_path) for name in wirings for robot in robots]
     ratios = [ratio for ratio in run_tasks([partial(remedied, *case) for case in cases], 2, lambda *_: None) if ratio]
     assert np.mean(np.array(ratios) <= 1.5) >= 0.95
