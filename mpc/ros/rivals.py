@@ -84,18 +84,18 @@ class Rivals:
 
     def others(self) -> Others:
         """Who publishes there beside the node itself, as far as the middleware knows by now."""
-        project = self._beside_own(f"{self.topic}/{_CLAIM}")
-        foreign = self._beside_own(self.topic)
+        project = self._beside_own(f"{self.topic}/{_CLAIM}", has_own=self._claim is not None)
+        foreign = self._beside_own(self.topic, has_own=True)
         for name in project:
             if name in foreign:
                 foreign.remove(name)
         return Others(tuple(project), tuple(foreign))
 
-    def _beside_own(self, topic: str) -> list[str]:
+    def _beside_own(self, topic: str, *, has_own: bool) -> list[str]:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         own = self._node.get_fully_qualified_name()
-        # One of that name is this node; a second one is another.
-        if own in names:
+        # One of that name is this node; a second one is another. Without a publisher of its own, the first is another.
+        if has_own and own in names:
             names.remove(own)
         return names
 
