@@ -67,20 +67,25 @@ def ramps(commands: FloatArray, grows: float, falls: float, start: float) -> Flo
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
     counts = np.diff(np.append(first, len(commands)))
-    runs = []
-    last = start
+    befores, last, near = [], start, min(grows, falls)
     # Plain numbers: a log may well change its command at every sample.
     for target, count in zip(commands[first].tolist(), counts.tolist(), strict=True):
-        above, below = (grows, falls) if target > last else (falls, grows)
+        befores.append(last)
+        change = target - last
+        if -near * count <= change <= near * count:
+            last = target
+            continue
+        above, below = (grows, falls) if change > 0 else (falls, grows)
         end = target / (above if target > 0 else below)
         gap = last / (above if last > 0 else below) - end
-        runs.append((gap, end, above, below))
         left = abs(gap) - count
         position = end + (left if gap > 0 else -left)
         last = position * (above if position > 0 else below) if left > 0 else target
-    passed = np.arange(len(commands)) - np.repeat(first, counts) + 1
-    gap, end, above, below = np.repeat(runs, counts, axis=0).T
-    left = np.abs(gap) - passed
+    before = np.repeat(befores, counts)
+    above, below = np.where(commands > before, [[grows], [falls]], [[falls], [grows]])
+    end = commands / np.where(commands > 0, above, below)
+    gap = before / np.where(before > 0, above, below) - end
+    left = np.abs(gap) - (np.arange(len(commands)) - np.repeat(first, counts) + 1)
     position = end + np.sign(gap) * left
     return np.asarray(np.where(left > 0, position * np.where(position > 0, above, below), commands))
 

@@ -62,8 +62,8 @@ def test_sampling_is_that_of_control(name, dead_time):
 
 STRUCTURES = {
     "two poles": (
-        Layout(TWO_POLES, 1, 1, offset=(True,), limited=(True,)),
-        [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7],
+        Layout(TWO_POLES, 1, 1, offset=(True,), limited=((True,) * 4,)),
+        [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7, 0.5, 1.1, 2.3],
     ),
     "state space": (
         Layout(LocalStateSpace(*balanced(*(getattr(load_model("ssm"), x) for x in "ABC"))), 2, 2, offset=(False, True)),

@@ -1,0 +1,46 @@
+"""Limits of the base on the way in: the largest command on each side, and the largest rates that it follows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import PARTS, ramps
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit
+
+KINDS = ("upper", "lower", "accelerate", "brake")
+"""Largest command above and below zero [units of the input]; rates at which its size grows and falls [the same / s]."""
+# Rate that no command of a robot needs.
+_AT_ONCE = 1e6
+# Step of a derivative, relative to the limit: what follows is piecewise linear in most of them.
+_STEP = 1e-6
+
+
+def side_name(channel: str, kind: int) -> str:
+    """Return the name of a limit of a channel, by the number of its kind: `forward`, `left`, `brake`."""
+    return ((YawRateLimit if channel == "omega" else VelocityLimit).names + SlewLimit.names)[kind]
+
+
+def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray | None = None) -> FloatArray:
+    """Return the inputs (K, m) that a base with limits (m, 4) carries out, each the mean over its sample of `dt` [s].
+
+    The base has reached `start` (m,) before sample 0, by default the first input.
+    """
+    taken = np.clip(inputs, -limit[:, 1], limit[:, 0])
+    for j, rates in enumerate(np.minimum(limit[:, 2:], _AT_ONCE)):
+        if rates.min() < _AT_ONCE:
+            first = float(taken[0, j] if start is None else start[j])
+            finer = ramps(np.repeat(taken[:, j], PARTS), *rates * dt / PARTS, first)
+            taken[:, j] = finer.reshape(-1, PARTS).mean(axis=1)
+    return np.asarray(taken)
+
+
+def slopes(inputs: FloatArray, limit: FloatArray, dt: float) -> FloatArray:
+    """Return the derivatives (4, K, m) of `limited` by each kind of limit; zero where it is infinite."""
+    taken, found = limited(inputs, limit, dt), np.zeros((len(KINDS), *inputs.shape))
+    for kind in np.flatnonzero(np.isfinite(limit).any(axis=0)):
+        step = np.where(np.isfinite(limit[:, kind]), _STEP * limit[:, kind], 1.0)
+        moved = limit.copy()
+        moved[:, kind] += step
+        found[kind] = (limited(inputs, moved, dt) - taken) / step
+    return found

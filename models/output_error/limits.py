@@ -1,0 +1,170 @@
+"""Search for the limits of a base in one channel: largest commands and rates, each side on its own.
+
+A candidate limits the commands first; the plain layout is then fitted to them for a few evaluations. The best candidate
+is refined together with all parameters. A side stays if the information criterion (Schwarz, Annals of Statistics 1978,
+6(2)) and the prediction of held-out blocks ask for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
+from diffdrive_mpc.models.output_error.held_out import hold_out
+from diffdrive_mpc.models.output_error.input_limits import KINDS, limited
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error
+
+_RATES = 2
+"""Kinds from this one on are rates."""
+# A limit has to be so many standard deviations below what was commanded, and a rate above zero.
+_CERTAIN = 2.0
+# A search from near the best.
+_BRIEF = {"trial": 8, "rounds": 1}
+
+
+def find_limits(
+    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], quick: FloatArray, robust: bool = True
+) -> OutputErrorFit:
+    """Add the limits of the one input that the data show.
+
+    Parameters
+    ----------
+    fit
+        The fit without limits.
+    experiments
+        The data behind it.
+    quick
+        (q,) first guess of a robot that is not slow, from which candidates are fitted, too: a ramp passes for a lag.
+    robust
+        As for the fit.
+    """
+    settings, drives = estimator_settings().limits, _Drives(experiments)
+    best = fit
+    while True:
+        trial = _extended(best, drives, quick, robust)
+        if trial is None or _evidence(best, trial) < settings.evidence:
+            break
+        best = trial
+    return _confirmed(best, drives, robust)
+
+
+class _Drives(NamedTuple):
+    """The data of one channel."""
+
+    experiments: Sequence[SampledExperiment]
+
+    def limited(self, limit: FloatArray) -> list[SampledExperiment]:
+        """The same, joined, with inputs that are limited already."""
+        return [replace(e, inputs=limited(e.inputs, limit[None], e.dt)) for e in joined(self.experiments)]
+
+    def share(self, limit: FloatArray, kinds: Sequence[int]) -> float:
+        """Share of the samples that some of the limits (4,) change."""
+        without = limit.copy()
+        without[kinds] = np.inf
+        pairs = zip(self.limited(limit), self.limited(without), strict=True)
+        return float(np.mean(np.concatenate([a.inputs != b.inputs for a, b in pairs])))
+
+    @property
+    def largest(self) -> FloatArray:
+        """(2,) largest input above and below zero."""
+        inputs = np.concatenate([experiment.inputs for experiment in self.experiments])
+        return np.maximum([inputs.max(), -inputs.min()], 0.0)
+
+
+def limits_of(fit: OutputErrorFit) -> FloatArray:
+    """(4,) limits of the one input."""
+    return np.asarray(fit.system.limit[0])
+
+
+def _candidates(limit: FloatArray, drives: _Drives) -> Iterator[FloatArray]:
+    """(4,) limits with one side more, or both of a kind, where they change enough samples."""
+    settings, largest = estimator_settings().limits, drives.largest
+    parts = np.geomspace(settings.lowest, 1.0, settings.levels, endpoint=False)
+    rates = np.geomspace(*settings.durations, settings.levels)
+    for sides, values in (((0, 1), parts[:, None] * largest), ((2, 3), largest.max() / np.repeat(rates[:, None], 2, 1))):
+        for added in ([sides[0]], [sides[1]], list(sides)):
+            if np.isfinite(limit[added]).any():
+                continue
+            for value in values:
+                candidate = limit.copy()
+                candidate[added] = value[np.array(added) - sides[0]]
+                if candidate[added].min() > 0 and drives.share(candidate, added) > settings.share:
+                    yield candidate
+
+
+def _extended(
+    best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool
+) -> OutputErrorFit | None:
+    """The fit with the candidate that explains most; None if none explains more."""
+    limit = limits_of(best)
+    plain = replace(best.layout, limited=())
+    own = len(best.parameters) - int(np.isfinite(limit).sum())
+    starts = [best.parameters[:own], quick]
+    scored = []
+    with threadpool_limits(1):
+        before = brief_cost(plain, starts[:1], drives.limited(limit), best)
+        for candidate in _candidates(limit, drives):
+            cost, parameters = brief_cost(plain, starts, drives.limited(candidate), best)
+            more = int(np.isfinite(candidate).sum()) - int(np.isfinite(limit).sum())
+            scored.append((_criterion(best, before[0], cost, more), candidate, parameters))
+    if not scored or (chosen := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
+        return None
+    _, candidate, parameters = chosen
+    free = np.isfinite(candidate)
+    layout = replace(best.layout, limited=(tuple(free.tolist()),))
+    return fit_output_error([(layout, np.concatenate([parameters, candidate[free]]))], drives.experiments, robust)
+
+
+def _criterion(fit: OutputErrorFit, before: float, after: float, more: int) -> float:
+    """Fall of the information criterion from one loss to another, with `more` parameters."""
+    samples = float(fit.effective_samples.sum())
+    return float(samples * np.log(before / after) - more * np.log(samples))
+
+
+def _evidence(plain: OutputErrorFit, more: OutputErrorFit) -> float:
+    losses = [fit.loss(plain.scale).sum() for fit in (plain, more)]
+    return _criterion(plain, *losses, len(more.parameters) - len(plain.parameters))
+
+
+def _confirmed(fit: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErrorFit:
+    """The fit with those limits that are certain and predict held-out blocks better, and their widened covariance."""
+    settings, held_out, whole = estimator_settings().limits, None, joined(drives.experiments)
+    kinds = list(np.flatnonzero(np.isfinite(limits_of(fit))))
+    for kind in kinds:
+        free = np.isfinite(limits_of(fit)) & (np.arange(len(KINDS)) != kind)
+        layout = replace(fit.layout, limited=(tuple(free.tolist()),))
+        place = fit.layout.names.index(f"{KINDS[kind]}_0")
+        plain = fit_output_error([(layout, np.delete(fit.parameters, place))], drives.experiments, robust, **_BRIEF)
+        shown = _is_certain(fit, kind, place, drives) and _evidence(plain, fit) > settings.evidence
+        if shown:
+            try:
+                held_out = held_out or hold_out(fit, whole, robust, **_BRIEF)
+                without = hold_out(plain, whole, robust, **_BRIEF)
+                fall = np.log(without.powers.sum(axis=0) / held_out.powers.sum(axis=0))
+                shown = plain.effective_samples @ fall > settings.held_out_evidence
+            except ValueError:  # too short to hold blocks out
+                pass
+        if not shown:
+            fit, held_out = plain, None
+    if held_out is None:
+        return fit
+    # Few commands are beyond a limit, so its deviation is not taken below that between blocks.
+    wider = np.maximum(1.0, held_out.deviation / np.sqrt(np.diag(fit.covariance)))
+    wider[: -int(np.isfinite(limits_of(fit)).sum())] = 1.0
+    return replace(fit, covariance=fit.covariance * np.outer(wider, wider))
+
+
+def _is_certain(fit: OutputErrorFit, kind: int, place: int, drives: _Drives) -> bool:
+    value, deviation = fit.parameters[place], np.sqrt(fit.covariance[place, place])
+    if drives.share(limits_of(fit), [kind]) < estimator_settings().limits.share:
+        return False
+    if kind < _RATES:
+        return bool(value + _CERTAIN * deviation < drives.largest[kind])
+    return bool(value > _CERTAIN * deviation)
