@@ -94,7 +94,9 @@ class TwistRange(StrictModel):
     """Largest twist that the base carries out, on each side; a channel left out has no limit."""
 
     v: BaseVelocityLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
-    omega: BaseYawRateLimit | None = Field(default=None, description="largest |omega|; a number, or {left, right} [rad/s]")
+    omega: BaseYawRateLimit | None = Field(
+        default=None, description="largest |omega|; a number, or {left, right} [rad/s]"
+    )
 
     def apply(self, twist: ArrayLike) -> FloatArray:
         """Return a twist (..., 2) cut to the range."""

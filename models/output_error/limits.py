@@ -64,13 +64,6 @@ class _Drives(NamedTuple):
         """The same, joined, with inputs that are limited already."""
         return [replace(e, inputs=limited(e.inputs, limit[None], e.dt)) for e in joined(self.experiments)]
 
-    def share(self, limit: FloatArray, kinds: Sequence[int]) -> float:
-        """Share of the samples that some of the limits (4,) change."""
-        without = limit.copy()
-        without[kinds] = np.inf
-        pairs = zip(self.limited(limit), self.limited(without), strict=True)
-        return float(np.mean(np.concatenate([a.inputs != b.inputs for a, b in pairs])))
-
     @property
     def largest(self) -> FloatArray:
         """(2,) largest input above and below zero."""
@@ -83,37 +76,39 @@ def limits_of(fit: OutputErrorFit) -> FloatArray:
     return np.asarray(fit.system.limit[0])
 
 
-def _candidates(limit: FloatArray, drives: _Drives) -> Iterator[FloatArray]:
-    """(4,) limits with one side more, or both of a kind, where they change enough samples."""
-    settings, largest = estimator_settings().limits, drives.largest
+def _share(limited: Sequence[SampledExperiment], without: Sequence[SampledExperiment]) -> float:
+    """Return the share of the samples that a limit changes."""
+    pairs = zip(limited, without, strict=True)
+    return float(np.mean(np.concatenate([a.inputs != b.inputs for a, b in pairs])))
+
+
+def _candidates(limit: FloatArray, largest: FloatArray) -> Iterator[FloatArray]:
+    """Yield limits (4,) with one side more, or both rates, which are hardly seen alone."""
+    settings = estimator_settings().limits
     parts = np.geomspace(settings.lowest, 1.0, settings.levels, endpoint=False)
-    rates = np.geomspace(*settings.durations, settings.levels)
-    for sides, values in (((0, 1), parts[:, None] * largest), ((2, 3), largest.max() / np.repeat(rates[:, None], 2, 1))):
-        for added in ([sides[0]], [sides[1]], list(sides)):
-            if np.isfinite(limit[added]).any():
-                continue
+    rates = largest.max() / np.geomspace(*settings.durations, settings.levels)
+    for kinds, values in ([0], parts * largest[0]), ([1], parts * largest[1]), ([2, 3], rates):
+        if values.max() > 0 and not np.isfinite(limit[kinds]).any():
             for value in values:
                 candidate = limit.copy()
-                candidate[added] = value[np.array(added) - sides[0]]
-                if candidate[added].min() > 0 and drives.share(candidate, added) > settings.share:
-                    yield candidate
+                candidate[kinds] = value
+                yield candidate
 
 
-def _extended(
-    best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool
-) -> OutputErrorFit | None:
-    """The fit with the candidate that explains most; None if none explains more."""
-    limit = limits_of(best)
-    plain = replace(best.layout, limited=())
-    own = len(best.parameters) - int(np.isfinite(limit).sum())
-    starts = [best.parameters[:own], quick]
+def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool) -> OutputErrorFit | None:
+    """Return the fit with the candidate that explains most; None if none explains more."""
+    limit, least = limits_of(best), estimator_settings().limits.share
+    plain, taken = replace(best.layout, limited=()), drives.limited(limit)
+    starts = [best.parameters[: len(quick)], quick]
     scored = []
     with threadpool_limits(1):
-        before = brief_cost(plain, starts[:1], drives.limited(limit), best)
-        for candidate in _candidates(limit, drives):
-            cost, parameters = brief_cost(plain, starts, drives.limited(candidate), best)
-            more = int(np.isfinite(candidate).sum()) - int(np.isfinite(limit).sum())
-            scored.append((_criterion(best, before[0], cost, more), candidate, parameters))
+        before, _ = brief_cost(plain, starts[:1], taken, best)
+        for candidate in _candidates(limit, drives.largest):
+            experiments = drives.limited(candidate)
+            if _share(experiments, taken) > least:
+                cost, parameters = brief_cost(plain, starts, experiments, best)
+                more = int(np.isfinite(candidate).sum() - np.isfinite(limit).sum())
+                scored.append((_criterion(best, before, cost, more), candidate, parameters))
     if not scored or (chosen := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
         return None
     _, candidate, parameters = chosen
@@ -163,7 +158,8 @@ def _confirmed(fit: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErro
 
 def _is_certain(fit: OutputErrorFit, kind: int, place: int, drives: _Drives) -> bool:
     value, deviation = fit.parameters[place], np.sqrt(fit.covariance[place, place])
-    if drives.share(limits_of(fit), [kind]) < estimator_settings().limits.share:
+    without = np.where(np.arange(len(KINDS)) == kind, np.inf, limits_of(fit))
+    if _share(drives.limited(limits_of(fit)), drives.limited(without)) < estimator_settings().limits.share:
         return False
     if kind < _RATES:
         return bool(value + _CERTAIN * deviation < drives.largest[kind])

@@ -155,7 +155,11 @@ def brief_cost(
 ) -> tuple[float, FloatArray]:
     """Cost and parameters (q,) after a few evaluations from the best of `starts`, weighted as the fit `like` is."""
     noise = reading_noise([experiment.readings for experiment in experiments])
-    data = _Data(experiments, _weights(experiments, like.scale, noise, parted(like.trust, experiments)), np.ones(len(experiments)))
+    data = _Data(
+        experiments,
+        _weights(experiments, like.scale, noise, parted(like.trust, experiments)),
+        np.ones(len(experiments)),
+    )
     start = min(starts, key=lambda start: data.cost(layout, start))
     _, parameters, cost = _solve(layout, start, data, estimator_settings().limits.evaluations)
     return cost, parameters
