@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
-from diffdrive_mpc.models.output_error.held_out import hold_out
+from diffdrive_mpc.models.output_error.held_out import HeldOut, hold_out
 from diffdrive_mpc.models.output_error.input_limits import KINDS, limited
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error
@@ -129,31 +129,33 @@ def _evidence(plain: OutputErrorFit, more: OutputErrorFit) -> float:
 
 
 def _confirmed(fit: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErrorFit:
-    """The fit with those limits that are certain and predict held-out blocks better, and their widened covariance."""
-    settings, held_out, whole = estimator_settings().limits, None, joined(drives.experiments)
-    kinds = list(np.flatnonzero(np.isfinite(limits_of(fit))))
-    for kind in kinds:
+    """Return the fit with the limits that are certain and predict held-out blocks better, deviations widened."""
+    settings, blocks = estimator_settings().limits, _held_out(fit, drives, robust)
+    for kind in np.flatnonzero(np.isfinite(limits_of(fit))):
         free = np.isfinite(limits_of(fit)) & (np.arange(len(KINDS)) != kind)
-        layout = replace(fit.layout, limited=(tuple(free.tolist()),))
         place = fit.layout.names.index(f"{KINDS[kind]}_0")
-        plain = fit_output_error([(layout, np.delete(fit.parameters, place))], drives.experiments, robust, **_BRIEF)
+        start = replace(fit.layout, limited=(tuple(free.tolist()),)), np.delete(fit.parameters, place)
+        plain = fit_output_error([start], drives.experiments, robust, **_BRIEF)
         shown = _is_certain(fit, kind, place, drives) and _evidence(plain, fit) > settings.evidence
-        if shown:
-            try:
-                held_out = held_out or hold_out(fit, whole, robust, **_BRIEF)
-                without = hold_out(plain, whole, robust, **_BRIEF)
-                fall = np.log(without.powers.sum(axis=0) / held_out.powers.sum(axis=0))
-                shown = plain.effective_samples @ fall > settings.held_out_evidence
-            except ValueError:  # too short to hold blocks out
-                pass
+        if shown and blocks is not None and (without := _held_out(plain, drives, robust)) is not None:
+            fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
+            shown = plain.effective_samples @ fall > settings.held_out_evidence
         if not shown:
-            fit, held_out = plain, None
-    if held_out is None:
+            fit, blocks = plain, _held_out(plain, drives, robust)
+    if blocks is None:
         return fit
     # Few commands are beyond a limit, so its deviation is not taken below that between blocks.
-    wider = np.maximum(1.0, held_out.deviation / np.sqrt(np.diag(fit.covariance)))
-    wider[: -int(np.isfinite(limits_of(fit)).sum())] = 1.0
+    wider, limits = np.ones(len(fit.parameters)), slice(sum(fit.layout.counts[:3]), None)
+    wider[limits] = np.maximum(1.0, blocks.deviation[limits] / np.sqrt(np.diag(fit.covariance)[limits]))
     return replace(fit, covariance=fit.covariance * np.outer(wider, wider))
+
+
+def _held_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | None:
+    """Return models like the fit without each block; None without limits, or if the records are too short."""
+    try:
+        return hold_out(fit, joined(drives.experiments), robust, **_BRIEF) if sum(fit.layout.counts[3:]) else None
+    except ValueError:
+        return None
 
 
 def _is_certain(fit: OutputErrorFit, kind: int, place: int, drives: _Drives) -> bool:

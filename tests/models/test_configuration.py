@@ -19,6 +19,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import SmFile
 from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc.config.rooms import side_by_side
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
@@ -31,12 +32,16 @@ GEOMETRY = WheelGeometry(0.1, 0.4)
 def identified(slew=None, deviation=0.1, limits=None, effects=None):
     names = ("slew.v", "slew.omega") if slew else ("v.gain",)
     values = np.array(slew or [0.9])
+    effects = {
+        **(effects or {}),
+        "twist_range": limits or {},
+        "twist_slew": dict(zip(CHANNELS, slew or (), strict=False)),
+    }
     return IdentifiedModel(
         schema=SmFile,
-        content={"channels": {"v": CHANNEL, "omega": CHANNEL}, "base_effects": effects or {}},
+        content={"channels": {"v": CHANNEL, "omega": CHANNEL}, "base_effects": effects},
         parameters=ParameterEstimate(names, values, np.diag(np.full(len(values), deviation**2))),
         offset=np.zeros(2),
-        limits=limits or {},
         yaw="gyro",
         method="made up",
         fits=(),
@@ -69,6 +74,12 @@ def test_limits_are_those_that_the_log_covers_or_the_base_has():
     written = limits(identified(limits={"omega": 0.8}))
     assert (written["v"], written["omega"]) == (0.5, 0.8)
     assert (written["predicted_v"], written["predicted_omega"]) == pytest.approx((0.55, 0.88))
+
+
+def test_each_side_is_written_with_its_own_limit():
+    written = limits(identified(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
+    assert written["v"] == {"forward": 0.5, "reverse": 0.2}
+    assert written["omega"] == {"left": 0.3, "right": 0.6}
 
 
 def test_motors_that_saturate_bind_before_what_the_log_asked():

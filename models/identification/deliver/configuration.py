@@ -381,7 +381,7 @@ def _speeds(
         value, reason = limit[row], "largest command of the log, either way"
         if (own_limit := own_limits.get(name)) is not None:
             pairs = zip(sides_of(own_limit), sides[row].tolist(), strict=True)
-            values = [min(own, driven) if driven > 0 else min(sides_of(own_limit)) for own, driven in pairs]
+            values = [(driven or float(own_limit)) if own == np.inf else own for own, driven in pairs]
             limit[row], reason = max(values), "where the robot clips its command"
             if max(sides_of(own_limit)) == np.inf:
                 reason += ", and the largest command of the log on the side without a limit"
