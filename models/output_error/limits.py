@@ -83,16 +83,14 @@ def _share(limited: Sequence[SampledExperiment], without: Sequence[SampledExperi
 
 
 def _candidates(limit: FloatArray, largest: FloatArray) -> Iterator[FloatArray]:
-    """Yield limits (4,) with one side more, or both rates, which are hardly seen alone."""
+    """Yield limits (4,) with one side more."""
     settings = estimator_settings().limits
     parts = np.geomspace(settings.lowest, 1.0, settings.levels, endpoint=False)
     rates = largest.max() / np.geomspace(*settings.durations, settings.levels)
-    for kinds, values in ([0], parts * largest[0]), ([1], parts * largest[1]), ([2, 3], rates):
-        if values.max() > 0 and not np.isfinite(limit[kinds]).any():
+    for kind, values in enumerate((parts * largest[0], parts * largest[1], rates, rates)):
+        if values.max() > 0 and np.isinf(limit[kind]):
             for value in values:
-                candidate = limit.copy()
-                candidate[kinds] = value
-                yield candidate
+                yield np.where(np.arange(len(KINDS)) == kind, value, limit)
 
 
 def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool) -> OutputErrorFit | None:
@@ -107,8 +105,7 @@ def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: 
             experiments = drives.limited(candidate)
             if _share(experiments, taken) > least:
                 cost, parameters = brief_cost(plain, starts, experiments, best)
-                more = int(np.isfinite(candidate).sum() - np.isfinite(limit).sum())
-                scored.append((_criterion(best, before, cost, more), candidate, parameters))
+                scored.append((_criterion(best, before, cost, 1), candidate, parameters))
     if not scored or (chosen := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
         return None
     _, candidate, parameters = chosen
