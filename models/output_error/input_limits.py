@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistRange, TwistSlew, ramps
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.models.output_error.state_space import LinearSystem, settled_start
 from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit, sides_of
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -52,26 +54,31 @@ def limits_in(effects: BaseEffects) -> FloatArray:
     return np.array([np.concatenate([sides_of(np.inf if limit is None else limit) for limit in row]) for row in rows])
 
 
-def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray | None = None) -> FloatArray:
+def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
     """Return the inputs (K, m) that a base with limits (m, 4) carries out, each the mean over its sample of `dt` [s].
 
-    The base has reached `start` (m,) before sample 0, by default the first input.
+    The base has reached `start` (m,) before sample 0.
     """
     taken = np.clip(inputs, -limit[:, 1], limit[:, 0])
     for j, rates in enumerate(np.minimum(limit[:, 2:], _AT_ONCE)):
         if rates.min() < _AT_ONCE:
-            first = float(taken[0, j] if start is None else start[j])
-            finer = ramps(np.repeat(taken[:, j], PARTS), *rates * dt / PARTS, first)
+            finer = ramps(np.repeat(taken[:, j], PARTS), *rates * dt / PARTS, float(start[j]))
             taken[:, j] = finer.reshape(-1, PARTS).mean(axis=1)
     return np.asarray(taken)
 
 
-def slopes(inputs: FloatArray, limit: FloatArray, dt: float) -> FloatArray:
+def slopes(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
     """Return the derivatives (4, K, m) of `limited` by each kind of limit; zero where it is infinite."""
-    taken, found = limited(inputs, limit, dt), np.zeros((len(KINDS), *inputs.shape))
+    taken, found = limited(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
     for kind in np.flatnonzero(np.isfinite(limit).any(axis=0)):
         step = np.where(np.isfinite(limit[:, kind]), _STEP * limit[:, kind], 1.0)
         moved = limit.copy()
         moved[:, kind] += step
-        found[kind] = (limited(inputs, moved, dt) - taken) / step
+        found[kind] = (limited(inputs, moved, dt, start) - taken) / step
     return found
+
+
+def taken(system: LinearSystem, experiment: SampledExperiment, by: Callable[..., FloatArray] = limited) -> FloatArray:
+    """Return the inputs (K, m) that the base of a system carries out, or its `slopes`."""
+    start = settled_start(system, experiment.first_readings)[1]
+    return by(experiment.inputs, system.limit, experiment.dt, start)

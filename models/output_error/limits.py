@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
 from diffdrive_mpc.models.output_error.held_out import HeldOut, hold_out
-from diffdrive_mpc.models.output_error.input_limits import KINDS, limited
+from diffdrive_mpc.models.output_error.input_limits import KINDS, taken
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error
 
@@ -60,9 +60,10 @@ class _Drives(NamedTuple):
 
     experiments: Sequence[SampledExperiment]
 
-    def limited(self, limit: FloatArray) -> list[SampledExperiment]:
-        """The same, joined, with inputs that are limited already."""
-        return [replace(e, inputs=limited(e.inputs, limit[None], e.dt)) for e in joined(self.experiments)]
+    def limited(self, fit: OutputErrorFit, limit: FloatArray) -> list[SampledExperiment]:
+        """Return the same, joined, with inputs that are limited already, from where `fit` begins."""
+        system = fit.system._replace(limit=limit[None])
+        return [replace(e, inputs=taken(system, e)) for e in joined(self.experiments)]
 
     @property
     def largest(self) -> FloatArray:
@@ -96,14 +97,14 @@ def _candidates(limit: FloatArray, largest: FloatArray) -> Iterator[FloatArray]:
 def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool) -> OutputErrorFit | None:
     """Return the fit with the candidate that explains most; None if none explains more."""
     limit, least = limits_of(best), estimator_settings().limits.share
-    plain, taken = replace(best.layout, limited=()), drives.limited(limit)
+    plain, current = replace(best.layout, limited=()), drives.limited(best, limit)
     starts = [best.parameters[: len(quick)], quick]
     scored = []
     with threadpool_limits(1):
-        before, _ = brief_cost(plain, starts[:1], taken, best)
+        before, _ = brief_cost(plain, starts[:1], current, best)
         for candidate in _candidates(limit, drives.largest):
-            experiments = drives.limited(candidate)
-            if _share(experiments, taken) > least:
+            experiments = drives.limited(best, candidate)
+            if _share(experiments, current) > least:
                 cost, parameters = brief_cost(plain, starts, experiments, best)
                 scored.append((_criterion(best, before, cost, 1), candidate, parameters))
     if not scored or (chosen := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
@@ -158,7 +159,7 @@ def _held_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | N
 def _is_certain(fit: OutputErrorFit, kind: int, place: int, drives: _Drives) -> bool:
     value, deviation = fit.parameters[place], np.sqrt(fit.covariance[place, place])
     without = np.where(np.arange(len(KINDS)) == kind, np.inf, limits_of(fit))
-    if _share(drives.limited(limits_of(fit)), drives.limited(without)) < estimator_settings().limits.share:
+    if _share(drives.limited(fit, limits_of(fit)), drives.limited(fit, without)) < estimator_settings().limits.share:
         return False
     if kind < _RATES:
         return bool(value + _CERTAIN * deviation < drives.largest[kind])

@@ -17,7 +17,7 @@ from scipy import linalg
 
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.input_limits import limited, slopes
+from diffdrive_mpc.models.output_error.input_limits import slopes, taken
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.state_space import (
     LinearSystem,
@@ -103,7 +103,7 @@ class OutputErrorProblem:
         parts, pasts = [], []
         for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
             model = models[experiment.dt]
-            states = _forced(model, limited(experiment.inputs, system.limit, experiment.dt))
+            states = _forced(model, taken(system, experiment))
             error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
             pasts.append(_project(error, _past(model, weight, prior)))
             parts.append(error)
@@ -178,14 +178,14 @@ def _simulate(
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
     """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
     system, past = model.system, _past(model, weight, prior)
-    taken = limited(experiment.inputs, system.limit, experiment.dt)
-    states = _forced(model, taken)
+    inputs = taken(system, experiment)
+    states = _forced(model, inputs)
     early = len(past.seen) // experiment.outputs.shape[1]
     error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
     recovered = past.recover @ (past.seen.T @ error[:early].ravel())
     states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
-    before = recovered[: taken.shape[1]]
-    return states, delayed(taken, model.sampled.delay, before), before, past
+    before = recovered[: inputs.shape[1]]
+    return states, delayed(inputs, model.sampled.delay, before), before, past
 
 
 def _experiment_jacobian(
@@ -200,7 +200,7 @@ def _experiment_jacobian(
     states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
     if slope.limit.any():
-        changes = slopes(experiment.inputs, model.system.limit, experiment.dt)
+        changes = taken(model.system, experiment, slopes)
         for rates, by in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
             recent, older = delayed(by, model.sampled.delay, np.zeros(by.shape[1]))
             forcing += (model.sampled.B0 * rates) @ recent + (model.sampled.B1 * rates) @ older
@@ -223,7 +223,7 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     respond = {dt: StateResponse(one.A) for dt, one in sampled.items()}
     for experiment in experiments:
         here = sampled[experiment.dt]
-        inputs = limited(experiment.inputs, system.limit, experiment.dt)
+        inputs = taken(system, experiment)
         recent, older = delayed(inputs, here.delay, np.zeros(inputs.shape[1]))
         off = respond[experiment.dt]((here.B0 @ recent + here.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
         total, count = total + off @ off.T, count + len(inputs)
@@ -234,9 +234,9 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
-def _forced(model: _Model, taken: FloatArray) -> FloatArray:
+def _forced(model: _Model, inputs: FloatArray) -> FloatArray:
     """(n, K) states from rest under limited inputs (K, m)."""
-    recent, older = delayed(taken, model.sampled.delay, np.zeros(taken.shape[1]))
+    recent, older = delayed(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
     return model.respond((model.sampled.B0 @ recent + model.sampled.B1 @ older)[:, None, :])[:, 0]
 
 
