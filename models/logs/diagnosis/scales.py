@@ -187,7 +187,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     for channel in (0, 1):
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
         sizes = _sizes(streams, channel, settings)
-        if _odd_one_out(sizes, low, high) is not None:
+        if len(sizes) > 1 and _odd_one_out(sizes, low, high) is not None:
             streams.command = within_limits(streams, channel, settings).command
             sizes = _sizes(streams, channel, settings)
         while len(sizes) > 1:
