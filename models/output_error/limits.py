@@ -84,14 +84,14 @@ def _share(limited: Sequence[SampledExperiment], without: Sequence[SampledExperi
 
 
 def _candidates(limit: FloatArray, largest: FloatArray) -> Iterator[FloatArray]:
-    """Yield limits (4,) with one side more."""
+    """Yield limits (4,) with one side more, or with both rates."""
     settings = estimator_settings().limits
     parts = np.geomspace(settings.lowest, 1.0, settings.levels, endpoint=False)
     rates = largest.max() / np.geomspace(*settings.durations, settings.levels)
-    for kind, values in enumerate((parts * largest[0], parts * largest[1], rates, rates)):
-        if values.max() > 0 and np.isinf(limit[kind]):
+    for kinds, values in ([0], parts * largest[0]), ([1], parts * largest[1]), ([2], rates), ([3], rates), ([2, 3], rates):
+        if values.max() > 0 and np.isinf(limit[kinds]).all():
             for value in values:
-                yield np.where(np.arange(len(KINDS)) == kind, value, limit)
+                yield np.where(np.isin(np.arange(len(KINDS)), kinds), value, limit)
 
 
 def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: bool) -> OutputErrorFit | None:
@@ -106,7 +106,7 @@ def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: 
             experiments = drives.limited(best, candidate)
             if _share(experiments, current) > least:
                 cost, parameters = brief_cost(plain, starts, experiments, best)
-                scored.append((_criterion(best, before, cost, 1), candidate, parameters))
+                scored.append((_criterion(best, before, cost, int(np.sum(candidate != limit))), candidate, parameters))
     if not scored or (chosen := max(scored, key=lambda entry: entry[0]))[0] < 0.0:
         return None
     _, candidate, parameters = chosen

@@ -17,6 +17,8 @@ from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
 # Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
 _STEP = 6e-6
+# Commands and rates of no robot; a limit that the data do not show moves off to here.
+_FASTEST = 1e3
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ class Layout:
         longest = estimator_settings().longest_dead_time
         return (
             np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
-            np.concatenate([high, np.full(dead_times, longest), np.full(offsets + limits, np.inf)]),
+            np.concatenate([high, np.full(dead_times, longest), np.full(offsets, np.inf), np.full(limits, _FASTEST)]),
         )
 
     def around(self, parametrisation: Parametrisation) -> Layout:
