@@ -55,11 +55,11 @@ class TwistSlew(StrictModel):
     def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
         """Twists (K, 2) inside the base after each sample of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
         columns = zip(np.asarray(commands, dtype=float).T, self._rates, np.asarray(start, dtype=float), strict=True)
-        return np.stack([ramps(column, *rates * dt, float(first)) for column, rates, first in columns], axis=-1)
+        return np.stack([ramps(column, rates * dt, float(first)) for column, rates, first in columns], axis=-1)
 
 
-def ramps(commands: FloatArray, grows: float, falls: float, start: float) -> FloatArray:
-    """(K,) what follows `commands` (K,), its size growing and falling by at most so much a sample.
+def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
+    """Return what follows commands (K,) from `start`, its size growing and falling by at most `rates` (2,) a sample.
 
     One ramp for each run of equal commands, in samples: a position on the way is the number of samples from zero.
     """
@@ -67,6 +67,7 @@ def ramps(commands: FloatArray, grows: float, falls: float, start: float) -> Flo
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
     counts = np.diff(np.append(first, len(commands)))
+    grows, falls = rates.tolist()
     befores, last, near = [], start, min(grows, falls)
     # Plain numbers: a log may well change its command at every sample.
     for target, count in zip(commands[first].tolist(), counts.tolist(), strict=True):

@@ -80,9 +80,9 @@ class HeldOut(NamedTuple):
 
 
 def hold_out(
-    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True, **brief: int
+    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True, *, brief: bool = False
 ) -> HeldOut:
-    """Search anew, from `fit`, without each block in turn; `brief` are settings of `fit_output_error`.
+    """Search anew, from `fit`, without each block in turn; `robust` and `brief` as `fit_output_error`.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def hold_out(
     powers, parameters = [], []
     for rest, block in blocks(experiments):
         start = [(fit.layout, fit.parameters)]
-        refit = fit_output_error(start, cut(experiments, rest), robust, scale=fit.scale, **brief)
+        refit = fit_output_error(start, cut(experiments, rest), robust, scale=fit.scale, brief=brief)
         errors = [part.readings - simulate_experiment(refit.system, part) for part in cut(experiments, block)]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         parameters.append(refit.parameters)

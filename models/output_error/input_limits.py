@@ -32,7 +32,7 @@ def side_name(channel: str, kind: int) -> str:
 def limit_names(limited: Sequence[Sequence[bool]]) -> list[str]:
     """Return the names of those limits of v and omega that are marked (2, 4), each with its channel."""
     pairs = zip(CHANNELS, limited, strict=True)
-    return [f"{channel}.{side_name(channel, kind)}" for channel, row in pairs for kind in np.flatnonzero(row)]
+    return [f"{channel}.{side_name(channel, int(kind))}" for channel, row in pairs for kind in np.flatnonzero(row)]
 
 
 def effects_of(limit: FloatArray) -> dict[str, dict[str, Any]]:
@@ -62,20 +62,20 @@ def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray)
     taken = np.clip(inputs, -limit[:, 1], limit[:, 0])
     for j, rates in enumerate(np.minimum(limit[:, 2:], _AT_ONCE)):
         if rates.min() < _AT_ONCE:
-            finer = ramps(np.repeat(taken[:, j], PARTS), *rates * dt / PARTS, float(start[j]))
+            finer = ramps(np.repeat(taken[:, j], PARTS), rates * dt / PARTS, float(start[j]))
             taken[:, j] = finer.reshape(-1, PARTS).mean(axis=1)
     return np.asarray(taken)
 
 
 def slopes(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
     """Return the derivatives (4, K, m) of `limited` by each kind of limit; zero where it is infinite."""
-    taken, found = limited(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
+    taken, derivatives = limited(inputs, limit, dt, start), np.zeros((len(KINDS), *inputs.shape))
     for kind in np.flatnonzero(np.isfinite(limit).any(axis=0)):
         step = np.where(np.isfinite(limit[:, kind]), _STEP * limit[:, kind], 1.0)
         moved = limit.copy()
         moved[:, kind] += step
-        found[kind] = (limited(inputs, moved, dt, start) - taken) / step
-    return found
+        derivatives[kind] = (limited(inputs, moved, dt, start) - taken) / step
+    return derivatives
 
 
 def taken(system: LinearSystem, experiment: SampledExperiment, by: Callable[..., FloatArray] = limited) -> FloatArray:

@@ -25,8 +25,6 @@ _RATES = 2
 """Kinds from this one on are rates."""
 # A limit has to be so many standard deviations below what was commanded, and a rate above zero.
 _CERTAIN = 2.0
-# A search from near the best.
-_BRIEF = {"trial": 8, "rounds": 1}
 
 
 def find_limits(
@@ -73,7 +71,7 @@ class _Drives(NamedTuple):
 
 
 def limits_of(fit: OutputErrorFit) -> FloatArray:
-    """(4,) limits of the one input."""
+    """Return the limits (4,) of the one input."""
     return np.asarray(fit.system.limit[0])
 
 
@@ -88,7 +86,8 @@ def _candidates(limit: FloatArray, largest: FloatArray) -> Iterator[FloatArray]:
     settings = estimator_settings().limits
     parts = np.geomspace(settings.lowest, 1.0, settings.levels, endpoint=False)
     rates = largest.max() / np.geomspace(*settings.durations, settings.levels)
-    for kinds, values in ([0], parts * largest[0]), ([1], parts * largest[1]), ([2], rates), ([3], rates), ([2, 3], rates):
+    levels = [([kind], parts * largest[kind]) for kind in (0, 1)]
+    for kinds, values in (*levels, ([2], rates), ([3], rates), ([2, 3], rates)):
         if values.max() > 0 and np.isinf(limit[kinds]).all():
             for value in values:
                 yield np.where(np.isin(np.arange(len(KINDS)), kinds), value, limit)
@@ -116,24 +115,24 @@ def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: 
 
 
 def _criterion(fit: OutputErrorFit, before: float, after: float, more: int) -> float:
-    """Fall of the information criterion from one loss to another, with `more` parameters."""
+    """Return the fall of the information criterion from one loss to another, with `more` parameters."""
     samples = float(fit.effective_samples.sum())
     return float(samples * np.log(before / after) - more * np.log(samples))
 
 
 def _evidence(plain: OutputErrorFit, more: OutputErrorFit) -> float:
-    losses = [fit.loss(plain.scale).sum() for fit in (plain, more)]
-    return _criterion(plain, *losses, len(more.parameters) - len(plain.parameters))
+    before, after = (float(fit.loss(plain.scale).sum()) for fit in (plain, more))
+    return _criterion(plain, before, after, len(more.parameters) - len(plain.parameters))
 
 
 def _confirmed(fit: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErrorFit:
     """Return the fit with the limits that are certain and predict held-out blocks better, deviations widened."""
     settings, blocks = estimator_settings().limits, _held_out(fit, drives, robust)
-    for kind in np.flatnonzero(np.isfinite(limits_of(fit))):
+    for kind in np.flatnonzero(np.isfinite(limits_of(fit))).tolist():
         free = np.isfinite(limits_of(fit)) & (np.arange(len(KINDS)) != kind)
         place = fit.layout.names.index(f"{KINDS[kind]}_0")
         start = replace(fit.layout, limited=(tuple(free.tolist()),)), np.delete(fit.parameters, place)
-        plain = fit_output_error([start], drives.experiments, robust, **_BRIEF)
+        plain = fit_output_error([start], drives.experiments, robust, brief=True)
         shown = _is_certain(fit, kind, place, drives) and _evidence(plain, fit) > settings.evidence
         if shown and blocks is not None and (without := _held_out(plain, drives, robust)) is not None:
             fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
@@ -151,7 +150,7 @@ def _confirmed(fit: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErro
 def _held_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | None:
     """Return models like the fit without each block; None without limits, or if the records are too short."""
     try:
-        return hold_out(fit, joined(drives.experiments), robust, **_BRIEF) if sum(fit.layout.counts[3:]) else None
+        return hold_out(fit, joined(drives.experiments), robust, brief=True) if sum(fit.layout.counts[3:]) else None
     except ValueError:
         return None
 

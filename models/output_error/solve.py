@@ -29,6 +29,7 @@ from diffdrive_mpc.models.output_error.statistics import (
 _SETTLED = 1e-5
 _ROUNDS = 5
 _EVALUATIONS = 25
+_BRIEF = 8
 # Size of a past, in standard deviations of its prior, up to which it is taken for what the prior means.
 _TIED = 3.0
 # A first reading counts as at most so many.
@@ -86,8 +87,7 @@ def fit_output_error(
     candidates: Sequence[tuple[Layout, FloatArray]],
     experiments: Sequence[SampledExperiment],
     robust: bool = True,
-    trial: int = _EVALUATIONS,
-    rounds: int = _ROUNDS,
+    brief: bool = False,
     scale: FloatArray | None = None,
 ) -> OutputErrorFit:
     """Fit every candidate, go on with the best, and find its covariance.
@@ -104,10 +104,8 @@ def fit_output_error(
         The data.
     robust
         Whether single outliers are held back.
-    trial
-        Evaluations after which the best candidate is chosen.
-    rounds
-        Largest number of rounds of reweighting, each with as many evaluations.
+    brief
+        Whether the best is near, so that one round of few evaluations is enough.
     scale
         (p,) scale of the residuals to begin with; by default the spread of the outputs.
 
@@ -122,18 +120,19 @@ def fit_output_error(
     spread = output_spread(experiments)
     noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
+    evaluations = _BRIEF if brief else _EVALUATIONS
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         data = _Data(experiments, _weights(experiments, scale, noise), np.ones(len(experiments)))
-        fits = [_solve(layout, start, data, trial) for layout, start in candidates]
+        fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
-        for _ in range(rounds):
+        for _ in range(1 if brief else _ROUNDS):
             residuals = data.residuals(layout, parameters)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
             data = data._replace(weights=_weights(experiments, scale, noise, trust))
             data = data._replace(ties=_ties(layout, parameters, data))
             before = data.cost(layout, parameters)
-            layout, parameters, cost = _solve(layout, parameters, data, trial)
+            layout, parameters, cost = _solve(layout, parameters, data, evaluations)
             if before - cost < _SETTLED * cost:
                 break
         residuals = data.residuals(layout, parameters)
@@ -153,7 +152,7 @@ def fit_output_error(
 def brief_cost(
     layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], like: OutputErrorFit
 ) -> tuple[float, FloatArray]:
-    """Cost and parameters (q,) after a few evaluations from the best of `starts`, weighted as the fit `like` is."""
+    """Return cost and parameters (q,) after few evaluations from the best of `starts`, weighted as the fit `like`."""
     noise = reading_noise([experiment.readings for experiment in experiments])
     data = _Data(
         experiments,

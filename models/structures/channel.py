@@ -195,14 +195,14 @@ def _first_guesses(
 
 
 def _quick(layout: Layout, form: ChannelForm, parameters: FloatArray) -> FloatArray:
-    """The parameters (q,) of a quick robot of the same gain."""
-    settings, own = estimator_settings(), layout.counts[0]
-    gain = float(np.clip(form.values(parameters[:own])[0], *settings.gain))
+    """Return the parameters (q,) of a quick robot of the same gain."""
+    settings, count = estimator_settings(), layout.counts[0]
+    gain = float(np.clip(form.values(parameters[:count])[0], *settings.gain))
     guess = form.first_guesses(gain, max(settings.start_frequencies))[0]
-    return np.concatenate([guess, parameters[own:]])
+    return np.concatenate([guess, parameters[count:]])
 
 
 def _readable(name: str, label: str) -> str:
-    """Without the number of the input or output, a limit by its side."""
+    """Return the name without the number of the input or output; of a limit that of its side."""
     plain = name.rpartition("_")[0] if name[-1].isdigit() else name
     return side_name(label, KINDS.index(plain)) if plain in KINDS else plain

@@ -126,7 +126,7 @@ class IdentifiedModel:
 
     @property
     def base_effects(self) -> BaseEffects:
-        """What the base does around the linear model."""
+        """Effects of the base around the linear model."""
         return BaseEffects.model_validate(self.content.get("base_effects", {}))
 
     @property

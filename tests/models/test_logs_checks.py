@@ -181,11 +181,11 @@ def test_nothing_is_wrong_with_a_short_drive_at_nearly_one_speed(tmp_path, traje
 @pytest.mark.parametrize(("upper", "lower"), [(np.inf, 0.2), (0.15, 0.25), (0.1, np.inf)])
 def test_a_limit_of_the_base_is_no_wrong_unit(tmp_path, upper, lower):
     """Commands far beyond the limit are up to ten times what the robot does."""
-    asked, speed, pose = 3 * COLUMNS["v_ref"], np.zeros(1000), np.zeros((1000, 3))
+    command, speed, pose = 3 * COLUMNS["v_ref"], np.zeros(1000), np.zeros((1000, 3))
     for k in range(1, 1000):
-        taken = np.clip(asked[k - 1], -lower, upper)
+        taken = np.clip(command[k - 1], -lower, upper)
         speed[k] = speed[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (taken - speed[k - 1])
         pose[k] = integrate_pose(pose[k - 1], speed[k], COLUMNS["gyro"][k], 0.02)
     noisy = speed + np.random.default_rng(0).normal(0, 0.005, 1000)
-    log = read(tmp_path, {"v_ref": asked, "v": noisy, **dict(zip(("x", "y", "theta"), pose.T, strict=True))})
+    log = read(tmp_path, {"v_ref": command, "v": noisy, **dict(zip(("x", "y", "theta"), pose.T, strict=True))})
     assert lines(log, "wrong unit") == []

@@ -369,21 +369,21 @@ def configure(
 def _speeds(
     identified: IdentifiedModel, commands: FloatArray, base: WheelCommand | None, gain: FloatArray
 ) -> tuple[FloatArray, list[Setting]]:
-    """(2,) largest limits of the commands (K, 2), and the settings of both sides and of what is predicted.
+    """Return the largest limits (2,) of commands (K, 2), and the settings of both sides and of what is predicted.
 
     A side of a limited channel that the log does not show to be limited is commanded as far as the log did.
     """
-    limit, sides = np.abs(commands).max(axis=0), np.array([commands.max(axis=0), -commands.min(axis=0)]).T
+    limit, sides = np.abs(commands).max(axis=0), np.maximum([commands.max(axis=0), -commands.min(axis=0)], 0.0).T
     top_speed = base.top_speed if base and (base.top_speed or np.inf) < limit[0] else None
-    own_limits = {"v": top_speed, **identified.limits}
+    limits = {"v": top_speed, **identified.limits}
     settings, predictions = [], []
     for row, name in enumerate(CHANNELS):
         value, reason = limit[row], "largest command of the log, either way"
-        if (own_limit := own_limits.get(name)) is not None:
-            pairs = zip(sides_of(own_limit), sides[row].tolist(), strict=True)
-            values = [(driven or float(own_limit)) if own == np.inf else own for own, driven in pairs]
+        if (known := limits.get(name)) is not None:
+            pairs = zip(sides_of(known), sides[row].tolist(), strict=True)
+            values = [(driven or float(known)) if side == np.inf else side for side, driven in pairs]
             limit[row], reason = max(values), "where the robot clips its command"
-            if max(sides_of(own_limit)) == np.inf:
+            if max(sides_of(known)) == np.inf:
                 reason += ", and the largest command of the log on the side without a limit"
             value = _KINDS[name](*values)
         settings.append(_setting(name, value, f"{_UNITS[name]}, {reason}"))
@@ -463,8 +463,8 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
             continue
         sides = []
         for side, value in zip(SlewLimit.names, row.tolist(), strict=True):
-            own = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
-            deviation = parameters.deviation(own) if value < np.inf else 0.0
+            key = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
+            deviation = parameters.deviation(key) if value < np.inf else 0.0
             # Less its uncertainty, so that the base's own limit does not act; a slope hardly seen still allows a part.
             inside, least = value - settings.certain * deviation, settings.least_slew * value
             sides.append(min(inside if inside > least else least, getattr(usual, name)))
@@ -495,19 +495,19 @@ def _setting(name: str, value: float, reason: str) -> Setting:
 
 
 def _each(value: float | str, change: Callable[[float], float]) -> float:
-    """A number, or each side of a limit, changed."""
+    """Return a number, or each side of a limit, changed."""
     return value.map(change) if isinstance(value, TwoSided) else change(float(value))
 
 
 def _largest(value: float | str) -> float:
-    """The larger side of a limit."""
+    """Return the larger side of a limit."""
     return max(sides_of(value)) if isinstance(value, TwoSided) else float(value)
 
 
 def _text(value: float | str) -> str:
-    """A value as it is in the file."""
+    """Return a value as it is in the file."""
     if isinstance(value, TwoSided) and not value.is_symmetric:
-        return "{" + ", ".join(f"{name}: {side:.6g}" for name, side in value.plain.items()) + "}"
+        return "{" + ", ".join(f"{name}: {side:.6g}" for name, side in zip(value.names, value.sides, strict=True)) + "}"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

@@ -18,7 +18,7 @@ _SPEEDS = 2
 
 def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[str]:
     """Return a line for each limit found, with its interval of 95 %, and one for the sides that are not reached."""
-    commands, found, missing = np.concatenate([record.command for record in records]), [], []
+    commands, reached, missing = np.concatenate([record.command for record in records]), [], []
     for row, channel in enumerate(CHANNELS):
         largest = np.maximum([commands[:, row].max(), -commands[:, row].min()], 0.0)
         for kind in range(len(KINDS)):
@@ -29,8 +29,8 @@ def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[
             if name is not None:
                 value, half = identified.parameters.value(name), 1.96 * identified.parameters.deviation(name)
                 low, high = max(value - half, 0.0), value + half
-                what = "limit" if is_speed else "rate"
-                found.append(f"{channel} {side}: {what} of {value:.3g} {unit} ({low:.3g} to {high:.3g})")
+                word = "limit" if is_speed else "rate"
+                reached.append(f"{channel} {side}: {word} of {value:.3g} {unit} ({low:.3g} to {high:.3g})")
             else:
                 missing.append(f"{channel} {side}" + (f" (driven to {largest[kind]:.3g} {unit})" if is_speed else ""))
-    return [*found, *([f"not reached in this log: {', '.join(missing)}"] if missing else [])]
+    return [*reached, *([f"not reached in this log: {', '.join(missing)}"] if missing else [])]

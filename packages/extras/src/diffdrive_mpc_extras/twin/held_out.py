@@ -137,7 +137,7 @@ def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[st
         limits = {f"limit.{channel}": getattr(effects.twist_range, channel) for channel in CHANNELS}
         point |= {name: float(limit) for name, limit in limits.items() if limit is not None}
     if effects.twist_slew is not None:
-        point |= {"slew.v": effects.twist_slew.v, "slew.omega": effects.twist_slew.omega}
+        point |= {f"slew.{channel}": float(getattr(effects.twist_slew, channel) or np.inf) for channel in CHANNELS}
     if effects.wheel_command is not None:
         wheels = effects.wheel_command
         turning = point["gain.omega"] * point["encoders.yaw_ratio"]
