@@ -50,7 +50,7 @@ def find_limits(
         if trial is None or _evidence(best, trial) < settings.evidence:
             break
         best = trial
-    return _confirmed(best, drives, robust)
+    return fit if best is fit else _confirmed(best, fit, drives, robust)
 
 
 class _Drives(NamedTuple):
@@ -82,11 +82,10 @@ def _share(limited: Sequence[SampledExperiment], without: Sequence[SampledExperi
 
 
 def _candidates(limit: FloatArray, largest: FloatArray) -> Iterator[FloatArray]:
-    """Yield limits (4,) with one side more, or with both rates."""
+    """Yield limits (4,) with one side more, or with both."""
     settings = estimator_settings().limits
-    parts = np.geomspace(settings.lowest, 1.0, settings.levels, endpoint=False)
-    rates = largest.max() / np.geomspace(*settings.durations, settings.levels)
-    levels = [([kind], parts * largest[kind]) for kind in (0, 1)]
+    parts, rates = np.array(settings.levels), largest.max() / np.array(settings.durations)
+    levels = [(kinds, parts * largest[kinds].max()) for kinds in ([0], [1], [0, 1])]
     for kinds, values in (*levels, ([2], rates), ([3], rates), ([2, 3], rates)):
         if values.max() > 0 and np.isinf(limit[kinds]).all():
             for value in values:
@@ -125,37 +124,69 @@ def _evidence(plain: OutputErrorFit, more: OutputErrorFit) -> float:
     return _criterion(plain, before, after, len(more.parameters) - len(plain.parameters))
 
 
-def _confirmed(fit: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErrorFit:
-    """Return the fit with the limits that are certain and predict held-out blocks better, deviations widened."""
-    settings, blocks = estimator_settings().limits, _held_out(fit, drives, robust)
-    for kind in np.flatnonzero(np.isfinite(limits_of(fit))).tolist():
-        free = np.isfinite(limits_of(fit)) & (np.arange(len(KINDS)) != kind)
-        place = fit.layout.names.index(f"{KINDS[kind]}_0")
-        start = replace(fit.layout, limited=(tuple(free.tolist()),)), np.delete(fit.parameters, place)
-        plain = fit_output_error([start], drives.experiments, robust, brief=True)
-        shown = _is_certain(fit, kind, place, drives) and _evidence(plain, fit) > settings.evidence
-        if shown and blocks is not None and (without := _held_out(plain, drives, robust)) is not None:
-            fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
-            shown = plain.effective_samples @ fall > settings.held_out_evidence
-        if not shown:
-            fit, blocks = plain, _held_out(plain, drives, robust)
-    if blocks is None:
-        return fit
+class _Removal(NamedTuple):
+    """The fit without some limits, models like it without each block, and whether the data ask for these limits."""
+
+    fit: OutputErrorFit
+    blocks: HeldOut | None
+    is_worse: bool
+
+
+def _removed(
+    fit: OutputErrorFit, blocks: HeldOut | None, kinds: Sequence[int], drives: _Drives, robust: bool
+) -> _Removal:
+    """Remove the limits of some kinds from a fit; `blocks` are models like it without each block."""
+    settings, limit, first = estimator_settings().limits, limits_of(fit), sum(fit.layout.counts[:3])
+    free = np.isfinite(limit) & ~np.isin(np.arange(len(KINDS)), kinds)
+    start = np.concatenate([fit.parameters[:first], limit[free]])
+    layout = replace(fit.layout, limited=(tuple(free.tolist()),))
+    plain = fit_output_error([(layout, start)], drives.experiments, robust, brief=True)
+    without = _held_out(plain, drives, robust)
+    is_worse = all(_is_certain(fit, kind, drives) for kind in kinds) and _evidence(plain, fit) > settings.evidence
+    if is_worse and blocks is not None and without is not None:
+        fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
+        is_worse = bool(plain.effective_samples @ fall > settings.held_out_evidence)
+    return _Removal(plain, without, is_worse)
+
+
+def _confirmed(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives, robust: bool) -> OutputErrorFit:
+    """Return the fit with the limits that are certain and predict held-out blocks better, deviations widened.
+
+    Each side is judged alone; where a side alone is not shown, both may be together. Without any limit it is `free`.
+    """
+    fit, blocks = best, _held_out(best, drives, robust)
+    for pair in ([0, 1], [2, 3]):
+        sides = [kind for kind in pair if np.isfinite(limits_of(fit)[kind])]
+        removals = [_removed(fit, blocks, [kind], drives, robust) for kind in sides]
+        weak = [kind for kind, removal in zip(sides, removals, strict=True) if not removal.is_worse]
+        if sides == pair and weak and _removed(fit, blocks, pair, drives, robust).is_worse:
+            continue
+        for kind in weak:
+            removal = _removed(fit, blocks, [kind], drives, robust)
+            if not removal.is_worse:
+                fit, blocks = removal.fit, removal.blocks
+    first = sum(fit.layout.counts[:3])
+    if first == len(fit.parameters):
+        return free
+    if fit is not best:
+        fit = fit_output_error([(fit.layout, fit.parameters)], drives.experiments, robust)
     # Few commands are beyond a limit, so its deviation is not taken below that between blocks.
-    wider, limits = np.ones(len(fit.parameters)), slice(sum(fit.layout.counts[:3]), None)
-    wider[limits] = np.maximum(1.0, blocks.deviation[limits] / np.sqrt(np.diag(fit.covariance)[limits]))
+    wider = np.ones(len(fit.parameters))
+    if blocks is not None:
+        wider[first:] = np.maximum(1.0, blocks.deviation[first:] / np.sqrt(np.diag(fit.covariance)[first:]))
     return replace(fit, covariance=fit.covariance * np.outer(wider, wider))
 
 
 def _held_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | None:
-    """Return models like the fit without each block; None without limits, or if the records are too short."""
+    """Return models like the fit without each block; None if the records are too short."""
     try:
-        return hold_out(fit, joined(drives.experiments), robust, brief=True) if sum(fit.layout.counts[3:]) else None
+        return hold_out(fit, joined(drives.experiments), robust, brief=True)
     except ValueError:
         return None
 
 
-def _is_certain(fit: OutputErrorFit, kind: int, place: int, drives: _Drives) -> bool:
+def _is_certain(fit: OutputErrorFit, kind: int, drives: _Drives) -> bool:
+    place = fit.layout.names.index(f"{KINDS[kind]}_0")
     value, deviation = fit.parameters[place], np.sqrt(fit.covariance[place, place])
     without = np.where(np.arange(len(KINDS)) == kind, np.inf, limits_of(fit))
     if _share(drives.limited(fit, limits_of(fit)), drives.limited(fit, without)) < estimator_settings().limits.share:

@@ -17,9 +17,8 @@ Range = tuple[Positive, Positive]
 class LimitSettings(StrictModel):
     """How limits of the base are looked for."""
 
-    lowest: Positive = Field(lt=1, description="lowest level tried, part of the largest command [-]")
-    durations: Range = Field(description="of ramps from zero to the largest command [s]")
-    levels: int = Field(ge=2, description="number of levels and rates tried")
+    levels: tuple[Positive, ...] = Field(description="that are tried, parts of the largest command [-]")
+    durations: tuple[Positive, ...] = Field(description="that are tried, of ramps from zero to the largest command [s]")
     evaluations: int = Field(ge=2, description="of the model for each of them")
     share: Positive = Field(lt=1, description="least share of samples that a limit changes [-]")
     evidence: Positive = Field(description="least fall of the information criterion [-]")
