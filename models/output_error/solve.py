@@ -239,6 +239,7 @@ def _weights(
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
+_UNSEEN = 1e-9
 AT_BOUND = 1e-3
 """A parameter that is nearer to an end of its range lies at it."""
 
@@ -248,7 +249,9 @@ def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
     # A time constant at the end of its range counts as known: the data say nothing of it.
     at_end = np.minimum(parameters - layout.bounds[0], layout.bounds[1] - parameters) < AT_BOUND
-    free = np.flatnonzero(~(at_end & [name.startswith("log_") for name in layout.names]))
+    # A rate that no command needs moves nothing.
+    moves = np.linalg.norm(jacobian, axis=0) > _UNSEEN * np.linalg.norm(jacobian)
+    free = np.flatnonzero(moves & ~(at_end & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
     estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))
