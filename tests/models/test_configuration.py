@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from limit_population import drawn_case, judged
 
 from diffdrive_mpc import VelocityModel, load_model
+from diffdrive_mpc.models.base_effects import BaseEffects, respond
 from diffdrive_mpc.models.identification.deliver.configuration import choose_pace, configure, settling_time
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.fit.slip import slip_prior
@@ -189,3 +190,17 @@ def test_noise_is_found_under_motion_plateaus_and_outliers(outliers):
     assert found["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
     assert found["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
     assert "position_noise" not in found
+
+
+def test_each_side_of_range_and_ramp_is_found():
+    """A base that is slower in reverse and brakes harder than it accelerates; omega is free."""
+    rng = np.random.default_rng(3)
+    command = np.repeat(rng.uniform(-1.0, 1.0, (60, 2)), 50, axis=0)
+    base = BaseEffects(twist_range={"v": {"reverse": 0.3}}, twist_slew={"v": {"accelerate": 0.8, "brake": 2.0}})
+    twist = respond(lag_of(0.15), base, command, 0.02).body + rng.normal(0.0, 0.01, command.shape)
+    found = identify_sm([Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=twist[:, 1])])
+    truth = {"v.reverse": 0.3, "v.accelerate": 0.8, "v.brake": 2.0}
+    assert {name for name in found.parameters.names if name in (*truth, "v.forward", "omega.left")} == {*truth}
+    for name, value in truth.items():
+        assert found.parameters.value(name) == pytest.approx(value, rel=0.03)
+    assert found.base_effects.twist_slew.omega is None
