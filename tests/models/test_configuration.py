@@ -198,9 +198,11 @@ def test_each_side_of_range_and_ramp_is_found():
     command = np.repeat(rng.uniform(-1.0, 1.0, (60, 2)), 50, axis=0)
     base = BaseEffects(twist_range={"v": {"reverse": 0.3}}, twist_slew={"v": {"accelerate": 0.8, "brake": 2.0}})
     twist = respond(lag_of(0.15), base, command, 0.02).body + rng.normal(0.0, 0.01, command.shape)
-    found = identify_sm([Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=twist[:, 1])])
+    identified_base = identify_sm([Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=twist[:, 1])])
     truth = {"v.reverse": 0.3, "v.accelerate": 0.8, "v.brake": 2.0}
-    assert {name for name in found.parameters.names if name in (*truth, "v.forward", "omega.left")} == {*truth}
+    assert {name for name in identified_base.parameters.names if name in (*truth, "v.forward", "omega.left")} == {
+        *truth
+    }
     for name, value in truth.items():
-        assert found.parameters.value(name) == pytest.approx(value, rel=0.03)
-    assert found.base_effects.twist_slew.omega is None
+        assert identified_base.parameters.value(name) == pytest.approx(value, rel=0.03)
+    assert identified_base.base_effects.twist_slew.omega is None
