@@ -16,9 +16,11 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit, reached, sides_of
+from diffdrive_mpc.models.two_sided import BaseSlewLimit, BaseVelocityLimit, BaseYawRateLimit, reached, sides_of
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
+# A rate that no command of a robot needs [m/s^2 or rad/s^2].
+_AT_ONCE = 1e6
 # A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
 _ON_STEP = 1e-9
 PARTS = 4
@@ -26,73 +28,76 @@ PARTS = 4
 
 
 class TwistSlew(StrictModel):
-    """Slope limits of the commanded twist inside the base, each channel on its own.
+    """Slope limits of the commanded twist inside the base, each channel on its own; one left out has no limit.
 
     A controller whose own slew limits are no wider never meets them, and its linear model then holds.
     """
 
-    v: SlewLimit = Field(
-        description="largest slope of v_ref that the base follows; a number, or {accelerate, brake} [m/s^2]"
+    v: BaseSlewLimit | None = Field(
+        default=None,
+        description="largest slope of v_ref that the base follows; a number, or {accelerate, brake} [m/s^2]",
     )
-    omega: SlewLimit = Field(
-        description="largest slope of omega_ref that the base follows; a number, or {accelerate, brake} [rad/s^2]"
+    omega: BaseSlewLimit | None = Field(
+        default=None,
+        description="largest slope of omega_ref that the base follows; a number, or {accelerate, brake} [rad/s^2]",
     )
+
+    @property
+    def _rates(self) -> FloatArray:
+        """(2, 2) largest rate at which the size of v, omega grows and falls; finite, so that ramps have a duration."""
+        limits = (sides_of(np.inf if limit is None else limit) for limit in (self.v, self.omega))
+        return np.minimum(list(limits), _AT_ONCE)
 
     def step(self, previous: ArrayLike, command: ArrayLike, dt: float) -> FloatArray:
         """Twist (..., 2) that the base has reached `dt` seconds after `previous` on its way to `command`."""
-        before = np.asarray(previous, dtype=float)
-        if self.v.is_symmetric and self.omega.is_symmetric:
-            reach = np.array([self.v, self.omega]) * dt
-            return np.asarray(before + np.clip(np.asarray(command, dtype=float) - before, -reach, reach))
-        return reached(before, np.asarray(command, dtype=float), *np.transpose([self.v.sides, self.omega.sides]) * dt)
+        return reached(np.asarray(previous, dtype=float), np.asarray(command, dtype=float), *self._rates.T * dt)
 
     def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
         """Twists (K, 2) inside the base after each sample of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
-        commands = np.asarray(commands, dtype=float)
-        columns = [
-            _ramps(column, limit * dt, float(first))
-            if limit.is_symmetric
-            else _two_sided_ramps(column, limit, dt, float(first))
-            for column, limit, first in zip(
-                commands.T, (self.v, self.omega), np.asarray(start, dtype=float), strict=True
-            )
-        ]
-        return np.stack(columns, axis=-1)
+        columns = zip(np.asarray(commands, dtype=float).T, self._rates, np.asarray(start, dtype=float), strict=True)
+        return np.stack([ramps(column, rates * dt, float(first)) for column, rates, first in columns], axis=-1)
 
 
-def _two_sided_ramps(commands: FloatArray, limit: SlewLimit, dt: float, start: float) -> FloatArray:
-    """Return what follows `commands` (K,), sample by sample."""
-    followed, last = np.empty(len(commands)), np.asarray(start)
-    grows, falls = (rate * dt for rate in limit.sides)
-    for k, command in enumerate(commands):
-        followed[k] = last = reached(last, command, grows, falls)
-    return followed
+def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
+    """Return what follows commands (K,) from `start`, its size growing and falling by at most `rates` (2,) a sample.
 
-
-def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
-    """(K,) what follows `commands` (K,) by at most `reach` a sample: one ramp for each run of equal commands."""
+    One ramp for each run of equal commands, in samples: a position on the way is the number of samples from zero.
+    """
     if not len(commands):
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
     counts = np.diff(np.append(first, len(commands)))
-    missing = np.empty(len(first))
-    last = start
+    grows, falls = rates.tolist()
+    befores, last, near = [], start, min(grows, falls)
     # Plain numbers: a log may well change its command at every sample.
-    for run, (target, count) in enumerate(zip(commands[first].tolist(), counts.tolist(), strict=True)):
-        gap = last - target
-        missing[run] = gap
-        left = abs(gap) - reach * count
-        last = target + (left if gap > 0 else -left) if left > 0 else target
-    passed = np.arange(len(commands)) - np.repeat(first, counts) + 1
-    gap = np.repeat(missing, counts)
-    return np.asarray(commands + np.sign(gap) * np.maximum(np.abs(gap) - reach * passed, 0.0))
+    for target, count in zip(commands[first].tolist(), counts.tolist(), strict=True):
+        befores.append(last)
+        change = target - last
+        if -near * count <= change <= near * count:
+            last = target
+            continue
+        above, below = (grows, falls) if change > 0 else (falls, grows)
+        end = target / (above if target > 0 else below)
+        gap = last / (above if last > 0 else below) - end
+        left = abs(gap) - count
+        position = end + (left if gap > 0 else -left)
+        last = position * (above if position > 0 else below) if left > 0 else target
+    before = np.repeat(befores, counts)
+    above, below = np.where(commands > before, [[grows], [falls]], [[falls], [grows]])
+    end = commands / np.where(commands > 0, above, below)
+    gap = before / np.where(before > 0, above, below) - end
+    left = np.abs(gap) - (np.arange(len(commands)) - np.repeat(first, counts) + 1)
+    position = end + np.sign(gap) * left
+    return np.asarray(np.where(left > 0, position * np.where(position > 0, above, below), commands))
 
 
 class TwistRange(StrictModel):
     """Largest twist that the base carries out, on each side; a channel left out has no limit."""
 
-    v: VelocityLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
-    omega: YawRateLimit | None = Field(default=None, description="largest |omega|; a number, or {left, right} [rad/s]")
+    v: BaseVelocityLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
+    omega: BaseYawRateLimit | None = Field(
+        default=None, description="largest |omega|; a number, or {left, right} [rad/s]"
+    )
 
     def apply(self, twist: ArrayLike) -> FloatArray:
         """Return a twist (..., 2) cut to the range."""

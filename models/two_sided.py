@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
@@ -20,6 +21,8 @@ class TwoSided(float):
 
     names: ClassVar[tuple[str, str]]
     """Names of the two sides."""
+    is_of_base: ClassVar[bool] = False
+    """True if a side may be left out of a file: then it is infinite, as a base need not limit both."""
     sides: tuple[float, float]
     """The limit on each side, both positive, in the unit of the number."""
 
@@ -60,7 +63,8 @@ class TwoSided(float):
     @property
     def plain(self) -> float | dict[str, float]:
         """The limit as files state it: one number, or both sides by name if they differ."""
-        return self.sides[0] if self.is_symmetric else dict(zip(self.names, self.sides, strict=True))
+        sides = {name: side for name, side in zip(self.names, self.sides, strict=True) if math.isfinite(side)}
+        return self.sides[0] if self.is_symmetric else sides
 
     @classmethod
     def _read(cls, value: object) -> tuple[object, object]:
@@ -68,6 +72,8 @@ class TwoSided(float):
             return value.sides
         if not isinstance(value, Mapping):
             return (value, value)
+        if cls.is_of_base and value and set(value) < set(cls.names):
+            value = dict.fromkeys(cls.names, math.inf) | dict(value)
         if set(value) != set(cls.names):
             raise ValueError(f"give one number, or both sides: {{{cls.names[0]}: ..., {cls.names[1]}: ...}}")
         return value[cls.names[0]], value[cls.names[1]]
@@ -77,7 +83,7 @@ class TwoSided(float):
         """Read one number or a mapping with both sides; write the same forms."""
         return core_schema.no_info_wrap_validator_function(
             lambda value, check: cls(*map(check, cls._read(value))),
-            core_schema.float_schema(gt=0, strict=True, allow_inf_nan=False),
+            core_schema.float_schema(gt=0, strict=True, allow_inf_nan=cls.is_of_base),
             serialization=core_schema.plain_serializer_function_ser_schema(lambda limit: limit.plain),
         )
 
@@ -88,7 +94,7 @@ class TwoSided(float):
         sides = {
             "additionalProperties": False,
             "properties": dict.fromkeys(cls.names, number),
-            "required": list(cls.names),
+            **({"minProperties": 1} if cls.is_of_base else {"required": list(cls.names)}),
             "type": "object",
         }
         return {"anyOf": [number, sides]}
@@ -113,6 +119,24 @@ class SlewLimit(TwoSided):
     """Largest rate at which the size of a command grows and falls [m/s^2 or rad/s^2]."""
 
     names = ("accelerate", "brake")
+
+
+class BaseVelocityLimit(VelocityLimit):
+    """Largest speed that a base carries out [m/s]."""
+
+    is_of_base = True
+
+
+class BaseYawRateLimit(YawRateLimit):
+    """Largest yaw rate that a base carries out [rad/s]."""
+
+    is_of_base = True
+
+
+class BaseSlewLimit(SlewLimit):
+    """Largest rates that a base follows [m/s^2 or rad/s^2]."""
+
+    is_of_base = True
 
 
 SIDES = {name: kind.names for kind in (VelocityLimit, YawRateLimit, SlewLimit) for name in kind.names}

@@ -196,7 +196,7 @@ def _print(identification: Identification, out: Path) -> None:
         _print_line(f"order {chosen.order}: {chosen.reason}")
     _print_line(report.found[0])
     for setting in identification.configuration.bounds:
-        _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
+        _print_line(f"limit {setting.line()}")
     if identification.configuration.room:
         room = ", ".join(f"{setting.name} {setting.value:g} m" for setting in identification.configuration.room)
         _print_line(f"room, more than usual as the robot is larger or faster: {room}")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -119,13 +119,12 @@ class StandIn:
     name: str
     model: VelocityModel | NonlinearModel
     base: BaseEffects
-    limits: Mapping[str, float] = field(default_factory=dict)
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
     """The model itself, and one of another structure fitted to the data held out, where they allow it."""
     identified = identification.report.fitted.identified
-    itself = StandIn(ITSELF, identification.model, _effects_of(identified), identified.limits)
+    itself = StandIn(ITSELF, identification.model, identified.base_effects)
     other = _of_held_out(identification)
     return [itself] if other is None else [itself, other]
 
@@ -146,9 +145,7 @@ def trial_drives(
     radius = circle_radius(config)
     slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
     for stand_in in plants:
-        reached = {
-            name: min(max(getattr(config.limits, name).sides), stand_in.limits.get(name, math.inf)) for name in CHANNELS
-        }
+        reached = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
         limits = usual.limits.model_copy(update=reached)
         robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS if paths is None else paths:
@@ -165,10 +162,6 @@ def circle_radius(config: ControllerConfig) -> float:
     return config.wheels.encoder_track / load_robot().track
 
 
-def _effects_of(identified: IdentifiedModel) -> BaseEffects:
-    return BaseEffects.model_validate(identified.content.get("base_effects", {}))
-
-
 def _of_held_out(identification: Identification) -> StandIn | None:
     """Fit another structure, the selected effects, or the function, to the data held out; None if that fails.
 
@@ -183,7 +176,7 @@ def _of_held_out(identification: Identification) -> StandIn | None:
             other = fitted.base.refitted(data.validation)
         else:
             other = _of_other_structure(data, fitted.structure)
-        return StandIn(HELD_OUT, other.model, _effects_of(other), other.limits)
+        return StandIn(HELD_OUT, other.model, other.base_effects)
     except ValueError:
         return None
 

@@ -131,11 +131,12 @@ class TrialVerdict:
         return [f"{self.grade}{why}.", fast, explained, following]
 
     def lines(self, folder: Path = Path()) -> list[str]:
-        """The answers in at most ten lines of 80 columns, with the command for files in `folder`."""
+        """Return the limits of the base, and the answers in at most ten lines of 80 columns, with the next command."""
         driven, *others = self.answers()
         answers = (_shortened(driven, 3), *others)
         lines = [line for head, words in zip(_HEADS, answers, strict=True) for line in _answer(head, words)]
-        return [*lines, *(next_command(folder) if self.promise else ())]
+        limits = [line for words in self.identification.report.limits for line in _answer("Limits", words)]
+        return [*limits, *lines, *(next_command(folder) if self.promise else ())]
 
 
 def _answer(head: str, words: str) -> list[str]:

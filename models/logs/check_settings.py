@@ -64,7 +64,6 @@ class CheckSettings(StrictModel):
     same_gain: Positive = Field(description="ratio of gains of two logs")
     same_response: Positive = Field(description="between the answers of two logs [s]")
     certain: Positive = Field(description="[standard deviations]")
-    clipped_share: Share = Field(description="of the commands above a level")
     clipped_rest: Share = Field(description="of the unexplained variance that a level leaves")
     spike_scatter: Positive = Field(description="over the 95th percentile of leaps out and back")
     spike_span: Positive = Field(description="over the 5th to 95th percentile of the readings")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
@@ -80,8 +79,10 @@ class HeldOut(NamedTuple):
         return np.asarray(scatter * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
 
 
-def hold_out(fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True) -> HeldOut:
-    """Search anew, from `fit`, without each block in turn.
+def hold_out(
+    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True, *, brief: bool = False
+) -> HeldOut:
+    """Search anew, from `fit`, without each block in turn; `robust` and `brief` as `fit_output_error`.
 
     Raises
     ------
@@ -90,30 +91,9 @@ def hold_out(fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robu
     """
     powers, parameters = [], []
     for rest, block in blocks(experiments):
-        refit = fit_output_error([(fit.layout, fit.parameters)], cut(experiments, rest), robust, scale=fit.scale)
+        start = [(fit.layout, fit.parameters)]
+        refit = fit_output_error(start, cut(experiments, rest), robust, scale=fit.scale, brief=brief)
         errors = [part.readings - simulate_experiment(refit.system, part) for part in cut(experiments, block)]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         parameters.append(refit.parameters)
     return HeldOut(np.array(powers), np.array(parameters))
-
-
-def with_limit_if_better(
-    limited: OutputErrorFit, plain: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True
-) -> OutputErrorFit:
-    """`limited`, which has the last parameter more than `plain`, if models like it predict held-out blocks better.
-
-    The log of the mean square error has to fall by as much as the settings ask for, counted in effective samples. Few
-    commands lie beyond a limit, so its deviation is not taken below that between blocks. Records too short to hold
-    blocks out decide nothing: then `limited` stays.
-    """
-    experiments = joined(experiments)
-    try:
-        with_it, without = (hold_out(fit, experiments, robust) for fit in (limited, plain))
-    except ValueError:
-        return limited
-    fall = np.log(without.powers.sum(axis=0) / with_it.powers.sum(axis=0))
-    if plain.effective_samples @ fall < estimator_settings().saturation.held_out_evidence:
-        return plain
-    wider = np.ones(len(limited.parameters))
-    wider[-1] = max(1.0, with_it.deviation[-1] / np.sqrt(limited.covariance[-1, -1]))
-    return replace(limited, covariance=limited.covariance * np.outer(wider, wider))

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Protocol
 
 import numpy as np
 from scipy import linalg
 
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
+from diffdrive_mpc.models.output_error.input_limits import KINDS
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
 # Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
 _STEP = 6e-6
+# Commands and rates of no robot; a limit that the data do not show moves off to here.
+_FASTEST = 1e3
 
 
 @dataclass(frozen=True)
@@ -128,7 +132,7 @@ class Layout:
     offset
         (p,) which outputs have a constant sensor bias.
     limited
-        (m,) which inputs the robot clips at a level to be found.
+        (m, 4) which limits of each input are to be found, in the order of `input_limits.KINDS`.
     """
 
     parametrisation: Parametrisation
@@ -137,23 +141,23 @@ class Layout:
     shared_dead_time: bool = False
     known_dead_time: float | None = None
     offset: tuple[bool, ...] = ()
-    limited: tuple[bool, ...] = ()
+    limited: tuple[tuple[bool, ...], ...] = ()
 
     def __post_init__(self) -> None:
         """Default masks: nothing."""
         object.__setattr__(self, "offset", self.offset or (False,) * self.outputs)
-        object.__setattr__(self, "limited", self.limited or (False,) * self.inputs)
+        object.__setattr__(self, "limited", self.limited or ((False,) * len(KINDS),) * self.inputs)
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
         """Number of parameters of each kind."""
-        return len(self.parametrisation.names), len(self._dead_times), sum(self.offset), sum(self.limited)
+        return len(self.parametrisation.names), len(self._dead_times), sum(self.offset), sum(map(sum, self.limited))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(q,) names: dead_time, offset and limit carry the number of their input or output."""
+        """(q,) names: dead_time, offset and limits carry the number of their input or output."""
         offsets = [f"offset_{i}" for i, free in enumerate(self.offset) if free]
-        limits = [f"limit_{j}" for j, free in enumerate(self.limited) if free]
+        limits = [f"{kind}_{j}" for j, free in enumerate(self.limited) for kind in compress(KINDS, free)]
         return (*self.parametrisation.names, *self._dead_times, *offsets, *limits)
 
     @property
@@ -170,7 +174,7 @@ class Layout:
         longest = estimator_settings().longest_dead_time
         return (
             np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
-            np.concatenate([high, np.full(dead_times, longest), np.full(offsets + limits, np.inf)]),
+            np.concatenate([high, np.full(dead_times, longest), np.full(offsets, np.inf), np.full(limits, _FASTEST)]),
         )
 
     def around(self, parametrisation: Parametrisation) -> Layout:
@@ -188,7 +192,7 @@ class Layout:
             dead_time = np.array([self.known_dead_time])
         offset = np.zeros(self.outputs, dtype=parameters.dtype)
         offset[np.array(self.offset)] = offsets
-        limit = np.full(self.inputs, np.inf, dtype=parameters.dtype)
+        limit = np.full((self.inputs, len(KINDS)), np.inf, dtype=parameters.dtype)
         limit[np.array(self.limited)] = limits
         A, B, C = self.parametrisation.matrices(own)
         return LinearSystem(A, B, C, np.broadcast_to(dead_time, self.inputs), offset, limit)

@@ -17,6 +17,7 @@ from scipy import linalg
 
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.models.output_error.input_limits import slopes, taken
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.state_space import (
     LinearSystem,
@@ -36,13 +37,8 @@ _MOVED = 1e-4
 _DECAYED = 1e-12
 
 
-class _Drive(NamedTuple):
-    """Clipped inputs as B0 and B1 see them (m, K), and where they are clipped, with the command's sign (m, K)."""
-
-    recent: FloatArray
-    older: FloatArray
-    recent_clipped: FloatArray
-    older_clipped: FloatArray
+_Drive = tuple[FloatArray, FloatArray]
+"""Limited inputs as B0 and B1 see them (m, K)."""
 
 
 class _Model(NamedTuple):
@@ -107,7 +103,7 @@ class OutputErrorProblem:
         parts, pasts = [], []
         for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
             model = models[experiment.dt]
-            states = _forced(model, _drive(model, experiment, np.zeros(system.B.shape[1])))
+            states = _forced(model, taken(system, experiment))
             error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
             pasts.append(_project(error, _past(model, weight, prior)))
             parts.append(error)
@@ -182,14 +178,14 @@ def _simulate(
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
     """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
     system, past = model.system, _past(model, weight, prior)
-    unknown = np.zeros(system.B.shape[1])
-    states = _forced(model, _drive(model, experiment, unknown))
+    inputs = taken(system, experiment)
+    states = _forced(model, inputs)
     early = len(past.seen) // experiment.outputs.shape[1]
     error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
     recovered = past.recover @ (past.seen.T @ error[:early].ravel())
     states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
-    before = recovered[: len(unknown)]
-    return states, _drive(model, experiment, before), before, past
+    before = recovered[: inputs.shape[1]]
+    return states, delayed(inputs, model.sampled.delay, before), before, past
 
 
 def _experiment_jacobian(
@@ -201,11 +197,13 @@ def _experiment_jacobian(
     prior: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
     """(K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
-    states, drive, before, past = _simulate(model, experiment, weight, prior)
-    forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
+    states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
+    forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
     if slope.limit.any():
-        forcing += (model.sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
-        forcing += (model.sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
+        changes = taken(model.system, experiment, slopes)
+        for rates, by in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
+            recent, older = delayed(by, model.sampled.delay, np.zeros(by.shape[1]))
+            forcing += (model.sampled.B0 * rates) @ recent + (model.sampled.B1 * rates) @ older
     settled = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T))
     sensitivity = model.respond(np.moveaxis(forcing, 0, 1), settled)
     change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
@@ -224,7 +222,8 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
     respond = {dt: StateResponse(one.A) for dt, one in sampled.items()}
     for experiment in experiments:
-        inputs, here = np.clip(experiment.inputs, -system.limit, system.limit), sampled[experiment.dt]
+        here = sampled[experiment.dt]
+        inputs = taken(system, experiment)
         recent, older = delayed(inputs, here.delay, np.zeros(inputs.shape[1]))
         off = respond[experiment.dt]((here.B0 @ recent + here.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
         total, count = total + off @ off.T, count + len(inputs)
@@ -235,16 +234,10 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
     return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
-def _drive(model: _Model, experiment: SampledExperiment, before: FloatArray) -> _Drive:
-    limit, delay = model.system.limit, model.sampled.delay
-    clipped = np.clip(experiment.inputs, -limit, limit)
-    beyond = np.where(np.abs(experiment.inputs) > limit, np.sign(experiment.inputs), 0.0)
-    return _Drive(*delayed(clipped, delay, before), *delayed(beyond, delay, np.zeros_like(before)))
-
-
-def _forced(model: _Model, drive: _Drive) -> FloatArray:
-    """(n, K) states from rest."""
-    return model.respond((model.sampled.B0 @ drive.recent + model.sampled.B1 @ drive.older)[:, None, :])[:, 0]
+def _forced(model: _Model, inputs: FloatArray) -> FloatArray:
+    """(n, K) states from rest under limited inputs (K, m)."""
+    recent, older = delayed(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
+    return model.respond((model.sampled.B0 @ recent + model.sampled.B1 @ older)[:, None, :])[:, 0]
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:

@@ -14,12 +14,13 @@ from diffdrive_mpc.models.robot import Positive
 Range = tuple[Positive, Positive]
 
 
-class SaturationSettings(StrictModel):
-    """How a limit of the base is looked for."""
+class LimitSettings(StrictModel):
+    """How limits of the base are looked for."""
 
-    lowest: Positive = Field(lt=1, description="lowest level tried, part of the largest command [-]")
-    levels: int = Field(ge=2, description="number of levels tried")
-    share: Positive = Field(lt=1, description="least share of samples commanded beyond the level [-]")
+    levels: tuple[Positive, ...] = Field(description="that are tried, parts of the largest command [-]")
+    durations: tuple[Positive, ...] = Field(description="that are tried, of ramps from zero to the largest command [s]")
+    evaluations: int = Field(ge=2, description="of the model for each of them")
+    share: Positive = Field(lt=1, description="least share of samples that a limit changes [-]")
     evidence: Positive = Field(description="least fall of the information criterion [-]")
     held_out_evidence: Positive = Field(
         description="least fall of the log of the mean square error on blocks held out, times effective samples [-]"
@@ -61,7 +62,7 @@ class EstimatorSettings(StrictModel):
     start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
     start_deviation: Positive = Field(description="of a stretch from a settled state, part of the usual deviation [-]")
     impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
-    saturation: SaturationSettings
+    limits: LimitSettings
     held_out: HeldOutSettings
     scatter: ScatterSettings
     warn: WarningSettings

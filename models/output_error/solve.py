@@ -1,9 +1,9 @@
-"""From data and a first guess to parameters with their covariance, and to levels at which a robot clips its command."""
+"""From data and a first guess to parameters with their covariance."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,14 +29,11 @@ from diffdrive_mpc.models.output_error.statistics import (
 _SETTLED = 1e-5
 _ROUNDS = 5
 _EVALUATIONS = 25
-# A level has to lie below the largest command by so many standard deviations.
-_CERTAIN = 2.0
+_BRIEF = 8
 # Size of a past, in standard deviations of its prior, up to which it is taken for what the prior means.
 _TIED = 3.0
 # A first reading counts as at most so many.
 _MOST_FIRST = 10.0
-# Only the level and the gain have to move before the best level shows.
-_TRIAL = 6
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ def fit_output_error(
     candidates: Sequence[tuple[Layout, FloatArray]],
     experiments: Sequence[SampledExperiment],
     robust: bool = True,
-    trial: int = 25,
+    brief: bool = False,
     scale: FloatArray | None = None,
 ) -> OutputErrorFit:
     """Fit every candidate, go on with the best, and find its covariance.
@@ -107,8 +104,8 @@ def fit_output_error(
         The data.
     robust
         Whether single outliers are held back.
-    trial
-        Evaluations after which the best candidate is chosen.
+    brief
+        Whether the best is near, so that one round of few evaluations is enough.
     scale
         (p,) scale of the residuals to begin with; by default the spread of the outputs.
 
@@ -123,18 +120,19 @@ def fit_output_error(
     spread = output_spread(experiments)
     noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
+    evaluations = _BRIEF if brief else _EVALUATIONS
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         data = _Data(experiments, _weights(experiments, scale, noise), np.ones(len(experiments)))
-        fits = [_solve(layout, start, data, trial) for layout, start in candidates]
+        fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
-        for _ in range(_ROUNDS):
+        for _ in range(1 if brief else _ROUNDS):
             residuals = data.residuals(layout, parameters)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
             data = data._replace(weights=_weights(experiments, scale, noise, trust))
             data = data._replace(ties=_ties(layout, parameters, data))
             before = data.cost(layout, parameters)
-            layout, parameters, cost = _solve(layout, parameters, data, _EVALUATIONS)
+            layout, parameters, cost = _solve(layout, parameters, data, evaluations)
             if before - cost < _SETTLED * cost:
                 break
         residuals = data.residuals(layout, parameters)
@@ -149,6 +147,21 @@ def fit_output_error(
         covariance.effective_samples,
         covariance.condition,
     )
+
+
+def brief_cost(
+    layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], like: OutputErrorFit
+) -> tuple[float, FloatArray]:
+    """Return cost and parameters (q,) after few evaluations from the best of `starts`, weighted as the fit `like`."""
+    noise = reading_noise([experiment.readings for experiment in experiments])
+    data = _Data(
+        experiments,
+        _weights(experiments, like.scale, noise, parted(like.trust, experiments)),
+        np.ones(len(experiments)),
+    )
+    start = min(starts, key=lambda start: data.cost(layout, start))
+    _, parameters, cost = _solve(layout, start, data, estimator_settings().limits.evaluations)
+    return cost, parameters
 
 
 class _Data(NamedTuple):
@@ -226,6 +239,7 @@ def _weights(
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
+_UNSEEN = 1e-9
 AT_BOUND = 1e-3
 """A parameter that is nearer to an end of its range lies at it."""
 
@@ -235,49 +249,12 @@ def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
     # A time constant at the end of its range counts as known: the data say nothing of it.
     at_end = np.minimum(parameters - layout.bounds[0], layout.bounds[1] - parameters) < AT_BOUND
-    free = np.flatnonzero(~(at_end & [name.startswith("log_") for name in layout.names]))
+    # A rate that no command needs moves nothing.
+    moves = np.linalg.norm(jacobian, axis=0) > _UNSEEN * np.linalg.norm(jacobian)
+    free = np.flatnonzero(moves & ~(at_end & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
     estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))
     covariance = np.zeros((len(parameters),) * 2)
     covariance[np.ix_(free, free)] = estimate.covariance
     return estimate._replace(covariance=covariance)
-
-
-def find_limits(
-    fit: OutputErrorFit, experiments: Sequence[SampledExperiment], channel: int, robust: bool = True
-) -> OutputErrorFit:
-    """Let input `channel` have a limit, and keep it if the data clearly show one.
-
-    The weighted loss has to fall by more than the information criterion (Schwarz, Annals of Statistics 1978, 6(2)) asks
-    for, counted in effective samples; enough commands have to lie beyond the level; and the level has to lie below the
-    largest command by two standard deviations.
-
-    Parameters
-    ----------
-    fit
-        The fit without a limit on this input.
-    experiments
-        The data behind it.
-    channel
-        Number of the input.
-    robust
-        As for the fit.
-    """
-    settings = estimator_settings().saturation
-    size = np.concatenate([np.abs(experiment.inputs[:, channel]) for experiment in experiments])
-    levels = np.linspace(settings.lowest, 1.0, settings.levels, endpoint=False) * size.max()
-    levels = levels[[np.mean(size > level) > settings.share for level in levels]]
-    limited = tuple(free or j == channel for j, free in enumerate(fit.layout.limited))
-    layout = replace(fit.layout, limited=limited)
-    place = sum(fit.layout.counts[:3]) + sum(limited[:channel])
-    candidates = [(layout, np.insert(fit.parameters, place, level)) for level in levels]
-    if not candidates:
-        return fit
-    trial = fit_output_error(candidates, experiments, robust, _TRIAL)
-    level, deviation = trial.parameters[place], np.sqrt(trial.covariance[place, place])
-    samples = float(fit.effective_samples.sum())
-    gain = samples * np.log(fit.loss(fit.scale).sum() / trial.loss(fit.scale).sum()) - np.log(samples)
-    beyond = float(np.mean(size > level))
-    shown = gain > settings.evidence and beyond > settings.share and level + _CERTAIN * deviation < size.max()
-    return trial if shown else fit

@@ -20,7 +20,7 @@ _WHOLE = 1e-9
 
 
 class LinearSystem(NamedTuple):
-    """x' = A x + B clip(u(t - dead_time), -limit, limit), y = C x + offset; m inputs, p outputs.
+    """x' = A x + B limited(u(t - dead_time)), y = C x + offset; m inputs, p outputs. See `input_limits`.
 
     Leading axes stack systems.
     """
@@ -36,7 +36,7 @@ class LinearSystem(NamedTuple):
     offset: AnyArray
     """(..., p), units of the outputs"""
     limit: AnyArray
-    """(..., m), units of the inputs; inf where the robot takes every command"""
+    """(..., m, 4) in the order of `input_limits.KINDS`; inf where the robot takes every command"""
 
 
 class SampledSystem(NamedTuple):

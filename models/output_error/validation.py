@@ -18,6 +18,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.output_error.input_limits import limited
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, delayed, sample, settled_start
 
@@ -209,7 +210,8 @@ def simulate_experiment(system: LinearSystem, experiment: SampledExperiment) -> 
     """(K, p) outputs from the inputs alone, after rest in the settled state that gives each output's first reading."""
     sampled = sample(system, experiment.dt)
     start, before = settled_start(system, experiment.first_readings)
-    recent, older = delayed(np.clip(experiment.inputs, -system.limit, system.limit), sampled.delay, before)
+    taken = limited(experiment.inputs, system.limit, experiment.dt, before)
+    recent, older = delayed(taken, sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
     states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]
     return np.asarray(states.T @ system.C.T + system.offset)

@@ -12,11 +12,12 @@ from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
-from diffdrive_mpc.models.output_error.held_out import with_limit_if_better
+from diffdrive_mpc.models.output_error.input_limits import KINDS, side_name
+from diffdrive_mpc.models.output_error.limits import find_limits
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, Parametrisation
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.solve import OutputErrorFit, find_limits, fit_output_error
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import distinct_poles, pole_names, pole_numbers, real_pole_names
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.structures.model_file import TransferFunction
@@ -70,7 +71,7 @@ class IdentifiedChannel:
     form
         What its transfer function is.
     parameters
-        The fields of the form's file, then dead_time [s], offset and limit where they were free.
+        The fields of the form's file, then dead_time [s], offset and limits, by side, where they were free.
     fit
         The fit behind them.
     warnings
@@ -111,7 +112,7 @@ def identify_channel(
     offset
         Whether the sensor has a constant bias to be found.
     limit
-        Whether to look for a level at which the robot clips the command.
+        Whether to look for limits of the command inside the robot.
     robust
         Whether single outliers are held back.
     dead_time
@@ -128,10 +129,9 @@ def identify_channel(
     starts = _first_guesses(layout, form, experiments, label)
     fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
     if limit:
-        limited = find_limits(fit, experiments, 0, robust)
-        fit = fit if limited is fit else with_limit_if_better(limited, fit, experiments, robust)
+        fit = find_limits(fit, experiments, _quick(layout, form, fit.parameters), robust)
     own = fit.layout.counts[0]
-    names = (*form.file.model_fields, *(_unnumbered(name) for name in fit.layout.names[own:]))
+    names = (*form.file.model_fields, *(_readable(name, label) for name in fit.layout.names[own:]))
     parameters = fit.estimate.derived(names, lambda row: np.concatenate([form.values(row[:own]), row[own:]]))
     return IdentifiedChannel(form, parameters, fit, _warnings(form, parameters, fit, label))
 
@@ -194,6 +194,15 @@ def _first_guesses(
     return sorted(grid, key=cost)[:_TRIED]
 
 
-def _unnumbered(name: str) -> str:
-    """Without the number of the input or output."""
-    return name.rpartition("_")[0] if name[-1].isdigit() else name
+def _quick(layout: Layout, form: ChannelForm, parameters: FloatArray) -> FloatArray:
+    """Return the parameters (q,) of a quick robot of the same gain."""
+    settings, count = estimator_settings(), layout.counts[0]
+    gain = float(np.clip(form.values(parameters[:count])[0], *settings.gain))
+    guess = form.first_guesses(gain, max(settings.start_frequencies))[0]
+    return np.concatenate([guess, parameters[count:]])
+
+
+def _readable(name: str, label: str) -> str:
+    """Return the name without the number of the input or output; of a limit that of its side."""
+    plain = name.rpartition("_")[0] if name[-1].isdigit() else name
+    return side_name(label, KINDS.index(plain)) if plain in KINDS else plain

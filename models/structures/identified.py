@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.models.base_effects import BaseEffects, TwistRange
 from diffdrive_mpc.models.doubt import Doubt, lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import YawSource
+from diffdrive_mpc.models.output_error.input_limits import limits_in
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
@@ -24,6 +26,7 @@ from diffdrive_mpc.models.structures.model_file import (
     structure_name,
     write_parameters,
 )
+from diffdrive_mpc.models.two_sided import TwoSided
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel, mean_delay
 
 # The file carries this many digits: far finer than any standard deviation.
@@ -60,8 +63,6 @@ class IdentifiedModel:
         What was estimated, with covariance; SI units.
     offset
         (2,) sensor bias of v [m/s] and omega [rad/s], to be added to the model's outputs when compared with the log.
-    limits
-        Level of each channel at which the robot clips its command, where the data show one.
     yaw
         Whether omega was the gyro's or the encoders'.
     method
@@ -76,7 +77,6 @@ class IdentifiedModel:
     content: Mapping[str, Any]
     parameters: ParameterEstimate
     offset: FloatArray
-    limits: Mapping[str, float]
     yaw: YawSource
     method: str
     fits: tuple[OutputErrorFit, ...]
@@ -125,6 +125,17 @@ class IdentifiedModel:
         return {group: file for group, file in every.items() if set(_fields(group, file)) <= {*self.parameters.names}}
 
     @property
+    def base_effects(self) -> BaseEffects:
+        """Effects of the base around the linear model."""
+        return BaseEffects.model_validate(self.content.get("base_effects", {}))
+
+    @property
+    def limits(self) -> dict[str, TwoSided]:
+        """Largest command of each channel that the base carries out, where the data show one; else infinite."""
+        group = self.base_effects.twist_range or TwistRange()
+        return {channel: limit for channel in CHANNELS if (limit := getattr(group, channel)) is not None}
+
+    @property
     def structure(self) -> str:
         """Name of the structure: "mbm", "sm", "ssm" or "two_delays"."""
         return structure_name(self.schema)
@@ -136,11 +147,10 @@ class IdentifiedModel:
 
     @property
     def system(self) -> LinearSystem:
-        """The model with its sensor offsets and limits, as it is held against a log."""
+        """The model with its sensor offsets and the limits of its base, as it is compared with a log."""
         data = self.file("identified", _PROVENANCE)
-        limit = np.array([self.limits.get(channel, np.inf) for channel in CHANNELS])
         dead_time = np.array([data.dead_time.v, data.dead_time.omega])
-        return LinearSystem(*data.matrices(), dead_time, self.offset, limit)
+        return LinearSystem(*data.matrices(), dead_time, self.offset, limits_in(data.base_effects))
 
     def file(self, name: str, provenance: Mapping[str, Any], **more: object) -> ModelFile:
         """The content of a parameter file; `more` are further keys of it."""
@@ -202,8 +212,6 @@ def model_file(
     }
     if validation_fit_percent is not None:
         more["validation_fit_percent"] = percent(validation_fit_percent)
-    if identified.limits:
-        more["limits"] = dict(identified.limits)
     return identified.file(name, origin, **more)
 
 

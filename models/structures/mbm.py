@@ -13,6 +13,7 @@ from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments, wheel_experiments
+from diffdrive_mpc.models.output_error.input_limits import effects_of, limit_names
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
@@ -96,7 +97,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
     wheel_radius
         [m], as the robot's firmware has it.
     limits
-        Whether to look for levels at which the robot clips its commands.
+        Whether to look for limits of the base.
 
     Raises
     ------
@@ -127,10 +128,10 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
             "wheel_radius": wheel_radius,
             "firmware_track": rounded(parameters.value("firmware_track")),
             "effective_track": rounded(parameters.value("effective_track")),
+            "base_effects": rounded(effects_of(fit.system.limit)),
         },
         parameters=parameters,
         offset=np.array([0.0, yaw.parameters.value("offset")]),
-        limits={channel: float(rounded(parameters.value(f"{channel}.limit"))) for channel in _limited(fit.layout)},
         yaw="gyro",
         method=METHOD,
         fits=(fit, yaw.fit),
@@ -157,22 +158,17 @@ def _start(
     yaw: IdentifiedChannel,
     limits: bool,
 ) -> tuple[Layout, FloatArray]:
-    """Forward motion gives a motor for all and a limit of v, turning the track; `yaw` has the limit of omega."""
+    """Forward motion gives a motor for all and the limits of v, turning the track; `yaw` has the limits of omega."""
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
     v = identify_channel(forward, "wheels", limit=limits)
     omega = identify_channel(turning, "wheels' difference", limit=False)
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
     track = np.log(omega.content["gain"] / v.content["gain"])
-    limited = tuple("limit" in channel.parameters.names for channel in (v, yaw))
-    levels = [channel.parameters.value("limit") for channel, free in zip((v, yaw), limited, strict=True) if free]
+    limited = (*v.fit.layout.limited, *yaw.fit.layout.limited)
+    levels = [level for channel in (v, yaw) for level in channel.fit.layout.split(channel.fit.parameters)[-1]]
     layout = Layout(MotorsParametrisation(sides, radius), 2, len(sides), shared_dead_time=True, limited=limited)
     return layout, np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")], levels])
-
-
-def _limited(layout: Layout) -> list[str]:
-    """Channels whose command is clipped."""
-    return [channel for channel, free in zip(CHANNELS, layout.limited, strict=True) if free]
 
 
 def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
@@ -195,8 +191,7 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
         each = [TWO_POLES.values(motor) for motor in own[:-1].reshape(motors, -1)]
         return np.concatenate([*each, np.exp(own[-1:]), dead_time, levels])
 
-    limits = [f"{channel}.limit" for channel in _limited(fit.layout)]
-    return fit.estimate.derived((*names, "firmware_track", "dead_time", *limits), physical)
+    return fit.estimate.derived((*names, "firmware_track", "dead_time", *limit_names(fit.layout.limited)), physical)
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:

@@ -16,6 +16,7 @@ from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.named_file import kept_editor_line
 from diffdrive_mpc.models.robot import Positive, SampleTime
+from diffdrive_mpc.models.two_sided import BaseVelocityLimit, BaseYawRateLimit
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 
@@ -27,8 +28,8 @@ Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 class CommandLimits(StrictModel):
     """Levels at which the robot clips a command by itself; a channel left out showed none."""
 
-    v: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(default=None, description="[m/s]")
-    omega: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(default=None, description="[rad/s]")
+    v: BaseVelocityLimit | None = Field(default=None, description="[m/s]")
+    omega: BaseYawRateLimit | None = Field(default=None, description="[rad/s]")
 
 
 class Uncertainty(StrictModel):

@@ -8,6 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.input_limits import effects_of
 from diffdrive_mpc.models.output_error.parameters import joined
 from diffdrive_mpc.models.structures.channel import ChannelForm, IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
@@ -41,7 +42,7 @@ def identify_sm(
     yaw
         Which sensor's omega the model predicts.
     limits
-        Whether to look for levels at which the robot clips its commands.
+        Whether to look for limits of the base.
     robust
         Whether single outliers are held back.
     form, schema
@@ -59,14 +60,10 @@ def identify_sm(
         content={
             "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
             "channels": rounded({name: fit.content for name, fit in fits.items()}),
+            "base_effects": rounded(effects_of(np.concatenate([fit.fit.system.limit for fit in channels]))),
         },
         parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),
-        limits={
-            name: float(rounded(fit.parameters.value("limit")))
-            for name, fit in fits.items()
-            if "limit" in fit.parameters.names
-        },
         yaw=yaw,
         method=METHOD.format(form.words),
         fits=tuple(fit.fit for fit in channels),

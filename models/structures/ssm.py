@@ -11,6 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.input_limits import effects_of, limit_names
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
@@ -104,7 +105,7 @@ def identify_ssm_orders(
     yaw
         Which sensor's omega the model predicts.
     limits
-        Whether to look for levels at which the robot clips its commands.
+        Whether to look for limits of the base.
 
     Raises
     ------
@@ -128,10 +129,10 @@ def _fit(
     below: OutputErrorFit | None,
     offset: bool,
 ) -> OutputErrorFit:
-    limited = tuple("limit" in channel.parameters.names for channel in channels)
+    limited = tuple(row for channel in channels for row in channel.fit.layout.limited)
     dead_time = np.array([channel.parameters.value("dead_time") for channel in channels])
     shared = [channels[1].parameters.value("offset")] if offset else []
-    shared += [channel.parameters.value("limit") for channel in channels if "limit" in channel.parameters.names]
+    shared += [level for channel in channels for level in channel.fit.layout.split(channel.fit.parameters)[-1]]
 
     def candidate(start: Realisation, dead_time: FloatArray) -> tuple[Layout, FloatArray]:
         space = LocalStateSpace(*start)
@@ -187,13 +188,12 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     A, B, C = balanced(system.A, system.B, system.C)
     order = len(A)
     label = f"SSM order {order}"
-    own, dead_times, offsets, _ = fit.layout.counts
-    limited = [name for name, free in zip(CHANNELS, fit.layout.limited, strict=True) if free]
+    own, _, offsets, _ = fit.layout.counts
     poles = distinct_poles(A)
     gains = [f"gain.{into}_ref_to_{out}" for out in CHANNELS for into in CHANNELS]
     named_poles = pole_names(poles)
     rest = [f"dead_time.{name}" for name in CHANNELS] + ["omega.offset"] * offsets
-    rest += [f"{name}.limit" for name in limited]
+    rest += limit_names(fit.layout.limited)
 
     def meaningful(parameters: FloatArray) -> FloatArray:
         system = fit.layout.system(parameters)
@@ -202,7 +202,6 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
 
     parameters = fit.estimate.derived((*gains, *named_poles, *rest), meaningful)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
-    values = fit.parameters[own + dead_times + offsets :]
     delays = doubts.answer_delays(fit, CHANNELS, [0, 1])
     return IdentifiedModel(
         schema=SsmFile,
@@ -211,10 +210,10 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
             "A": rounded(A),
             "B": rounded(B),
             "C": rounded(C),
+            "base_effects": rounded(effects_of(system.limit)),
         },
         parameters=parameters,
         offset=np.asarray(system.offset),
-        limits=rounded(dict(zip(limited, values, strict=True))),
         yaw=yaw,
         method=f"{METHOD}; order {order}",
         fits=(fit,),

@@ -155,7 +155,7 @@ def _pair(values: Sequence[float] | np.ndarray) -> Pair:
 
 def _as_printed(model: VelocityModel) -> LinearSystem:
     """A published model held against logs as it stands: no sensor offset, no limit."""
-    return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full(2, np.inf))
+    return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 
 
 def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[PaperFinding]:

@@ -16,7 +16,6 @@ import numpy as np
 from diffdrive_mpc import ModelError, VelocityModel, identify
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, StandIn, trial_drives, trial_settings
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
-from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -88,7 +87,7 @@ def _variations(data: LogData, seed: int) -> Iterator[StandIn]:
             model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
         except ModelError:
             continue
-        yield StandIn(HELD_OUT, model, BaseEffects(), identified.limits)
+        yield StandIn(HELD_OUT, model, identified.base_effects)
 
 
 def main() -> None:

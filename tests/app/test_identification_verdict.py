@@ -51,7 +51,7 @@ def test_a_sound_log_is_a_yes_with_a_promise_that_its_drives_keep(identification
 def clips(identification, share):
     """The robot itself, which does no more than a share of what the configuration allows omega."""
     limit = share * identification.config["limits"]["omega"]
-    return [StandIn(HELD_OUT, identification.model, BaseEffects(), {"omega": limit})]
+    return [StandIn(HELD_OUT, identification.model, BaseEffects(twist_range={"omega": limit}))]
 
 
 @pytest.fixture

@@ -141,7 +141,7 @@ def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_pa
         turned[k] = turned[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(asked[k - 1], -0.9, 0.9) - turned[k - 1])
     columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(asked))
     out, _ = identified(tmp_path, columns, NO_POSE)
-    limits = read_model_file(out / "model.yaml").limits
+    limits = read_model_file(out / "model.yaml").base_effects.twist_range
     assert limits.v is None
     assert limits.omega == pytest.approx(0.9, rel=0.02)
     config = load_config(out / "config.yaml")

@@ -705,7 +705,6 @@ READINGS = (
     Case("simulated", "poses jump", spikes(("x",), 15.0), "spikes", "pose"),
     Case("simulated", "gyro empty", constant("gyro", value=np.nan), "empty column", "gyro", True),
     Case("husky", "encoders empty", constant("wheel_left", value=np.nan), "empty column", "wheel_left", True),
-    Case("simulated", "robot clips omega", simulated(clip=0.9, seed=23), "clipped response", "omega"),
     Case("simulated", "commands rest at a limit", lambda columns, base: smooth_and_clipped(), "saturation", "limit"),
 )
 

@@ -24,7 +24,7 @@ def published_ssm(dead_time=(0.043, 0.052)):
 
 
 def system(model):
-    return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full(2, np.inf))
+    return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 
 
 def record(commands, twist, name="drive", start=0.0, **more):

@@ -111,7 +111,7 @@ def result(tmp_path_factory):
 def test_the_truth_and_the_limit_lie_within_the_intervals(result):
     parameters = result[0].report.fitted.identified.parameters
     truth = {f"{name}.{key}": value for name in CHANNELS for key, value in TRUTH[name].items()}
-    truth |= {f"{name}.dead_time": DEAD_TIME[name] for name in CHANNELS} | {"v.limit": LIMIT}
+    truth |= {f"{name}.dead_time": DEAD_TIME[name] for name in CHANNELS} | {"v.forward": LIMIT, "v.reverse": LIMIT}
     assert set(parameters.names) == {*truth, "omega.offset"}
     errors = {name: (parameters.value(name) - value) / parameters.deviation(name) for name, value in truth.items()}
     assert max(map(abs, errors.values())) < 4.0, errors

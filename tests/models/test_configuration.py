@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from limit_population import drawn_case, judged
 
 from diffdrive_mpc import VelocityModel, load_model
+from diffdrive_mpc.models.base_effects import BaseEffects, respond
 from diffdrive_mpc.models.identification.deliver.configuration import choose_pace, configure, settling_time
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.fit.slip import slip_prior
@@ -19,6 +20,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import SmFile
 from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc.config.rooms import side_by_side
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
@@ -31,12 +33,16 @@ GEOMETRY = WheelGeometry(0.1, 0.4)
 def identified(slew=None, deviation=0.1, limits=None, effects=None):
     names = ("slew.v", "slew.omega") if slew else ("v.gain",)
     values = np.array(slew or [0.9])
+    effects = {
+        **(effects or {}),
+        "twist_range": limits or {},
+        "twist_slew": dict(zip(CHANNELS, slew or (), strict=False)),
+    }
     return IdentifiedModel(
         schema=SmFile,
-        content={"channels": {"v": CHANNEL, "omega": CHANNEL}, "base_effects": effects or {}},
+        content={"channels": {"v": CHANNEL, "omega": CHANNEL}, "base_effects": effects},
         parameters=ParameterEstimate(names, values, np.diag(np.full(len(values), deviation**2))),
         offset=np.zeros(2),
-        limits=limits or {},
         yaw="gyro",
         method="made up",
         fits=(),
@@ -69,6 +75,12 @@ def test_limits_are_those_that_the_log_covers_or_the_base_has():
     written = limits(identified(limits={"omega": 0.8}))
     assert (written["v"], written["omega"]) == (0.5, 0.8)
     assert (written["predicted_v"], written["predicted_omega"]) == pytest.approx((0.55, 0.88))
+
+
+def test_each_side_is_written_with_its_own_limit():
+    written = limits(identified(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
+    assert written["v"] == {"forward": 0.5, "reverse": 0.2}
+    assert written["omega"] == {"left": 0.3, "right": 0.6}
 
 
 def test_motors_that_saturate_bind_before_what_the_log_asked():
@@ -178,3 +190,19 @@ def test_noise_is_found_under_motion_plateaus_and_outliers(outliers):
     assert found["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
     assert found["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
     assert "position_noise" not in found
+
+
+def test_each_side_of_range_and_ramp_is_found():
+    """A base that is slower in reverse and brakes harder than it accelerates; omega is free."""
+    rng = np.random.default_rng(3)
+    command = np.repeat(rng.uniform(-1.0, 1.0, (60, 2)), 50, axis=0)
+    base = BaseEffects(twist_range={"v": {"reverse": 0.3}}, twist_slew={"v": {"accelerate": 0.8, "brake": 2.0}})
+    twist = respond(lag_of(0.15), base, command, 0.02).body + rng.normal(0.0, 0.01, command.shape)
+    identified_base = identify_sm([Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=twist[:, 1])])
+    truth = {"v.reverse": 0.3, "v.accelerate": 0.8, "v.brake": 2.0}
+    assert {name for name in identified_base.parameters.names if name in (*truth, "v.forward", "omega.left")} == {
+        *truth
+    }
+    for name, value in truth.items():
+        assert identified_base.parameters.value(name) == pytest.approx(value, rel=0.03)
+    assert identified_base.base_effects.twist_slew.omega is None

@@ -50,7 +50,7 @@ def test_fit_is_that_of_a_free_run_from_the_first_reading():
 def test_a_limit_and_an_offset_are_part_of_the_prediction():
     drive = noisy_drive(MODEL, 2, limit=0.6, noise=(0.0, 0.0))
     plain = system(MODEL)
-    right = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([np.inf, 0.6]))
+    right = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]]))
     drive = record(drive.command, drive.twist + [0.0, 0.05])
     assert validate(right, [drive]).fit_percent.min() > 99.0
     assert validate(plain, [drive]).fit_percent[1] < 80.0

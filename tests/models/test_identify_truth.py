@@ -102,7 +102,7 @@ def test_a_limit_of_the_base_is_found_where_there_is_one():
     limited, free = (noisy_drive(SM, 7, limit=limit) for limit in (0.9, np.inf))
     found = identify_sm([limited])
     assert set(found.limits) == {"omega"}
-    agrees(found.parameters, {**SM_TRUTH, "omega.limit": 0.9})
+    agrees(found.parameters, {**SM_TRUTH, "omega.left": 0.9, "omega.right": 0.9})
     assert identify_sm([free]).limits == {}
 
 
@@ -173,7 +173,9 @@ def test_mbm_finds_motors_both_tracks_and_a_limit(four, limit):
     found = identify_mbm([drive], radius)
     limits = {} if np.isinf(limit) else {"v": limit}
     assert found.limits.keys() == limits.keys()
-    truth = {"firmware_track": firmware, "dead_time": 0.047} | {f"{name}.limit": x for name, x in limits.items()}
+    truth = {"firmware_track": firmware, "dead_time": 0.047} | {
+        f"v.{side}": limits["v"] for side in ("forward", "reverse") if limits
+    }
     for side, motor in zip(("left", "right"), motors, strict=True):
         for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
             truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}

@@ -6,6 +6,7 @@ from log_parts import drive, write_csv, write_mapping
 
 from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_rows
 
@@ -175,3 +176,16 @@ def test_nothing_is_wrong_with_a_short_drive_at_nearly_one_speed(tmp_path, traje
     write_rows(run, tmp_path / "drive.csv")
     findings = read_log(tmp_path / "drive.csv", "simulate").findings
     assert not [str(finding) for finding in findings if finding.severity == "error"]
+
+
+@pytest.mark.parametrize(("upper", "lower"), [(np.inf, 0.2), (0.15, 0.25), (0.1, np.inf)])
+def test_a_limit_of_the_base_is_no_wrong_unit(tmp_path, upper, lower):
+    """Commands far beyond the limit are up to ten times what the robot does."""
+    command, speed, pose = 3 * COLUMNS["v_ref"], np.zeros(1000), np.zeros((1000, 3))
+    for k in range(1, 1000):
+        taken = np.clip(command[k - 1], -lower, upper)
+        speed[k] = speed[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (taken - speed[k - 1])
+        pose[k] = integrate_pose(pose[k - 1], speed[k], COLUMNS["gyro"][k], 0.02)
+    noisy = speed + np.random.default_rng(0).normal(0, 0.005, 1000)
+    log = read(tmp_path, {"v_ref": command, "v": noisy, **dict(zip(("x", "y", "theta"), pose.T, strict=True))})
+    assert lines(log, "wrong unit") == []

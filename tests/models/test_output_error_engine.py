@@ -62,8 +62,12 @@ def test_sampling_is_that_of_control(name, dead_time):
 
 STRUCTURES = {
     "two poles": (
-        Layout(TWO_POLES, 1, 1, offset=(True,), limited=(True,)),
-        [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7],
+        Layout(TWO_POLES, 1, 1, offset=(True,), limited=((True, True, False, False),)),
+        [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7, 0.5],
+    ),
+    "ramps": (
+        Layout(TWO_POLES, 1, 1, limited=((True,) * 4,)),
+        [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.7, 0.5, 1.1, 2.3],
     ),
     "state space": (
         Layout(LocalStateSpace(*balanced(*(getattr(load_model("ssm"), x) for x in "ABC"))), 2, 2, offset=(False, True)),
@@ -84,7 +88,9 @@ def test_the_gradient_is_that_of_finite_differences(name, has_prior):
     parameters = np.array(parameters)
     stream = np.random.default_rng(0)
     inputs = set_points(1, 300, np.ones(layout.inputs), hold=30)
-    experiment = single(inputs, stream.normal(size=(300, layout.outputs)))
+    outputs = stream.normal(size=(300, layout.outputs))
+    outputs[0] = 0.0  # from rest: where ramps begin does not move with the gain
+    experiment = single(inputs, outputs)
     weights = [stream.uniform(size=(300, layout.outputs))] * 2
     prior = past_prior(layout.system(parameters), [experiment], 0.01)
     problem = OutputErrorProblem(layout, [experiment, experiment], weights, [prior] * 2 if has_prior else None)

@@ -8,24 +8,26 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
+from diffdrive_mpc.models.base_effects import WheelCommand
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.identification.fit.slip import SlipPrior
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
 from diffdrive_mpc.models.logs.record import Record, Topics
+from diffdrive_mpc.models.output_error.input_limits import limits_in
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.stated_robot import MakersRobot, StatedKey
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, VelocityLimit, YawRateLimit, sides_of
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 # Parameters of the ROS node for the robot of a bag: what its topics are called, and which messages they carry.
@@ -152,6 +154,7 @@ def choose_pace(model: VelocityModel, dt: float) -> Pace:
 
 MODEL_FILE, CONFIG_FILE = "model.yaml", "config.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}
+_KINDS = {"v": VelocityLimit, "omega": YawRateLimit}
 _NOISE_UNITS = {
     "wheel_speed_noise": "m/s",
     "wheel_yaw_rate_noise": "rad/s",
@@ -179,7 +182,7 @@ class Setting:
     name
         Key inside its group.
     value
-        A positive number, rounded as the file holds it, a whole one, or a word.
+        A positive number, rounded as the file holds it, a limit with two sides, a whole number, or a word.
     reason
         Unit, and where the value comes from.
     """
@@ -188,10 +191,14 @@ class Setting:
     value: float | int | str
     reason: str = ""
 
+    @property
+    def plain(self) -> float | int | str | dict[str, float]:
+        """The value as `load_config` takes it."""
+        return self.value.plain if isinstance(self.value, TwoSided) else self.value
+
     def line(self) -> str:
         """As it stands in the file."""
-        value = f"{self.value:.6g}" if isinstance(self.value, float) else self.value
-        return f"{self.name}: {value}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
+        return f"{self.name}: {_text(self.value)}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
 
 
 @dataclass(frozen=True)
@@ -245,7 +252,7 @@ class IdentifiedConfiguration:
                 return setting
             unit, _, reason = setting.reason.partition(", ")
             words = f"{unit}, {100 * share:.0f} % of this, as faster trial drives failed: {reason}"
-            return _setting(setting.name, share * float(setting.value), words)
+            return _setting(setting.name, _each(setting.value, lambda side: share * side), words)
 
         return replace(self, limits=tuple(map(slower, self.limits)))
 
@@ -254,7 +261,7 @@ class IdentifiedConfiguration:
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
         for group, settings in self.groups.items():
             if settings:
-                content[group] = {setting.name: setting.value for setting in settings}
+                content[group] = {setting.name: setting.plain for setting in settings}
         return {**content, **({"sensors": self.sensors} if self.sensors else {})}
 
     def text(self) -> str:
@@ -327,10 +334,11 @@ def configure(
     models.velocity_model.ModelError
         If the model cannot be a robot's.
     """
-    commanded = np.abs(np.concatenate([record.command for record in train]))
-    base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
+    commands = np.concatenate([record.command for record in train])
+    commanded = np.abs(commands)
+    base = identified.base_effects.wheel_command
     gain = np.diag(identified.model.dc_gain)
-    limit, speeds = _speeds(identified, commanded, base, gain)
+    limit, speeds = _speeds(identified, commands, base, gain)
     limits = [*_slew(identified), *speeds]
     if stated is not None and geometry is None:
         geometry = WheelGeometry(np.nan, stated)
@@ -359,22 +367,30 @@ def configure(
 
 
 def _speeds(
-    identified: IdentifiedModel, commanded: FloatArray, base: WheelCommand | None, gain: FloatArray
+    identified: IdentifiedModel, commands: FloatArray, base: WheelCommand | None, gain: FloatArray
 ) -> tuple[FloatArray, list[Setting]]:
-    """(2,) limits of both commands, of sizes `commanded` (K, 2), and the settings of those and of what is predicted."""
-    top_speed = base.top_speed if base and (base.top_speed or np.inf) < commanded[:, 0].max() else None
-    own_limits = {"v": top_speed, **identified.limits}
-    limit = commanded.max(axis=0)
-    commands, predictions = [], []
+    """Return the largest limits (2,) of commands (K, 2), and the settings of both sides and of what is predicted.
+
+    A side of a limited channel that the log does not show to be limited is commanded as far as the log did.
+    """
+    limit, sides = np.abs(commands).max(axis=0), np.maximum([commands.max(axis=0), -commands.min(axis=0)], 0.0).T
+    top_speed = base.top_speed if base and (base.top_speed or np.inf) < limit[0] else None
+    limits = {"v": top_speed, **identified.limits}
+    settings, predictions = [], []
     for row, name in enumerate(CHANNELS):
-        reason = "largest command of the log, either way"
-        if (own_limit := own_limits.get(name)) is not None:
-            limit[row], reason = own_limit, "where the robot clips its command"
-        commands.append(_setting(name, limit[row], f"{_UNITS[name]}, {reason}"))
+        value, reason = limit[row], "largest command of the log, either way"
+        if (known := limits.get(name)) is not None:
+            pairs = zip(sides_of(known), sides[row].tolist(), strict=True)
+            values = [(driven or float(known)) if side == np.inf else side for side, driven in pairs]
+            limit[row], reason = max(values), "where the robot clips its command"
+            if max(sides_of(known)) == np.inf:
+                reason += ", and the largest command of the log on the side without a limit"
+            value = _KINDS[name](*values)
+        settings.append(_setting(name, value, f"{_UNITS[name]}, {reason}"))
         predicted = identification_settings().limit_margin * np.maximum(gain[row], 1.0) * limit[row]
         reason = f"{_UNITS[name]}, the robot's own at most, or the command's, with a margin"
         predictions.append(_setting(f"predicted_{name}", predicted, reason))
-    return limit, [*commands, *predictions]
+    return limit, [*settings, *predictions]
 
 
 def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
@@ -440,16 +456,20 @@ def _slip(prior: SlipPrior) -> list[Setting]:
 def _slew(identified: IdentifiedModel) -> list[Setting]:
     """Within the slopes that the base follows, where they were found, its linear model is exact."""
     parameters, settings = identified.parameters, identification_settings()
-    usual = load_robot().command_slew
+    usual, known = load_robot().command_slew, limits_in(identified.base_effects)
     slews = []
-    for name in CHANNELS:
-        if f"slew.{name}" not in parameters.names:
+    for name, row in zip(CHANNELS, known[:, 2:], strict=True):
+        if row.min() == np.inf:
             continue
-        value, deviation = parameters.value(f"slew.{name}"), parameters.deviation(f"slew.{name}")
-        # Less its uncertainty, so that the base's own limit does not act; a slope hardly seen still allows a part.
-        inside, least = value - settings.certain * deviation, settings.least_slew * value
-        slew = min(inside if inside > least else least, getattr(usual, name))
-        slews.append(_setting(f"{name}_slew", slew, f"{_UNITS[name]} per second, within what the base follows"))
+        sides = []
+        for side, value in zip(SlewLimit.names, row.tolist(), strict=True):
+            key = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
+            deviation = parameters.deviation(key) if value < np.inf else 0.0
+            # Less its uncertainty, so that the base's own limit does not act; a slope hardly seen still allows a part.
+            inside, least = value - settings.certain * deviation, settings.least_slew * value
+            sides.append(min(inside if inside > least else least, getattr(usual, name)))
+        reason = f"{_UNITS[name]} per second, within what the base follows"
+        slews.append(_setting(f"{name}_slew", SlewLimit(*sides), reason))
     return slews
 
 
@@ -471,7 +491,24 @@ def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, 
 
 
 def _setting(name: str, value: float, reason: str) -> Setting:
-    return Setting(name, float(f"{value:.4g}"), reason)
+    return Setting(name, _each(value, lambda side: float(f"{side:.4g}")), reason)
+
+
+def _each(value: float | str, change: Callable[[float], float]) -> float:
+    """Return a number, or each side of a limit, changed."""
+    return value.map(change) if isinstance(value, TwoSided) else change(float(value))
+
+
+def _largest(value: float | str) -> float:
+    """Return the larger side of a limit."""
+    return max(sides_of(value)) if isinstance(value, TwoSided) else float(value)
+
+
+def _text(value: float | str) -> str:
+    """Return a value as it is in the file."""
+    if isinstance(value, TwoSided) and not value.is_symmetric:
+        return "{" + ", ".join(f"{name}: {side:.6g}" for name, side in zip(value.names, value.sides, strict=True)) + "}"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
@@ -482,7 +519,7 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
     """
     keys = robot.configuration()
     shares: dict[str, float] = {
-        channel: min(1.0, float(keys[f"limits.{channel}"].value) / float(setting.value))
+        channel: min(1.0, float(keys[f"limits.{channel}"].value) / _largest(setting.value))
         for channel in ("v", "omega")
         for setting in configuration.limits
         if setting.name == channel
@@ -500,10 +537,12 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
 
 def _bounded(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
     """A limit of the log, no larger than the one that is stated; what is predicted goes with it."""
-    unit, value = setting.reason.partition(", ")[0], float(setting.value)
+    unit, value = setting.reason.partition(", ")[0], _largest(setting.value)
     stated, share = keys.get(f"limits.{setting.name}"), shares.get(setting.name.removeprefix("predicted_"), 1.0)
     if stated is not None and float(stated.value) < value:
-        return Setting(setting.name, float(stated.value), f"{unit}, stated by the maker of {robot}; the log: {value:g}")
+        most = float(stated.value)
+        words = f"{unit}, stated by the maker of {robot}; the log: {_text(setting.value)}"
+        return Setting(setting.name, _each(setting.value, lambda side: min(side, most)), words)
     if share < 1.0 and stated is None:
         return Setting(setting.name, float(f"{share * value:.4g}"), f"{unit}, for the limit that the maker states")
     return setting

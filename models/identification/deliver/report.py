@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.doubt import Doubt, lines
+from diffdrive_mpc.models.identification.deliver.limits import limit_lines
 from diffdrive_mpc.models.identification.deliver.tables import (
     delay_table,
     drift_table,
@@ -118,9 +119,14 @@ class IdentificationReport:
         if self.fitted.predictor is not None:
             linear = "by the linear model beside it, which limits and tracks come from"
             lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
-        clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
         advice = [self.data.advice.sentence()] if self.data.advice else []
-        return [f"Found: {'; '.join([*lags, *clipped])}.", *advice]
+        limits = [f"Limits of commands: {'; '.join(self.limits)}."]
+        return [f"Found: {'; '.join(lags)}.", *limits, *advice]
+
+    @property
+    def limits(self) -> list[str]:
+        """Limits of the base that the log shows, and those that it does not reach."""
+        return limit_lines(self.fitted.identified, self.data.train)
 
     def in_short(self) -> list[str]:
         """The same, and whether to trust the model."""

@@ -160,7 +160,6 @@ def identify_with_effects(
         content={**_linear(fit.point), "base_effects": rounded_effects(effects)},
         parameters=parameters,
         offset=np.array([0.0, fit.point["gyro.offset"]]),
-        limits={c: float(rounded(fit.point[f"limit.{c}"])) for c in CHANNELS if f"limit.{c}" in fit.point},
         yaw=yaw,
         method=METHOD if yaw == "gyro" else METHOD.replace(_BY_GYRO, ""),
         fits=(),
@@ -192,6 +191,8 @@ def _linear(point: Point) -> Mapping[str, Any]:
 
 def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
     effects: dict[str, Any] = {}
+    if any(f"limit.{channel}" in point for channel in CHANNELS):
+        effects["twist_range"] = {channel: point.get(f"limit.{channel}") for channel in CHANNELS}
     if "slew.v" in point:
         effects["twist_slew"] = {channel: point[f"slew.{channel}"] for channel in CHANNELS}
     if any(name in point for name in ("wheels.resolution", "wheels.top_speed")):

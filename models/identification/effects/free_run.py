@@ -10,7 +10,7 @@ from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, Ya
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, twist_experiments
-from diffdrive_mpc.models.two_sided import SlewLimit
+from diffdrive_mpc.models.two_sided import BaseSlewLimit
 
 SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
@@ -117,7 +117,7 @@ def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, s
     requested = np.clip(commands, -most, most)
     if "slew.v" in point:
         requested = TwistSlew.model_construct(
-            v=SlewLimit(point["slew.v"]), omega=SlewLimit(point["slew.omega"])
+            v=BaseSlewLimit(point["slew.v"]), omega=BaseSlewLimit(point["slew.omega"])
         ).follow(requested, step, start)
     if "encoders.track" not in point:
         return requested

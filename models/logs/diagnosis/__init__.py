@@ -15,7 +15,6 @@ from diffdrive_mpc.models.logs.diagnosis.agreement import check_jumps, check_par
 from diffdrive_mpc.models.logs.diagnosis.commands import check_echo, check_latch, check_rounding
 from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
-from diffdrive_mpc.models.logs.diagnosis.readings import check_clipping
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer
@@ -59,7 +58,6 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)
     findings += check_rounding(log, streams, settings)
-    findings += check_clipping(log, streams, settings)
     findings += check_ramps(log, streams, settings)
     return findings
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.diagnosis.limits import within_limits
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, answer
 from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, SIDES
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
@@ -184,9 +185,11 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     """Findings about streams whose size disagrees with the others'; mended in `streams`."""
     findings: list[Finding] = []
     for channel in (0, 1):
-        votes = _votes(streams, channel, settings)
-        sizes = {COMMAND: 1.0} | {name: abs(vote.size) for name, vote in votes.items() if vote.size}
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
+        sizes = _sizes(streams, channel, settings)
+        if len(sizes) > 1 and _odd_one_out(sizes, low, high) is not None:
+            streams.command = within_limits(streams, channel, settings).command
+            sizes = _sizes(streams, channel, settings)
         while len(sizes) > 1:
             odd = _odd_one_out(sizes, low, high)
             if odd is None:
@@ -204,10 +207,15 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     return findings
 
 
+def _sizes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, float]:
+    """Return the size of each stream of a channel over that of the command."""
+    votes = _votes(streams, channel, settings)
+    return {COMMAND: 1.0} | {name: abs(vote.size) for name, vote in votes.items() if vote.size}
+
+
 def _command_is_odd(streams: Streams, settings: CheckSettings) -> bool:
     """Whether omega tells that of commanded and measured wheels the commands are in another unit."""
-    votes = _votes(streams, 1, settings)
-    sizes = {COMMAND: 1.0} | {name: abs(vote.size) for name, vote in votes.items() if vote.size}
+    sizes = _sizes(streams, 1, settings)
     return len(sizes) > 2 and _odd_one_out(sizes, *settings.gain_of_omega) == COMMAND
 
 

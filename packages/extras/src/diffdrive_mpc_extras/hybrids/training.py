@@ -22,6 +22,7 @@ from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
+from diffdrive_mpc.models.output_error.input_limits import limited
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, settled_start
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc_extras.hybrids.hybrid_model import Correction, gate, network
@@ -101,7 +102,8 @@ def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[S
     runs = []
     for experiment in experiments:
         start, held = settled_start(system, experiment.first_readings)
-        before, sent = np.tile(held, (linear.memory, 1)), np.clip(experiment.inputs, -system.limit, system.limit)
+        before = np.tile(held, (linear.memory, 1))
+        sent = limited(experiment.inputs, system.limit, experiment.dt, held)
         recent, older = linear.effective_inputs(sent, before)
         drive = recent @ linear.B0.T + older @ linear.B1.T
         states = StateResponse(linear.A)(drive.T[:, None], start[:, None])[:, 0].T

@@ -16,6 +16,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
+from diffdrive_mpc.models.output_error.input_limits import limits_in
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
@@ -44,15 +45,17 @@ class Identified:
         Of a model with effects, its parameters by the names of `models.identification.effects.free_run`; else empty.
     sensors
         "encoders.yaw_ratio", "gyro.offset", and where the model's file has them "encoders.delay", "encoders.lag".
-    limits
-        (2,) levels at which the robot clips its commands.
     """
 
     model: VelocityModel
     effects: BaseEffects
     point: Mapping[str, float]
     sensors: Mapping[str, float]
-    limits: FloatArray
+
+    @property
+    def limits(self) -> FloatArray:
+        """(2,) levels at which the robot clips its commands, the larger side of each."""
+        return np.asarray(limits_in(self.effects)[:, :2].max(axis=1))
 
     def readings(self, run: SampledExperiment) -> FloatArray:
         """(K, 2) v of the encoders and omega as the model means it, from the commands and the first readings."""
@@ -64,8 +67,7 @@ class Identified:
         """(K, 2) v [m/s] in metres of the encoders, and true yaw rate [rad/s]."""
         first = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
         start = np.linalg.solve(self.model.dc_gain, first - np.array([0.0, self.sensors["gyro.offset"]]))
-        commands = np.clip(run.inputs, -self.limits, self.limits)
-        return respond(self.model, self.effects, commands, run.dt, start).body
+        return respond(self.model, self.effects, run.inputs, run.dt, start).body
 
     def start(self, nominal: Nominal) -> dict[str, float]:
         """Where the fit of a twin begins, as near to this model as the plant can be by a glance."""
@@ -84,7 +86,8 @@ class Identified:
             skid = nominal.track_of_encoders * float(np.sqrt(ratio - 1.0))
             values["wheel_base"] = skid / nominal.robot.twin.chassis.wheel_base
         if self.effects.twist_slew is not None:
-            values |= {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
+            slews = {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
+            values |= {name: float(slew) for name, slew in slews.items() if slew is not None}
         if self.effects.veer is not None:
             values["veer"] = -self.effects.veer.yaw_per_metre * nominal.track_of_encoders * ratio
         names = {"encoders.delay": "encoders_delay", "encoders.lag": "encoders_lag", "gyro.offset": "gyro_offset"}
@@ -106,22 +109,19 @@ def identified(content: ModelFile, runs: Sequence[SampledExperiment]) -> Identif
     sensors = {name: known[name] for name in known if name.startswith(("encoders.", "gyro."))}
     if "encoders.yaw_ratio" not in sensors:
         sensors["encoders.yaw_ratio"] = _yaw_ratio(runs)
-    limits = content.limits.model_dump() if content.limits else {}
-    most = np.array([limits.get(channel) or np.inf for channel in CHANNELS])
-    plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
-    if plain:
-        start = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0}, most)
+    around = effects.model_copy(update={"pose_mount": None, "twist_range": None})
+    if "gyro.offset" not in sensors:
+        around = around.model_copy(update={"twist_slew": None})
+    if around == BaseEffects():
+        start = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0})
         sensors.setdefault("gyro.offset", _offset(start, runs))
-        return Identified(model, effects, {}, sensors, most)
+        return Identified(model, effects, {}, sensors)
     if "gyro.offset" not in sensors or content.structure != "sm":
         raise ConfigError(
             f"model '{content.name}': its base effects stand there without the sensors that they were found through; "
             "give a file that `identify --effects` wrote"
         )
-    point = _point(content.model_dump(), effects, sensors) | {
-        f"limit.{channel}": limits[channel] for channel in CHANNELS if limits.get(channel)
-    }
-    return Identified(model, effects, point, sensors, most)
+    return Identified(model, effects, _point(content.model_dump(), effects, sensors), sensors)
 
 
 def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[str, float]) -> dict[str, float]:
@@ -133,8 +133,11 @@ def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[st
         point[f"lag.{channel}"] = 1.0 / linear["natural_frequency"]
         point[f"spread.{channel}"] = float(np.arccosh(max(linear["damping"], 1.0)))
         point[f"dead_time.{channel}"] = content["dead_time"][channel]
+    if effects.twist_range is not None:
+        limits = {f"limit.{channel}": getattr(effects.twist_range, channel) for channel in CHANNELS}
+        point |= {name: float(limit) for name, limit in limits.items() if limit is not None}
     if effects.twist_slew is not None:
-        point |= {"slew.v": effects.twist_slew.v, "slew.omega": effects.twist_slew.omega}
+        point |= {f"slew.{channel}": float(getattr(effects.twist_slew, channel) or np.inf) for channel in CHANNELS}
     if effects.wheel_command is not None:
         wheels = effects.wheel_command
         turning = point["gain.omega"] * point["encoders.yaw_ratio"]
