@@ -23,6 +23,8 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 _AT_ONCE = 1e6
 # A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
 _ON_STEP = 1e-9
+KINDS = ("upper", "lower", "accelerate", "brake")
+"""Largest command above and below zero [units of the input]; rates at which its size grows and falls [the same / s]."""
 PARTS = 4
 """Inside a sample the base ramps; its limited command is held over this fraction of a sample."""
 
@@ -89,6 +91,19 @@ def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
     left = np.abs(gap) - (np.arange(len(commands)) - np.repeat(first, counts) + 1)
     position = end + np.sign(gap) * left
     return np.asarray(np.where(left > 0, position * np.where(position > 0, above, below), commands))
+
+
+def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
+    """Return the inputs (K, m) that a base with limits (m, 4) carries out, each the mean over its sample of `dt` [s].
+
+    The base has reached `start` (m,) before sample 0.
+    """
+    taken = np.clip(inputs, -limit[:, 1], limit[:, 0])
+    for j, rates in enumerate(np.minimum(limit[:, 2:], _AT_ONCE)):
+        if rates.min() < _AT_ONCE:
+            finer = ramps(np.repeat(taken[:, j], PARTS), rates * dt / PARTS, float(start[j]))
+            taken[:, j] = finer.reshape(-1, PARTS).mean(axis=1)
+    return np.asarray(taken)
 
 
 class TwistRange(StrictModel):

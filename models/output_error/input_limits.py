@@ -7,17 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistRange, TwistSlew, ramps
+from diffdrive_mpc.models.base_effects import KINDS, BaseEffects, TwistRange, TwistSlew, limited
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, settled_start
 from diffdrive_mpc.models.two_sided import SlewLimit, VelocityLimit, YawRateLimit, sides_of
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-KINDS = ("upper", "lower", "accelerate", "brake")
-"""Largest command above and below zero [units of the input]; rates at which its size grows and falls [the same / s]."""
-# Rate that no command of a robot needs.
-_AT_ONCE = 1e6
 # Sides that differ by less than this part are one number in a file.
 _ALIKE = 0.02
 # Step of a derivative, relative to the limit: what follows is piecewise linear in most of them.
@@ -52,19 +48,6 @@ def limits_in(effects: BaseEffects) -> FloatArray:
     groups = effects.twist_range or TwistRange(), effects.twist_slew or TwistSlew()
     rows = [[getattr(group, channel) for group in groups] for channel in CHANNELS]
     return np.array([np.concatenate([sides_of(np.inf if limit is None else limit) for limit in row]) for row in rows])
-
-
-def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
-    """Return the inputs (K, m) that a base with limits (m, 4) carries out, each the mean over its sample of `dt` [s].
-
-    The base has reached `start` (m,) before sample 0.
-    """
-    taken = np.clip(inputs, -limit[:, 1], limit[:, 0])
-    for j, rates in enumerate(np.minimum(limit[:, 2:], _AT_ONCE)):
-        if rates.min() < _AT_ONCE:
-            finer = ramps(np.repeat(taken[:, j], PARTS), rates * dt / PARTS, float(start[j]))
-            taken[:, j] = finer.reshape(-1, PARTS).mean(axis=1)
-    return np.asarray(taken)
 
 
 def slopes(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:

@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from diffdrive_mpc.models.base_effects import KINDS
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
 from diffdrive_mpc.models.output_error.held_out import HeldOut, hold_out
-from diffdrive_mpc.models.output_error.input_limits import KINDS, taken
+from diffdrive_mpc.models.output_error.input_limits import taken
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, brief_cost, fit_output_error
 

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg
 
+from diffdrive_mpc.models.base_effects import KINDS
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
-from diffdrive_mpc.models.output_error.input_limits import KINDS
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 

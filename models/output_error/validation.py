@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffdrive_mpc.models.base_effects import limited
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
-from diffdrive_mpc.models.output_error.input_limits import limited
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, delayed, sample, settled_start
 

@@ -8,11 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
+from diffdrive_mpc.models.base_effects import KINDS
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
-from diffdrive_mpc.models.output_error.input_limits import KINDS, side_name
+from diffdrive_mpc.models.output_error.input_limits import side_name
 from diffdrive_mpc.models.output_error.limits import find_limits
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, Parametrisation
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior

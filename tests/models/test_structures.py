@@ -57,7 +57,7 @@ def identify_lags(records: Sequence[Record], conditions: IdentificationCondition
     numbers = dict(zip(names, values, strict=True))
     content = {name: {key: rounded(numbers[f"{name}.{key}"]) for key in ("gain", "time")} for name in ("v", "omega")}
     parameters = ParameterEstimate(names, np.array(values), 1e-6 * np.eye(4))
-    model = IdentifiedModel(LagsFile, content, parameters, np.zeros(2), {}, conditions.yaw, "regression", (), ())
+    model = IdentifiedModel(LagsFile, content, parameters, np.zeros(2), conditions.yaw, "regression", (), ())
     return StructureFit(model)
 
 

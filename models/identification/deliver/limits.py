@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diffdrive_mpc.models.base_effects import KINDS
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.input_limits import KINDS, side_name
+from diffdrive_mpc.models.output_error.input_limits import side_name
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 

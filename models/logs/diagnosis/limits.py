@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from diffdrive_mpc.models.base_effects import KINDS, limited
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer
-from diffdrive_mpc.models.output_error.input_limits import KINDS, limited
 
 _PARTS = np.geomspace(0.03, 0.8, 10)
 """Levels, as parts of the largest command, and rates, as parts of twice that per second."""

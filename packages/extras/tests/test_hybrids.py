@@ -179,13 +179,13 @@ def test_what_a_hybrid_cannot_do_is_said(tmp_path):
         hybrid_model("wild", LINEAR, random_correction(size=3.0))
 
 
-def slewing(seed, seconds, most=1.2, dt=0.04):
-    """Readings of a robot that speeds up no faster than `most` [m/s^2], [rad/s^2]: a lag whose size saturates."""
+def sagging(seed, seconds, lag=0.2, sag=0.5, dt=0.04):
+    """Readings of a robot whose motors share a weak supply: each channel loses gain by the command of the other."""
     random = np.random.default_rng(seed)
     commands = np.repeat(random.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
-    twist = np.zeros_like(commands)
+    settled, twist = commands * (1.0 - sag * np.abs(commands[:, ::-1])), np.zeros_like(commands)
     for k in range(1, len(commands)):
-        twist[k] = twist[k - 1] + dt * most * np.tanh((commands[k - 1] - twist[k - 1]) / (0.1 * most))
+        twist[k] = twist[k - 1] + dt / lag * (settled[k - 1] - twist[k - 1])
     noisy = twist + random.normal(0, [0.003, 0.005], twist.shape)
     return Record(f"drive {seed}", 0.0, dt, commands, twist=noisy, yaw_rate=noisy[:, 1])
 
@@ -196,7 +196,7 @@ def quick(monkeypatch):
 
 
 def test_it_learns_what_no_linear_model_can_say(quick):
-    data = data_of(slewing(1, 60.0), slewing(2, 60.0))
+    data = data_of(sagging(1, 60.0), sagging(2, 60.0))
     found = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = found.scores[1:]
     assert hybrid.states == linear.states == 4
@@ -206,7 +206,7 @@ def test_it_learns_what_no_linear_model_can_say(quick):
 
 
 def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
-    record = slewing(5, 60.0)
+    record = sagging(5, 60.0)
     columns = {"t": record.dt * np.arange(len(record.command)), "v": record.twist[:, 0], "gyro": record.yaw_rate}
     columns |= {"v_ref": record.command[:, 0], "omega_ref": record.command[:, 1], "omega_wheels": record.yaw_rate}
     log = write_csv(tmp_path / "drive.csv", columns)

@@ -16,13 +16,13 @@ import numpy as np
 from pydantic import Field
 from scipy.optimize import minimize
 
+from diffdrive_mpc.models.base_effects import limited
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.input_limits import limited
 from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, settled_start
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc_extras.hybrids.hybrid_model import Correction, gate, network
