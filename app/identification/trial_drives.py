@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.base_effects import BaseEffects
@@ -18,6 +19,7 @@ from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import node_arguments
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import Positive, load_robot
@@ -30,10 +32,11 @@ from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import Metrics, Run, simulate
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.surface import Surface
-from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
 ITSELF, HELD_OUT = "the model itself", "a model of the data held out"
+UNEXPLAINED = "the model with the motion that it left unexplained"
 _TITLE = "Driving with it"
 Share = Annotated[float, Field(gt=0, le=1)]
 _NOTE = (
@@ -52,7 +55,9 @@ class TrialSettings(StrictModel):
         description="of limits.v and limits.omega to go down to, the fastest first [-]"
     )
     curved: tuple[str, ...] = Field(description="paths without corners, of which the promise is")
-    margin: Annotated[float, Field(ge=1)] = Field(description="promised lateral error over the largest seen [-]")
+    window: Positive = Field(description="over which motion that the model leaves unexplained is averaged [s]")
+    noise_speed: Positive = Field(description="speed that noise of the poses may pass for [m/s]")
+    unexplained: int = Field(ge=1, description="curved drives with such motion; the promise is their largest error")
     stand_in_order: int = Field(ge=1, description="of the SSM that stands in for a robot whose model is an SM or MBM")
     stand_in_rows: int = Field(ge=1, description="of the data held out that it is fitted to")
 
@@ -70,7 +75,7 @@ class TrialDrive:
     Attributes
     ----------
     plant
-        `ITSELF` or `HELD_OUT`.
+        `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     path
         Which.
     run
@@ -107,25 +112,32 @@ class StandIn:
     Attributes
     ----------
     name
-        `ITSELF` or `HELD_OUT`.
+        `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     model
         Of its velocities.
     base
         What its base does around the model.
-    limits
-        Levels at which it clips its commands of "v" [m/s] and "omega" [rad/s], where it does.
+    disturbance
+        Its motion beyond that, as `ModelPlant` takes it.
+    sensors
+        The default set where they are None.
     """
 
     name: str
     model: VelocityModel | NonlinearModel
     base: BaseEffects
+    disturbance: FloatArray | None = None
+    sensors: SensorSet | None = None
+
+
+def model_itself(identification: Identification) -> StandIn:
+    """The model that was identified, with the effects of its base."""
+    return StandIn(ITSELF, identification.model, identification.report.fitted.identified.base_effects)
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
     """The model itself, and one of another structure fitted to the data held out, where they allow it."""
-    identified = identification.report.fitted.identified
-    itself = StandIn(ITSELF, identification.model, identified.base_effects)
-    other = _of_held_out(identification)
+    itself, other = model_itself(identification), _of_held_out(identification)
     return [itself] if other is None else [itself, other]
 
 
@@ -149,12 +161,31 @@ def trial_drives(
         limits = usual.limits.model_copy(update=reached)
         robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS if paths is None else paths:
-            sensors = load_sensor_set("default")
-            plant = ModelPlant(stand_in.model, slip, sensors, seed, effects=stand_in.base, robot=robot)
+            plant = ModelPlant(
+                stand_in.model,
+                slip,
+                stand_in.sensors or load_sensor_set("default"),
+                seed,
+                effects=stand_in.base,
+                robot=robot,
+                disturbance=stand_in.disturbance,
+            )
             reference = scaled_to_robot(path, config, identification.model)
             run = simulate(Controller(config, identification.model), plant, reference)
             on_run()
             yield TrialDrive(stand_in.name, path, run, radius)
+
+
+def sensors_of_log(identification: Identification, config: ControllerConfig) -> SensorSet:
+    """The default sensors, with rate and noise of the poses of the log."""
+    sensors, data = load_sensor_set("default"), identification.report.data
+    fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
+    count = sum(map(np.sum, fresh))
+    if not count:
+        return sensors
+    noise, period = config.estimator, data.train[0].dt * sum(map(len, fresh)) / count
+    found = {"position_sd": noise.position_noise, "heading_sd": noise.heading_noise, "period": period}
+    return sensors.model_copy(update={"pose": sensors.pose.model_copy(update=found)})
 
 
 def circle_radius(config: ControllerConfig) -> float:

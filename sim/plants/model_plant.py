@@ -45,6 +45,9 @@ class ModelPlant:
         What the base does around the model; nothing by default.
     robot
         Geometry, sample time and limits; by default the robot of the papers.
+    disturbance
+        (K, 3) forward and lateral speed [m/s] and yaw rate [rad/s] by which the body moves beyond that, sample by
+        sample and then from the first again; the encoders do not see it. None by default.
     """
 
     def __init__(
@@ -57,7 +60,9 @@ class ModelPlant:
         extra_dead_time: float = 0.0,
         effects: BaseEffects | None = None,
         robot: Robot | None = None,
+        disturbance: FloatArray | None = None,
     ) -> None:
+        self._disturbance = np.zeros((1, 3)) if disturbance is None else disturbance
         self._robot, self._name = robot or load_robot(), model.name
         late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
         self._motion = BaseMotion(late, effects or BaseEffects(), self._robot.sample_time)
@@ -88,7 +93,7 @@ class ModelPlant:
     @property
     def true_twist(self) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
-        return self._slip.body(self._motion.body)
+        return self._body(self._motion.body)
 
     def reset(self, pose: ArrayLike) -> None:
         """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
@@ -109,15 +114,20 @@ class ModelPlant:
         arcs = []
         for step in range(self._motion.steps):
             motion = self._motion.advance(sent)
-            twist = self._slip.body(motion.mean)
+            twist = self._body(motion.mean)
             arcs.append((self.time + step * self._motion.step_time, self._pose, twist))
             self._pose = self._moved(self._pose, twist, self._motion.step_time)
+        yaw_rate = float(self._body(motion.body)[2])
         self._tick += 1
         for look in self._sensors.poses_due(self.time):
             begin, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
             self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - begin))
         wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(motion.wheels))
-        self._sensors.see_motion(self.time, wheel_speeds, float(self._slip.body(motion.body)[2]))
+        self._sensors.see_motion(self.time, wheel_speeds, yaw_rate)
+
+    def _body(self, output: FloatArray) -> FloatArray:
+        """(3,) twist of the body in this sample for the output (2,) of the model."""
+        return self._slip.body(output) + self._disturbance[self._tick % len(self._disturbance)]
 
     def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
         """(3,) where `pose` (3,) is after `duration` [s] with constant body `twist` (3,)."""

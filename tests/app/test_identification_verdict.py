@@ -1,6 +1,7 @@
 """The verdict of an identification: what the trial drives prove, and what the logs say against it."""
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.app.identification import verdict as verdicts
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, ITSELF, PATHS, StandIn, trial_settings
+from diffdrive_mpc.app.identification.unexplained_motion import unexplained_motion
 from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import Doubt
@@ -43,9 +45,48 @@ def sound(identification):
 def test_a_sound_log_is_a_yes_with_a_promise_that_its_drives_keep(identification, sound):
     assert sound.grade == "Yes" and sound.reasons == () and sound.identification is identification
     assert [(drive.plant, drive.path) for drive in sound.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
-    centimetres = float(sound.promise.split()[-2])
-    curved = [drive for drive in sound.drives if drive.path in trial_settings().curved]
-    assert centimetres >= 100 * max(drive.metrics.lateral_max_m for drive in curved)
+    drives = (*(drive for drive in sound.drives if drive.path in trial_settings().curved), *sound.unexplained)
+    beside, off = (float(size) for size in re.findall(r"(\d+) cm", sound.promise))
+    assert len(sound.unexplained) == trial_settings().unexplained
+    assert beside >= 100 * max(drive.metrics.lateral_max_m for drive in drives) > beside - 1.0
+    assert off >= 100 * max(drive.metrics.position_max_m for drive in drives) > off - 1.0
+
+
+def moved(identification, motion):
+    """The identification with poses held out moved by `motion(time, left)`, complex [m]."""
+    data = identification.report.data
+    (record,) = data.validation
+    left = 1j * np.exp(1j * record.pose[:, 2])
+    beyond = motion(record.time - record.start, left)
+    pose = record.pose + np.column_stack([beyond.real, beyond.imag, np.zeros(len(beyond))])
+    data = replace(data, validation=(replace(record, pose=pose),))
+    return replace(identification, report=replace(identification.report, data=data))
+
+
+def test_unexplained_motion_is_what_poses_show_and_noise_of_the_poses_is_none(identification):
+    (before,) = unexplained_motion(identification)
+    dt = identification.report.data.validation[0].dt
+    (slid,) = unexplained_motion(moved(identification, lambda time, left: 0.05 * dt * np.cumsum(left)))
+    change = (slid - before)[np.any(slid != 0.0, axis=1)]
+    assert change.mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
+    noise = np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
+    (noisy,) = unexplained_motion(
+        moved(identification, lambda time, _: noise[0, : len(time)] + 1j * noise[1, : len(time)])
+    )
+    # Displacements over a second would say 28 mm/s.
+    assert np.std(noisy[:, 1]) < 0.015
+
+
+def test_a_robot_that_slides_gets_no_promise_that_it_cannot_keep(identification):
+    """A sideways speed that comes and goes every four seconds."""
+
+    def slides(time, left):
+        speed = 0.08 * np.sign(np.sin(2.0 * np.pi * time / 4.0))
+        return np.cumsum(speed * left) * (time[1] - time[0])
+
+    verdict = judge_by_drives(moved(identification, slides))
+    assert verdict.grade == "With care" and any("leaves its path" in reason for reason in verdict.reasons)
+    assert 0.03 < verdict.promised.beside < 0.3
 
 
 def clips(identification, share):
