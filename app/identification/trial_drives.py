@@ -23,6 +23,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import Positive, load_robot
+from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.table import TextTable, number
@@ -31,7 +32,7 @@ from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import Metrics, Run, simulate
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.surface import Surface
+from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
@@ -119,19 +120,20 @@ class StandIn:
         What its base does around the model.
     disturbance
         Its motion beyond that, as `ModelPlant` takes it.
-    sensors
-        The default set where they are None.
+    slip, sensors
+        Where they are None, that of the log and the default set.
     """
 
     name: str
     model: VelocityModel | NonlinearModel
     base: BaseEffects
     disturbance: FloatArray | None = None
+    slip: BodySlip | None = None
     sensors: SensorSet | None = None
 
 
 def model_itself(identification: Identification) -> StandIn:
-    """The model that was identified, with the effects of its base."""
+    """Return the model that was identified, with the effects of its base."""
     return StandIn(ITSELF, identification.model, identification.report.fitted.identified.base_effects)
 
 
@@ -155,7 +157,7 @@ def trial_drives(
     `on_run` is called after each drive; `seed` is that of the sensors' noise.
     """
     radius = circle_radius(config)
-    slip, usual = check(Surface, identification.surface, "surface").slip, load_robot()
+    usual = load_robot()
     for stand_in in plants:
         reached = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
         limits = usual.limits.model_copy(update=reached)
@@ -163,7 +165,7 @@ def trial_drives(
         for path in PATHS if paths is None else paths:
             plant = ModelPlant(
                 stand_in.model,
-                slip,
+                stand_in.slip or log_slip(identification),
                 stand_in.sensors or load_sensor_set("default"),
                 seed,
                 effects=stand_in.base,
@@ -176,16 +178,26 @@ def trial_drives(
             yield TrialDrive(stand_in.name, path, run, radius)
 
 
-def sensors_of_log(identification: Identification, config: ControllerConfig) -> SensorSet:
-    """The default sensors, with rate and noise of the poses of the log."""
+def log_slip(identification: Identification, *, pose_point: bool = False) -> BodySlip:
+    """Return the slip of the surface of the log, of the rotation centre or of the point that the poses are of."""
+    slip = check(Surface, identification.surface, "surface").slip
+    ahead, left = identification.report.poses.place if pose_point else (0.0, 0.0)
+    if not (ahead or left):
+        return slip
+    point = dict.fromkeys(POLYNOMIAL, 0.0) | {"a12": -left, "a22": ahead}
+    return slip.model_copy(update={"polynomial": Polynomial(**point)})
+
+
+def log_sensors(identification: Identification, config: ControllerConfig) -> SensorSet:
+    """Return the default sensors, with rate and noise of the poses of the log."""
     sensors, data = load_sensor_set("default"), identification.report.data
     fresh = [r.fresh_pose for r in (*data.train, *data.validation) if r.fresh_pose is not None]
     count = sum(map(np.sum, fresh))
     if not count:
         return sensors
     noise, period = config.estimator, data.train[0].dt * sum(map(len, fresh)) / count
-    found = {"position_sd": noise.position_noise, "heading_sd": noise.heading_noise, "period": period}
-    return sensors.model_copy(update={"pose": sensors.pose.model_copy(update=found)})
+    pose = {"position_sd": noise.position_noise, "heading_sd": noise.heading_noise, "period": period}
+    return sensors.model_copy(update={"pose": sensors.pose.model_copy(update=pose)})
 
 
 def circle_radius(config: ControllerConfig) -> float:

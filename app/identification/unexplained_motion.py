@@ -1,4 +1,4 @@
-"""What a robot did in the data held out beyond its model, in blocks that trial drives add to the motion of a plant."""
+"""Motion of a robot in the data held out beyond its model, in blocks that trial drives add to the motion of a plant."""
 
 from __future__ import annotations
 
@@ -8,26 +8,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffdrive_mpc.app.identification.trial_drives import trial_settings
-from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.app.identification.trial_drives import log_slip, trial_settings
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.sim.plants.surface import Surface
 
-_FEWEST_WINDOWS = 3
+_FEWEST_POSES = 4
 
 
 def unexplained_motion(identification: Identification) -> list[FloatArray]:
     """Return, for each record held out, twists measured less predicted, means over windows (K, 3).
 
-    Forward and lateral speed [m/s] and yaw rate [rad/s] of the body on the surface of the log. Measured is by the
-    poses where the record has them, about the point that they are of, as the controller drives that point; else by
-    encoders and gyro, which see no lateral speed.
+    Forward and lateral speed [m/s] and yaw rate [rad/s] of the rotation centre on the surface of the log. Measured is
+    by the poses where the record has them, else by encoders and gyro, which see no lateral speed.
     """
     report = identification.report
-    slip = check(Surface, identification.surface, "surface").slip
+    slip = log_slip(identification)
     motion = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         assert record.twist is not None
@@ -40,8 +37,9 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
         if record.pose is not None:
             predicted = slip.body((outputs - report.fitted.offset).T).T
             turning = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
-            by_poses = _by_poses(record, predicted, turning)
-            rows = np.column_stack([by_poses[:, :2], (by_poses if yaw_rate is None else rows)[:, 2]])
+            by_poses = _by_poses(*report.poses.centred([record]), predicted, turning)
+            if by_poses is not None:
+                rows = np.column_stack([by_poses[:, :2], (by_poses if yaw_rate is None else rows)[:, 2]])
         motion.append(rows)
     return motion
 
@@ -62,14 +60,14 @@ def drawn_motion(
     rng
         What draws.
     """
-    given, dt = rate
-    block = round(identification_settings().block_time / given)
+    measured, dt = rate
+    block = round(identification_settings().block_time / measured)
     begins = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
     parts: list[FloatArray] = []
-    while sum(map(len, parts)) * given < duration:
+    while sum(map(len, parts)) * measured < duration:
         i, first = begins[rng.integers(len(begins))]
         parts.append(motion[i][first : first + block])
-    return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / given).astype(int)])
+    return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / measured).astype(int)])
 
 
 def _means(rows: FloatArray, ends: AnyArray) -> FloatArray:
@@ -80,14 +78,16 @@ def _means(rows: FloatArray, ends: AnyArray) -> FloatArray:
     return means
 
 
-def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> FloatArray:
-    """Return displacements between poses less those of predicted twists (K, 3), over their time (K, 3).
+def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> FloatArray | None:
+    """Return displacements between poses less those of predicted twists (K, 3), over their time (K, 3); None if few.
 
     The heading is the integral of `turning` (K,) [rad/s], laid over the poses of a window: less noise than a pose's.
     Windows are so long that noise of the poses hardly moves, and its share of the power is taken off.
     """
     assert record.pose is not None and record.fresh_pose is not None
     dt, fresh = record.dt, record.fresh_pose
+    if np.count_nonzero(fresh) < _FEWEST_POSES:
+        return None
     turned = dt * np.cumsum(turning)
     half = round(identification_settings().pose_window / dt)
     off = np.where(fresh, record.pose[:, 2] - turned, 0.0)
@@ -104,13 +104,13 @@ def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> Flo
     for k in np.flatnonzero(fresh):
         if not ends or k - ends[-1] >= steps:
             ends.append(int(k))
-    rows = np.zeros((len(fresh), 3))
-    if len(ends) < _FEWEST_WINDOWS:
-        return rows
+    if len(ends) < _FEWEST_POSES:
+        return None
     first, last = np.array(ends[:-1]), np.array(ends[1:])
     moved = np.diff(beyond[ends]) * np.exp(-1j * heading[(first + last) // 2])
     windows = np.column_stack([moved.real, moved.imag, np.diff(turn[ends])])
     power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
     windows *= np.sqrt(np.maximum(1.0 - 2.0 * noise[[0, 0, 1]] / power, 0.0))
+    rows = np.zeros((len(fresh), 3))
     rows[ends[0] : ends[-1]] = np.repeat(windows / (dt * (last - first))[:, None], last - first, axis=0)
     return rows

@@ -19,8 +19,9 @@ from diffdrive_mpc.app.identification.trial_drives import (
     UNEXPLAINED,
     StandIn,
     TrialDrive,
+    log_sensors,
+    log_slip,
     model_itself,
-    sensors_of_log,
     stand_ins,
     trial_doubts,
     trial_drives,
@@ -222,10 +223,11 @@ def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_r
         return verdict
     on_try("driving with what the model leaves unexplained")
     rate = identification.report.data.validation[0].dt, verdict.config.sample_time
-    sensors = sensors_of_log(identification, verdict.config)
+    slip, sensors = log_slip(identification, pose_point=True), log_sensors(identification, verdict.config)
+    rough = replace(model_itself(identification), name=UNEXPLAINED, slip=slip, sensors=sensors)
     for seed in range(settings.unexplained):
         disturbance = drawn_motion(motion, _SERIES, rate, np.random.default_rng(seed))
-        plant = replace(model_itself(identification), name=UNEXPLAINED, disturbance=disturbance, sensors=sensors)
+        plant = replace(rough, disturbance=disturbance)
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     lost = sum(not drive.metrics.completed for drive in drives)

@@ -126,8 +126,8 @@ class ModelPlant:
         self._sensors.see_motion(self.time, wheel_speeds, yaw_rate)
 
     def _body(self, output: FloatArray) -> FloatArray:
-        """(3,) twist of the body in this sample for the output (2,) of the model."""
-        return self._slip.body(output) + self._disturbance[self._tick % len(self._disturbance)]
+        """Return the twist (3,) of the body in this sample for the output (2,) of the model."""
+        return np.asarray(self._slip.body(output) + self._disturbance[self._tick % len(self._disturbance)])
 
     def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
         """(3,) where `pose` (3,) is after `duration` [s] with constant body `twist` (3,)."""

@@ -53,7 +53,7 @@ def test_a_sound_log_is_a_yes_with_a_promise_that_its_drives_keep(identification
 
 
 def moved(identification, motion):
-    """The identification with poses held out moved by `motion(time, left)`, complex [m]."""
+    """Return the identification with poses held out moved by `motion(time, left)`, complex [m]."""
     data = identification.report.data
     (record,) = data.validation
     left = 1j * np.exp(1j * record.pose[:, 2])
