@@ -1,5 +1,6 @@
 """What the verdict of an identification promises, held against drawn variations of an independent stand-in.
 
+The stand-in is fitted to the rows held out, and does beyond that what it leaves unexplained in the rows of the fit.
 `python tests/app/promise_kept.py husky --draws 300` prints it, and ends with 1 where fewer than 95 % keep it.
 """
 
@@ -14,11 +15,20 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc import ModelError, VelocityModel, identify
-from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, StandIn, trial_drives, trial_settings
+from diffdrive_mpc.app.identification.trial_drives import (
+    HELD_OUT,
+    StandIn,
+    log_sensors,
+    log_slip,
+    trial_drives,
+    trial_settings,
+)
+from diffdrive_mpc.app.identification.unexplained_motion import drawn_motion, unexplained_motion
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
+from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.fit.fitting import fit
-from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.mpc import ControllerConfig
 from studies.reproduce.real_logs import RealLog, load_protocol
 
 
@@ -66,7 +76,7 @@ def keep_promise(
     if verdict.promised is None or verdict.config is None:
         raise ValueError(f"{log.robot}: nothing is promised: {verdict.against}")
     paths, beside = trial_settings().curved, []
-    for i, stand_in in enumerate(islice(_variations(verdict.identification.report.data, seed), draws)):
+    for i, stand_in in enumerate(islice(_variations(verdict.identification, verdict.config, seed), draws)):
         (drive,) = trial_drives(
             verdict.identification, verdict.config, [stand_in], paths=[paths[i % len(paths)]], seed=seed + i
         )
@@ -75,19 +85,25 @@ def keep_promise(
     return KeptPromise(verdict, tuple(beside))
 
 
-def _variations(data: LogData, seed: int) -> Iterator[StandIn]:
-    """Models of the rows held out whose parameters are drawn; what is no robot's is drawn again."""
+def _variations(identification: Identification, config: ControllerConfig, seed: int) -> Iterator[StandIn]:
+    """Yield models of the rows held out whose parameters are drawn; what is no robot's is drawn again."""
+    data = identification.report.data
     held_out = replace(data, train=data.validation, validation=data.train)
-    identified = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order).identified
-    (estimate,) = identified.fits
+    fitted = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order)
+    motion = unexplained_motion(
+        replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
+    )
+    slip, sensors = log_slip(identification, pose_point=True), log_sensors(identification, config)
+    (estimate,) = fitted.identified.fits
     rng = np.random.default_rng(seed)
     for _ in count():
         system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.covariance))
+        disturbance = drawn_motion(motion, 60.0, (data.train[0].dt, config.sample_time), rng)
         try:
             model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
         except ModelError:
             continue
-        yield StandIn(HELD_OUT, model, identified.base_effects)
+        yield StandIn(HELD_OUT, model, fitted.identified.base_effects, disturbance, slip, sensors)
 
 
 def main() -> None:
