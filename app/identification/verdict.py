@@ -58,7 +58,7 @@ class Promise(NamedTuple):
     off: float
     """From the timed position [m]"""
     share: str
-    """Of how many drives, in words"""
+    """Drives of how many, in words"""
 
 
 @dataclass(frozen=True)
