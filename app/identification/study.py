@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import shlex
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
@@ -28,9 +28,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.advice import AdvisedError
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
 from diffdrive_mpc.models.identification.from_logs import FILES
-from diffdrive_mpc.models.identification.log_data import OptionError
-from diffdrive_mpc.models.identification.stack import Quantities, estimate_stack, quantity_table
+from diffdrive_mpc.models.identification.log_data import LogData, OptionError
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
@@ -38,10 +38,23 @@ from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
-from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.models.table import TextTable, plain_line
 
-WriteParameters = Callable[[Quantities], str]
-"""Plug-in of the group `diffdrive_mpc.parameter_writers`: text of the parameter file of one package."""
+
+class ParameterWriter(Protocol):
+    """Plug-in of the group `diffdrive_mpc.parameter_writers`: parameter file of one package.
+
+    The first writer of a call estimates for all of them.
+    """
+
+    def estimate(self, data: LogData, limits: Mapping[str, float], base: IdentifiedBase | None) -> Any:  # noqa: ANN401
+        """Estimate what a log determines."""
+
+    def text(self, estimate: Any) -> str:  # noqa: ANN401 - what `estimate` returns
+        """Return the parameter file."""
+
+    def table(self, estimate: Any) -> TextTable:  # noqa: ANN401 - what `estimate` returns
+        """Return a row for each quantity."""
 
 
 def identify_into(
@@ -78,25 +91,26 @@ def identify_into(
 
 
 def _identify_into(
-    logs: Sequence[Path], out: Path, writers: Mapping[str, WriteParameters], force: bool, options: Mapping[str, Any]
+    logs: Sequence[Path], out: Path, writers: Mapping[str, ParameterWriter], force: bool, options: Mapping[str, Any]
 ) -> None:
     began = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, *(f"{package}.yaml" for package in writers), REPORT)
-    quantities: Quantities = {}
+    table = None
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
         verdict = _proven(_identified(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
         if writers and (force or not verdict.identification.refusal):
             bar.begin("parameters of other packages", 1)
             report = verdict.identification.report
-            fitted = report.fitted
-            quantities = estimate_stack(report.data, fitted.identified.limits, fitted.base)
-            for package, write in writers.items():
-                (folder / f"{package}.yaml").write_text(write(quantities), encoding="utf-8")
+            estimator = next(iter(writers.values()))
+            estimate = estimator.estimate(report.data, report.fitted.identified.limits, report.fitted.base)
+            table = estimator.table(estimate)
+            for package, writer in writers.items():
+                (folder / f"{package}.yaml").write_text(writer.text(estimate), encoding="utf-8")
         write_page(identification_page(verdict, folder, time.perf_counter() - began), folder / REPORT)
     _print(verdict.identification, out)
-    if quantities:
-        output_console().print(rich_table(quantity_table(quantities)))
+    if table:
+        output_console().print(rich_table(table))
     if verdict.identification.advice:
         _print_line(verdict.identification.advice.sentence(out))
     _print_verdict(verdict, out, force)

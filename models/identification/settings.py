@@ -33,19 +33,6 @@ class AdviceSettings(StrictModel):
     tolerance: Positive = Field(description="by which neither may fall [percentage points]")
 
 
-class StackSettings(StrictModel):
-    """How parameters for other packages follow from an estimate."""
-
-    first_limit: Annotated[float, Field(gt=0, lt=1)] = Field(description="first guess over the largest command [-]")
-    max_half_interval: Positive = Field(description="over the value, beyond which it is not known [-]")
-    max_radius_half_interval: Positive = Field(description="the same of the radii, which else keep what is stated [-]")
-    min_blocks: int = Field(ge=2, description="of readings, to estimate a noise [-]")
-    phase_margin: Positive = Field(lt=60, description="of pure pursuit on a straight path [degrees]")
-    controller_frequency: Positive = Field(description="of Nav2's controller server [Hz]")
-    delay_widening: Annotated[float, Field(ge=1)] = Field(description="of the intervals of delays [-]")
-    slow_speed: Positive = Field(description="speed of the least look-ahead [m/s]")
-
-
 class SensorSettings(StrictModel):
     """From when on a sensor is said to be late or scaled."""
 
@@ -88,7 +75,6 @@ class IdentificationSettings(StrictModel):
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
     sensors: SensorSettings
     slip: SlipSettings = Field(description="prior of what the filter of a configuration begins with")
-    stack: StackSettings = Field(description="parameters for other packages")
     warn: JudgementSettings
     advice: AdviceSettings = Field(description="when a change of the mapping is advised")
 

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 
 # Nine tenths of normal values are within so many standard deviations. Plateaus of counted pulses make the median zero.
 _SHARE, _WITHIN = 0.9, 1.645
 # Standard deviation of x[k-1] - 2 x[k] + x[k+1] over that of x: what changes evenly has no part in it.
-_SECOND_DIFFERENCE = np.sqrt(6.0)
-_FEWEST = 50
+SECOND_DIFFERENCE = np.sqrt(6.0)
+FEWEST = 50
 
 
 def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
@@ -31,33 +30,18 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
         "heading_noise": ("pose", [2]),
     }
     joined = {
-        name: np.concatenate([_scatter(record, signal, columns) for record in records])
+        name: np.concatenate([second_differences(record, signal, columns) for record in records])
         for name, (signal, columns) in sources.items()
     }
     return {
-        name: float(np.quantile(np.abs(second), _SHARE) / (_WITHIN * _SECOND_DIFFERENCE))
+        name: float(np.quantile(np.abs(second), _SHARE) / (_WITHIN * SECOND_DIFFERENCE))
         for name, second in joined.items()
-        if second.size >= _FEWEST
+        if second.size >= FEWEST
     }
 
 
-def scatter_by_block(records: Sequence[Record], signal: str, column: int) -> FloatArray:
-    """(B,) variance of what is random in one column of a signal, in each block of the settings' length.
-
-    Each block counts the second differences of its readings; blocks with fewer than fifty are left out.
-    """
-    variances = []
-    for record in records:
-        span = max(1, round(identification_settings().block_time / record.dt))
-        for first in range(0, len(record.command), span):
-            second = _scatter(record.part(first, min(first + span, len(record.command))), signal, [column])
-            if second.size >= _FEWEST:
-                variances.append(float(np.mean(second**2)) / _SECOND_DIFFERENCE**2)
-    return np.array(variances)
-
-
-def _scatter(record: Record, signal: str, columns: list[int]) -> FloatArray:
-    """Second differences of readings that are equally far apart."""
+def second_differences(record: Record, signal: str, columns: list[int]) -> FloatArray:
+    """Return second differences (n, columns flattened) of readings that are equally far apart."""
     fresh = record.fresh(signal)
     if fresh is None:
         return np.empty(0)

@@ -78,31 +78,9 @@ class ConstantTrack:
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """(..., 3); see `SlipLaw`."""
         radius, track, side_slip = coefficients
-        v, difference = _at_the_rim(radius, wheels)
+        v, difference = at_the_rim(radius, wheels)
         omega = difference / track
-        return _slid(v, omega, side_slip)
-
-
-@dataclass(frozen=True)
-class TwoRadii(ConstantTrack):
-    """As `ConstantTrack`, with a radius of its own on either side.
-
-    Coefficients: left_radius, right_radius [m], track [m], side_slip [s].
-    """
-
-    names: tuple[str, ...] = ("left_radius", "right_radius", "track", "side_slip")
-
-    @property
-    def start(self) -> FloatArray:
-        """(4,)."""
-        return np.array([self.wheel_radius, self.wheel_radius, self.track, 0.0])
-
-    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """(..., 3); see `SlipLaw`."""
-        *radii, track, side_slip = coefficients
-        v, difference = _at_the_rim(1.0, wheels * np.array(radii))
-        omega = difference / track
-        return _slid(v, omega, side_slip)
+        return side_slid(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
@@ -122,9 +100,9 @@ class GrowingTrack(ConstantTrack):
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """(..., 3); see `SlipLaw`."""
         radius, p0, p1, side_slip = coefficients
-        v, difference = _at_the_rim(radius, wheels)
+        v, difference = at_the_rim(radius, wheels)
         omega = virtual_track_yaw_rate(difference, p0, p1)
-        return _slid(v, omega, side_slip)
+        return side_slid(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
@@ -151,16 +129,16 @@ class SlipPolynomial:
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
         """(..., 3); see `SlipLaw`."""
-        v, difference = _at_the_rim(self.wheel_radius, wheels)
+        v, difference = at_the_rim(self.wheel_radius, wheels)
         return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
 
 
-def _slid(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
+def side_slid(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
     """(..., 3) twist of a body that slides outward in a curve, by `side_slip` [s] times v omega."""
     return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
-def _at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
+def at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean speed of both sides and right less left [m/s], of wheels (..., 2) left, right [rad/s]."""
     left, right = wheels[..., 0], wheels[..., 1]
     return 0.5 * radius * (left + right), radius * (right - left)

@@ -14,12 +14,12 @@ from scipy import signal
 
 from commands import refusal
 from diffdrive_mpc.models.identification.log_data import LogData, divide
-from diffdrive_mpc.models.identification.stack import estimate_stack, look_ahead_factor
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from diffdrive_mpc_extras.campaign.rates import Rate
-from diffdrive_mpc_extras.stack import package_text, packages
+from diffdrive_mpc_extras.stack.estimate import estimate_stack, look_ahead_factor
+from diffdrive_mpc_extras.stack.parameter_files import package_text, packages
 
 _FINE = 1e-3
 """Step of the simulation [s]."""
@@ -193,7 +193,7 @@ def test_without_a_pose_the_gyro_tells_the_multiplier():
 
 def test_without_finite_intervals_there_is_no_value(monkeypatch):
     """A singular covariance: a note in place of each estimate, and of what follows from it."""
-    unknown = "diffdrive_mpc.models.identification.stack.covariance"
+    unknown = "diffdrive_mpc_extras.stack.estimate.covariance"
     monkeypatch.setattr(unknown, lambda fit, _: np.full((len(fit.free), len(fit.free)), math.nan))
     quantities = estimate_stack(drawn_log(SEED, noise=CLEAN, seconds=30.0, limit=0.7, pose=False).data)
     for name in ("delay.v", "delay.omega", "separation_multiplier", "max.v", "rate.omega", "look_ahead_time"):

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from diffdrive_mpc.models.checked_yaml import read_yaml
-from diffdrive_mpc.models.identification.stack import DIGITS, Quantities, Quantity, interval_words
 from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc_extras.stack.estimate import DIGITS, Quantities, Quantity, interval_words
 
 
 @cache
 def packages() -> Mapping[str, Any]:
     """Return the templates by package: nodes, their parameters, and the value of each."""
-    templates: Mapping[str, Any] = read_yaml(Path(__file__).with_name("stack.yaml"))
+    templates: Mapping[str, Any] = read_yaml(Path(__file__).with_name("parameter_files.yaml"))
     return templates
 
 
@@ -58,8 +58,3 @@ def _yaml(value: object) -> str:
     # A ROS parameter of type double needs a point, and YAML one before an exponent.
     text = f"{value:.{DIGITS}g}"
     return text if "." in text else text.replace("e", ".0e") if "e" in text else f"{text}.0"
-
-
-NAV2 = partial(package_text, "nav2")
-ROBOT_LOCALIZATION = partial(package_text, "robot_localization")
-ROS2_CONTROL = partial(package_text, "ros2_control")

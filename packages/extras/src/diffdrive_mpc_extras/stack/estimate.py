@@ -1,4 +1,4 @@
-"""What a log tells of the parameters that other packages take: tracks, radii, delays, limits, noises; with intervals.
+"""Tracks, radii, delays, limits and noises that other packages take as parameters, from a log, with intervals.
 
 One free run from the commands explains encoders and gyro at once (`effects`), so that delay, limits and the ratio of
 the two yaw rates come with one covariance. Poses tell the radii. What a log does not tell has a reason and no value.
@@ -19,10 +19,15 @@ from diffdrive_mpc.models.identification.effects.free_run import Point, sensed
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.effects.selection import select_effects
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
-from diffdrive_mpc.models.identification.fit.noise import scatter_by_block
-from diffdrive_mpc.models.identification.fit.pose_calibration import TwoRadii, calibrate_wheels
+from diffdrive_mpc.models.identification.fit.noise import FEWEST, SECOND_DIFFERENCE, second_differences
+from diffdrive_mpc.models.identification.fit.pose_calibration import (
+    ConstantTrack,
+    at_the_rim,
+    calibrate_wheels,
+    side_slid,
+)
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
-from diffdrive_mpc.models.identification.settings import StackSettings, identification_settings
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
@@ -30,6 +35,7 @@ from diffdrive_mpc.models.output_error.experiment import joined
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc_extras.stack.settings import stack_settings
 
 _TRIED = ("clipped commands", "twist slew", "veer")
 """Effects of the base that change what is estimated here."""
@@ -89,7 +95,7 @@ def estimate_stack(
     ValueError
         If a reading never changes, or the records are too short.
     """
-    settings = identification_settings().stack
+    settings = stack_settings()
     data = replace(data, train=tuple(most_informative(data.train, identification_settings().most_rows["effects"])))
     geometry = wheel_geometry(data.train)
     largest = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
@@ -111,18 +117,18 @@ def estimate_stack(
         **_limits(largest, fit.point, estimate),
         **_variances(data),
     }
-    return quantities | _look_ahead(quantities, settings)
+    return quantities | _look_ahead(quantities)
 
 
 def _free(point: Point) -> list[str]:
-    """Parameters of a model with effects that are no bound of the search and not the log's own track."""
+    """Return the parameters of a model with effects that are no bound of the search and not the log's own track."""
     bounds = effect_settings().parameters
     names = [name for name in point if name in bounds and name != "encoders.track"]
     return [name for name in names if point[name] not in bounds[name][:2]]
 
 
 def _estimated(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
-    """The first parameter of an estimate, with its interval of 95 %; missing where one of them is not finite."""
+    """Return the first parameter of an estimate with its interval of 95 %; missing where one of them is not finite."""
     value, half = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
     if not math.isfinite(value):
         return _missing(unit, "the estimate is not a finite number: drive steps of both signs in v and in omega")
@@ -140,7 +146,7 @@ def _missing(unit: str, reason: str) -> Quantity:
 
 
 def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> ParameterEstimate | str:
-    """left_radius, right_radius and track [m] from poses; in words why not, where the log does not tell them."""
+    """Return left_radius, right_radius and track [m] from poses, or the reason why the log does not tell them."""
     records = [record for record in data.train if record.pose is not None and record.wheels is not None]
     if geometry is None:
         return "the log has no wheel speeds: log joint states with the velocity of each wheel"
@@ -155,13 +161,35 @@ def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> 
     unsure = 1.96 * float(np.max(estimate.standard_deviation[:2] / estimate.values[:2]))
     if not math.isfinite(unsure):
         return "the poses of this log tell no radii: their interval is not finite"
-    if unsure > identification_settings().stack.max_radius_half_interval:
+    if unsure > stack_settings().max_radius_half_interval:
         return f"the poses of this log tell radii only to {100 * unsure:.2g} %: better poses, or a longer log"
     return estimate
 
 
+@dataclass(frozen=True)
+class TwoRadii(ConstantTrack):
+    """Constant track with one radius for each side.
+
+    Coefficients: left_radius, right_radius [m], track [m], side_slip [s].
+    """
+
+    names: tuple[str, ...] = ("left_radius", "right_radius", "track", "side_slip")
+
+    @property
+    def start(self) -> FloatArray:
+        """(4,)."""
+        return np.array([self.wheel_radius, self.wheel_radius, self.track, 0.0])
+
+    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
+        """Return (..., 3); see `SlipLaw`."""
+        *radii, track, side_slip = coefficients
+        v, difference = at_the_rim(1.0, wheels * np.array(radii))
+        omega = difference / track
+        return side_slid(v, omega, side_slip)
+
+
 def _later(record: Record, lag: float) -> Record:
-    """The record with wheel speeds as old as its poses, to parts of a sample: rounding would pass for other radii."""
+    """Return the record with wheel speeds as old as its poses, to parts of a sample: rounding would pass for other radii."""
     assert record.wheels is not None
     known = np.isfinite(record.wheels).all(axis=1)
     columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
@@ -174,7 +202,7 @@ def _wheels(
     estimate: ParameterEstimate,
     calibrated: ParameterEstimate | str,
 ) -> dict[str, Quantity]:
-    """Separation, radius and their multipliers; all three of one source, as they belong together."""
+    """Return separation, radius and their multipliers; all three of one source, as they belong together."""
     separation = stated or (geometry.track if geometry else None)
     source = "as the mapping states it" if stated else "by which the log's omega was computed"
     result = {
@@ -215,8 +243,8 @@ def _wheels(
 
 
 def _sure(quantity: Quantity) -> Quantity:
-    """The quantity; missing where its interval is too wide to be of use."""
-    low, high, most = *quantity.interval, identification_settings().stack.max_half_interval
+    """Return the quantity; missing where its interval is too wide to be of use."""
+    low, high, most = *quantity.interval, stack_settings().max_half_interval
     if quantity.value is None or 0.5 * (high - low) <= most * abs(quantity.value):
         return quantity
     return _missing(
@@ -225,7 +253,7 @@ def _sure(quantity: Quantity) -> Quantity:
 
 
 def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
-    """Dead time and both lags together [s] of either channel: the delay that stands for the whole answer."""
+    """Return dead time and both lags together [s] of either channel: the delay that stands for the whole answer."""
     # A ramp is taken at the end of each part of a sample, so that the rest of the delay seems longer by half a part.
     ahead = 0.5 * dt / PARTS if "slew.v" in point else 0.0
     result = {}
@@ -243,14 +271,14 @@ def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Q
         )
         if delay.value is not None:
             # Errors that stay through a log, such as a slow disturbance, are larger than the residuals tell.
-            half = 0.5 * identification_settings().stack.delay_widening * (delay.interval[1] - delay.interval[0])
+            half = 0.5 * stack_settings().delay_widening * (delay.interval[1] - delay.interval[0])
             delay = replace(delay, interval=(max(0.0, delay.value - half), delay.value + half))
         result[f"delay.{channel}"] = delay
     return result
 
 
 def _limits(largest: FloatArray, point: Point, estimate: ParameterEstimate) -> dict[str, Quantity]:
-    """Speeds and accelerations at which the robot stops to follow, as the body has them: gain times the command's.
+    """Return speeds and accelerations at which the robot stops to follow, as the body has them: gain times the command's.
 
     A limit whose interval reaches the `largest` (2,) command of the log was not reached.
     """
@@ -276,7 +304,7 @@ def _limits(largest: FloatArray, point: Point, estimate: ParameterEstimate) -> d
 
 
 def _in_the_body(estimate: ParameterEstimate, kind: str, channel: str) -> ParameterEstimate | None:
-    """A bound of the command times the gain, and of the command; None where there is none."""
+    """Return a bound of the command times the gain, and of the command; None where there is none."""
     names = [f"{kind}.{channel}", f"gain.{channel}"]
     if names[0] not in estimate.names:
         return None
@@ -284,13 +312,13 @@ def _in_the_body(estimate: ParameterEstimate, kind: str, channel: str) -> Parame
 
 
 def _variances(data: LogData) -> dict[str, Quantity]:
-    """Of the readings of encoders and gyro: how they scatter about their neighbours."""
+    """Return variances of the readings of encoders and gyro about their neighbours."""
     sources = {"v": ("twist", 0), "omega": ("twist", 1), "gyro": ("yaw_rate", 0)}
     result = {}
     for name, (signal, column) in sources.items():
         unit = "(m/s)^2" if name == "v" else "(rad/s)^2"
-        blocks = scatter_by_block(data.train, signal, column)
-        if len(blocks) < identification_settings().stack.min_blocks:
+        blocks = _scatter_by_block(data.train, signal, column)
+        if len(blocks) < stack_settings().min_blocks:
             result[f"variance.{name}"] = _missing(unit, f"the log has too few readings of {name} to tell its noise")
             continue
         mean, error = float(blocks.mean()), float(blocks.std(ddof=1) / math.sqrt(len(blocks)))
@@ -302,8 +330,23 @@ def _variances(data: LogData) -> dict[str, Quantity]:
     return result
 
 
+def _scatter_by_block(records: Sequence[Record], signal: str, column: int) -> FloatArray:
+    """Return the variance (B,) of what is random in one column of a signal, in each block of the settings' length.
+
+    Each block counts the second differences of its readings; blocks with fewer than fifty are left out.
+    """
+    variances = []
+    for record in records:
+        span = max(1, round(identification_settings().block_time / record.dt))
+        for first in range(0, len(record.command), span):
+            second = second_differences(record.part(first, min(first + span, len(record.command))), signal, [column])
+            if second.size >= FEWEST:
+                variances.append(float(np.mean(second**2)) / SECOND_DIFFERENCE**2)
+    return np.array(variances)
+
+
 def look_ahead_factor(phase_margin: float) -> float:
-    """Least look-ahead time of pure pursuit over the delay of the robot [-], for a phase margin [rad].
+    """Return the least look-ahead time of pure pursuit over the delay of the robot [-], for a phase margin [rad].
 
     On a straight path pure pursuit steers with the curvature -2 (y + L psi) / L^2. With y' = v psi, psi' = v curvature,
     p = s L / v and theta = delay v / L its open loop is 2 (p + 1) exp(-theta p) / p^2: its gain is 1 at w^2 = 2 +
@@ -314,9 +357,9 @@ def look_ahead_factor(phase_margin: float) -> float:
     return crossing / (math.atan(crossing) - phase_margin)
 
 
-def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Quantity]:
-    """Look-ahead of regulated pure pursuit from how late omega answers; the controller's half period is added."""
-    late = quantities["delay.omega"]
+def _look_ahead(quantities: Quantities) -> dict[str, Quantity]:
+    """Return the look-ahead of regulated pure pursuit from how late omega answers; the controller's half period is added."""
+    late, settings = quantities["delay.omega"], stack_settings()
     frequency = _stated(settings.controller_frequency, "Hz", "Nav2's default: the look-ahead holds for it")
     if late.value is None:
         words = f"the delay of omega is not known: {late.reason}"
@@ -328,7 +371,7 @@ def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Qu
         f"margin of {settings.phase_margin:g} degrees on a straight path"
     )
 
-    def at(speed: float, unit: str, words: str) -> Quantity:
+    def look_ahead(speed: float, unit: str, words: str) -> Quantity:
         low, value, high = (
             speed * factor * (end + wait) for end in (late.interval[0], late.value or 0.0, late.interval[1])
         )
@@ -337,10 +380,10 @@ def _look_ahead(quantities: Quantities, settings: StackSettings) -> dict[str, Qu
     fast = quantities["driven.v"].value or 0.0
     slow = min(settings.slow_speed, fast)
     return {
-        "look_ahead_time": at(1.0, "s", reason),
-        "look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
-        "min_look_ahead": at(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
-        "max_look_ahead": at(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+        "look_ahead_time": look_ahead(1.0, "s", reason),
+        "look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+        "min_look_ahead": look_ahead(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
+        "max_look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
         "controller_frequency": frequency,
     }
 
