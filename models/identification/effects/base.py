@@ -43,7 +43,6 @@ _NO_TRACK = "the track of the encoders is not known: steps of the wheels were no
 _NO_GYRO = "without a gyro, twist of the tyres, veer and the encoders' lag were not tried"
 # What may well be zero, so that a deviation beside it says nothing.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
-_IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ def _linear(point: Point) -> Mapping[str, Any]:
         channel: {
             "gain": point[f"gain.{channel}"],
             "natural_frequency": 1.0 / point[f"lag.{channel}"],
-            "damping": np.cosh(point.get(f"spread.{channel}", 0.0)),
+            "damping": point.get(f"damping.{channel}", 1.0),
         }
         for channel in CHANNELS
     }
@@ -230,14 +229,11 @@ def _readable(name: str) -> str:
     kind, _, channel = name.partition(".")
     if channel not in CHANNELS or kind == "slew":
         return name
-    return f"{channel}.{_IN_THE_FILE.get(kind, kind)}"
+    return f"{channel}.{'natural_frequency' if kind == 'lag' else kind}"
 
 
 def _physical(name: str, value: float) -> float:
-    kind = name.partition(".")[0]
-    if kind == "lag":
-        return 1.0 / value
-    return float(np.cosh(value)) if kind == "spread" else value
+    return 1.0 / value if name in ("lag.v", "lag.omega") else value
 
 
 def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:

@@ -67,7 +67,7 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     for row, channel in enumerate(("v", "omega")):
         drive = _late(requested[:, row], start[row], point[f"dead_time.{channel}"] / step)
         wheels[:, row] = gains[row] * two_lags(
-            drive, start[row], point[f"lag.{channel}"], point.get(f"spread.{channel}", 0.0), step
+            drive, start[row], point[f"lag.{channel}"], point.get(f"damping.{channel}", 1.0), step
         )
     gyro = wheels[:, 1]
     if "relaxation" in point:
@@ -82,8 +82,8 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     return np.column_stack([*by_encoders, gyro[::PARTS]][: experiment.outputs.shape[1]])
 
 
-def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: float) -> FloatArray:
-    """(K,) exact zero-order-hold response of two real poles, settled at `start`.
+def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: float) -> FloatArray:
+    """(K,) exact zero-order-hold response of two poles, settled at `start`.
 
     Parameters
     ----------
@@ -92,23 +92,24 @@ def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: f
     start
         Input and output before.
     lag
-        Geometric mean of the two time constants [s].
-    spread
-        Half the logarithm of their ratio.
+        One over the natural frequency [s].
+    damping
+        Below 1 the poles are complex [-].
     step
         Time between samples [s].
     """
-    slow, fast = lag * np.exp(spread), lag * np.exp(-spread)
+    root = np.emath.sqrt(damping**2 - 1.0)
+    slow, fast = lag * (damping + root), lag / (damping + root)
     a, b = np.exp(-step / slow), np.exp(-step / fast)
-    if spread > 1e-4:
+    if abs(root) > 1e-4:
         rise = 1.0 - (slow * a - fast * b) / (slow - fast)
     else:  # the limit of equal poles
         a = b = np.exp(-step / lag)
         rise = 1.0 - a * (1.0 + step / lag)
-    numerator = [0.0, rise, (1.0 - a) * (1.0 - b) - rise]
+    numerator = np.real([0.0, rise, (1.0 - a) * (1.0 - b) - rise])
     from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
-    return np.asarray(start + signal.lfilter(numerator, [1.0, -(a + b), a * b], drive - start))
+    return np.asarray(start + signal.lfilter(numerator, np.real([1.0, -(a + b), a * b]), drive - start))
 
 
 def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:

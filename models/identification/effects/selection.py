@@ -32,8 +32,8 @@ BY_ENCODERS = LINEAR[:6]
 _CLIPPED = "clipped commands"
 EFFECTS: Mapping[str, tuple[str, ...]] = {
     _CLIPPED: ("limit.v", "limit.omega"),
-    "different poles of v": ("spread.v",),
-    "different poles of omega": ("spread.omega",),
+    "different poles of v": ("damping.v",),
+    "different poles of omega": ("damping.omega",),
     "twist slew": ("slew.v", "slew.omega"),
     "lag of the encoders": ("encoders.lag",),
     "top speed of the wheels": ("wheels.top_speed",),
@@ -301,10 +301,12 @@ def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
     point = dict(fit.point)
     unseen = []
     for channel in CHANNELS:
-        slow, fast = (point[f"lag.{channel}"] * np.exp(sign * point.get(f"spread.{channel}", 0.0)) for sign in (1, -1))
-        if fast < _FASTEST < slow:
-            point |= {f"lag.{channel}": np.sqrt(slow * _FASTEST), f"spread.{channel}": 0.5 * np.log(slow / _FASTEST)}
-            unseen.append(f"spread.{channel}")
+        lag, damping = point[f"lag.{channel}"], max(point.get(f"damping.{channel}", 1.0), 1.0)
+        slow = lag * (damping + np.sqrt(damping**2 - 1.0))
+        if lag**2 / slow < _FASTEST < slow:
+            lag = np.sqrt(slow * _FASTEST)
+            point |= {f"lag.{channel}": lag, f"damping.{channel}": 0.5 * (slow + _FASTEST) / lag}
+            unseen.append(f"damping.{channel}")
     for name in fit.free:
         low, high, _ = effect_settings().parameters[name]
         for bound in (low, high):

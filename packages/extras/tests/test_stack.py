@@ -39,7 +39,13 @@ class DrawnLog:
 
 
 def drawn_log(
-    seed: int, *, noise: float = 1.0, seconds: float | None = None, limit: float | None = None, pose: bool = True
+    seed: int,
+    *,
+    noise: float = 1.0,
+    seconds: float | None = None,
+    limit: float | None = None,
+    pose: bool = True,
+    damping: float | None = None,
 ) -> DrawnLog:
     """Drive the robot of a seed.
 
@@ -53,6 +59,8 @@ def drawn_log(
         Other than those of the settings: how long the log is [s], and where commands are clipped [-].
     pose
         Whether the log has poses.
+    damping
+        Of a robot that overshoots, with the same delay [-].
     """
     settings, build = POPULATION, draw_robot(seed).build
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(37,)))
@@ -67,7 +75,9 @@ def drawn_log(
     gain = np.array([1.0, build.firmware.track / wide])
     level, slew = (limit or draw["limit"]) * size, size / draw["slew_time"]
     lags = np.array([[build.firmware.lag_v, draw["second_lag"]], [build.firmware.lag_omega, draw["second_lag"]]])
-    twist = _followed(np.repeat(np.clip(command, -level, level), every, axis=0), slew, lags, build.twin.link.dead_time)
+    twist = _followed(
+        np.repeat(np.clip(command, -level, level), every, axis=0), slew, lags, build.twin.link.dead_time, damping
+    )
     twist = twist * gain + noise * settings.disturbance * size * gain * _coloured(
         stream, len(twist), settings.correlation
     )
@@ -112,8 +122,10 @@ def drawn_log(
 _DRAWN = ("hold", "speed", "turning", "widening", "limit", "slew_time", "second_lag", "gyro_bias")
 
 
-def _followed(commands: FloatArray, slew: FloatArray, lags: FloatArray, dead_time: float) -> FloatArray:
-    """(n, 2) what the motors do of commands (n, 2): each ramped, delayed and behind two lags."""
+def _followed(
+    commands: FloatArray, slew: FloatArray, lags: FloatArray, dead_time: float, damping: float | None
+) -> FloatArray:
+    """(n, 2) what the motors do of commands (n, 2): each ramped, delayed and behind two poles."""
     ramped = np.empty_like(commands)
     now = np.zeros(2)
     for k, wanted in enumerate(commands):
@@ -122,9 +134,9 @@ def _followed(commands: FloatArray, slew: FloatArray, lags: FloatArray, dead_tim
     late = round(dead_time / _FINE)
     ramped = np.concatenate([np.zeros((late, 2)), ramped])[: len(commands)]
     for row in range(2):
-        for lag in lags[row]:
-            ratio = 2.0 * lag / _FINE
-            ramped[:, row] = signal.lfilter([1.0, 1.0], [1.0 + ratio, 1.0 - ratio], ramped[:, row])
+        total = lags[row].sum()
+        square = (0.5 * total / damping) ** 2 if damping else lags[row].prod()
+        ramped[:, row] = signal.lfilter(*signal.bilinear([1.0], [square, total, 1.0], 1 / _FINE), ramped[:, row])
     return ramped
 
 
@@ -212,6 +224,33 @@ def test_look_ahead_keeps_the_phase_margin():
     crossing = math.sqrt(2.0 + math.sqrt(8.0))
     assert abs(2 * (1 + 1j * crossing) / crossing**2) == pytest.approx(1.0)
     assert math.atan(crossing) - theta * crossing == pytest.approx(margin)
+
+
+def test_a_clipping_robot_gets_the_look_ahead_of_its_top_speed(exact):
+    log, quantities = exact
+    ahead = quantities["look_ahead_time"].value * log.truth["max.v"]
+    assert quantities["look_ahead"].value == pytest.approx(ahead, rel=0.02)
+
+
+def test_limits_state_the_multipliers_that_they_hold_with(exact):
+    """Without a separation multiplier the limit is that of the command, in front of gain and multiplier."""
+    log, quantities = exact
+    assert "only with the separation multiplier of ros2_control.yaml" in quantities["max.omega"].reason
+    bare = [replace(record, wheels=None) for record in log.data.train]
+    as_driven = estimate_stack(replace(log.data, train=tuple(bare)))["max.omega"]
+    level = 0.7 * max(np.abs(record.command[:, 1]).max() for record in log.data.train)
+    assert as_driven.value == pytest.approx(level, rel=0.02)
+    assert "for the multipliers of the log" in as_driven.reason
+
+
+@pytest.mark.parametrize("seed", [801, 803, 805])
+def test_delays_of_robots_that_overshoot(seed):
+    """Reserved seeds with damping of 0.4 to 0.9 and noise."""
+    damping = float(np.random.default_rng(seed).uniform(0.4, 0.9))
+    log = drawn_log(seed, damping=damping)
+    quantities = estimate_stack(log.data)
+    for name in ("delay.v", "delay.omega"):
+        assert quantities[name].value == pytest.approx(log.truth[name], abs=0.01), name
 
 
 def test_unknown_package_is_one_line_with_the_known_ones(tmp_path):

@@ -39,7 +39,7 @@ from diffdrive_mpc_extras.stack.settings import stack_settings
 
 _TRIED = ("clipped commands", "twist slew", "veer")
 """Effects of the base that change what is estimated here."""
-_ALSO = ("spread.v", "spread.omega")
+_ALSO = ("damping.v", "damping.omega")
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 DIGITS = 4
 """Significant digits of values and intervals."""
@@ -111,10 +111,12 @@ def estimate_stack(
     values = np.array([fit.point[name] for name in fit.free])
     estimate = ParameterEstimate(fit.free, values, covariance(fit, weights))
     calibrated = _calibrated(data, geometry, fit.point)
+    wheels = _wheels(data.stated_track, geometry, estimate, calibrated)
+    multipliers = [wheels[f"{name}_multiplier"] for name in ("left_radius", "separation")]
     quantities = {
-        **_wheels(data.stated_track, geometry, estimate, calibrated),
+        **wheels,
         **_delays(fit.point, estimate, data.train[0].dt),
-        **_limits(largest, fit.point, estimate),
+        **_limits(largest, fit.point, estimate, [part.value is not None for part in multipliers]),
         **_variances(data),
     }
     return quantities | _look_ahead(quantities)
@@ -189,7 +191,7 @@ class TwoRadii(ConstantTrack):
 
 
 def _later(record: Record, lag: float) -> Record:
-    """Return the record with wheel speeds as old as its poses, to parts of a sample: rounding would pass for other radii."""
+    """Return the record with wheel speeds as old as its poses, to parts of a sample: rounding looks like other radii."""
     assert record.wheels is not None
     known = np.isfinite(record.wheels).all(axis=1)
     columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
@@ -258,12 +260,12 @@ def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Q
     ahead = 0.5 * dt / PARTS if "slew.v" in point else 0.0
     result = {}
     for channel in CHANNELS:
-        names = [f"{kind}.{channel}" for kind in ("dead_time", "lag", "spread")]
+        names = [f"{kind}.{channel}" for kind in ("dead_time", "lag")] + [f"damping.{channel}"]
 
         def late(row: FloatArray, names: Sequence[str] = names) -> FloatArray:
             moved = {**point, **dict(zip(estimate.names, row.tolist(), strict=True))}
-            dead, lag, spread = (moved.get(name, 0.0) for name in names)
-            return np.array([dead + 2.0 * lag * math.cosh(spread) - ahead])
+            dead, lag, damping = (moved.get(name, 1.0) for name in names)
+            return np.array([dead + 2.0 * lag * damping - ahead])
 
         dead = point[names[0]]
         delay = _estimated(
@@ -277,29 +279,37 @@ def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Q
     return result
 
 
-def _limits(largest: FloatArray, point: Point, estimate: ParameterEstimate) -> dict[str, Quantity]:
-    """Return speeds and accelerations at which the robot stops to follow, as the body has them: gain times the command's.
+def _limits(
+    largest: FloatArray, point: Point, estimate: ParameterEstimate, corrected: Sequence[bool]
+) -> dict[str, Quantity]:
+    """Return speeds and accelerations at which the robot stops to follow.
 
-    A limit whose interval reaches the `largest` (2,) command of the log was not reached.
+    Other packages limit commands. With a multiplier, of (2,) `corrected` channels, a command is the body's motion: the
+    command of the log times the gain. Without one it is that of the log. A limit whose interval reaches the `largest`
+    (2,) command of the log was not reached.
     """
     result = {}
-    for most, channel in zip(largest.tolist(), CHANNELS, strict=True):
-        unit, driven = _UNITS[channel], point[f"gain.{channel}"] * most
-        words = f"not reached in this log, which drives up to {driven:.3g} {unit}"
+    for most, channel, multiplied in zip(largest.tolist(), CHANNELS, corrected, strict=True):
+        unit, gain = _UNITS[channel], point[f"gain.{channel}"]
+        name = "separation multiplier" if channel == "omega" else "radius multipliers"
+        part, words = ["command"], "; for the multipliers of the log"
+        if multiplied:
+            part, words = ["body"], f", times its gain; only with the {name} of ros2_control.yaml"
         top, rate = (_in_the_body(estimate, kind, channel) for kind in ("limit", "slew"))
         # Of an interval that is not finite nobody knows whether it reaches so far: `_estimated` says so.
         reached = top is not None and not top.values[1] + 1.96 * top.deviation("command") >= most
         result[f"max.{channel}"] = (
-            _sure(_estimated(top, unit, "where the robot clips its command, times its gain"))
+            _sure(_estimated(top.part(part), unit, f"where the robot clips its command{words}"))
             if top is not None and reached
-            else _missing(unit, words)
+            else _missing(unit, f"not reached in this log, which drives up to {gain * most:.3g} {unit}")
         )
         result[f"rate.{channel}"] = (
-            _sure(_estimated(rate, f"{unit}^2", "slope at which the robot ramps its command, times its gain"))
+            _sure(_estimated(rate.part(part), f"{unit}^2", f"slope at which the robot ramps its command{words}"))
             if rate is not None
             else _missing(f"{unit}^2", "no slope of the command is too steep for the robot in this log")
         )
-        result[f"driven.{channel}"] = _stated(driven, unit, "largest command of the log times the gain")
+        driven = gain * min(most, float(top.values[1]) if top is not None and reached else most)
+        result[f"driven.{channel}"] = _stated(driven, unit, "largest command that the robot follows, times the gain")
     return result
 
 
@@ -358,7 +368,7 @@ def look_ahead_factor(phase_margin: float) -> float:
 
 
 def _look_ahead(quantities: Quantities) -> dict[str, Quantity]:
-    """Return the look-ahead of regulated pure pursuit from how late omega answers; the controller's half period is added."""
+    """Return the look-ahead of regulated pure pursuit from the delay of omega and half a period of the controller."""
     late, settings = quantities["delay.omega"], stack_settings()
     frequency = _stated(settings.controller_frequency, "Hz", "Nav2's default: the look-ahead holds for it")
     if late.value is None:
@@ -381,9 +391,9 @@ def _look_ahead(quantities: Quantities) -> dict[str, Quantity]:
     slow = min(settings.slow_speed, fast)
     return {
         "look_ahead_time": look_ahead(1.0, "s", reason),
-        "look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+        "look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the robot's fastest in this log"),
         "min_look_ahead": look_ahead(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
-        "max_look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the log's fastest"),
+        "max_look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the robot's fastest in this log"),
         "controller_frequency": frequency,
     }
 

@@ -131,7 +131,7 @@ def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[st
         linear = content["channels"][channel]
         point[f"gain.{channel}"] = linear["gain"]
         point[f"lag.{channel}"] = 1.0 / linear["natural_frequency"]
-        point[f"spread.{channel}"] = float(np.arccosh(max(linear["damping"], 1.0)))
+        point[f"damping.{channel}"] = linear["damping"]
         point[f"dead_time.{channel}"] = content["dead_time"][channel]
     if effects.twist_range is not None:
         limits = {f"limit.{channel}": getattr(effects.twist_range, channel) for channel in CHANNELS}
