@@ -89,6 +89,8 @@ def fit_output_error(
     robust: bool = True,
     brief: bool = False,
     scale: FloatArray | None = None,
+    trust: Sequence[FloatArray] | None = None,
+    evaluations: int | None = None,
 ) -> OutputErrorFit:
     """Fit every candidate, go on with the best, and find its covariance.
 
@@ -108,6 +110,10 @@ def fit_output_error(
         Whether the best is near, so that one round of few evaluations is enough.
     scale
         (p,) scale of the residuals to begin with; by default the spread of the outputs.
+    trust
+        For each experiment (K, p) weights of the readings. With them the weights are fixed, and `scale` is too.
+    evaluations
+        Of the model for each candidate; one keeps the first guess. None for the usual number.
 
     Raises
     ------
@@ -120,16 +126,18 @@ def fit_output_error(
     spread = output_spread(experiments)
     noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
-    evaluations = _BRIEF if brief else _EVALUATIONS
+    evaluations = evaluations or (_BRIEF if brief else _EVALUATIONS)
+    weights = None if trust is None else parted(trust, experiments)
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
-        data = _Data(experiments, _weights(experiments, scale, noise), np.ones(len(experiments)))
+        data = _Data(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
         fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
-        for _ in range(1 if brief else _ROUNDS):
+        for _ in range(1 if brief or evaluations == 1 else _ROUNDS):
             residuals = data.residuals(layout, parameters)
-            trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
-            scale = residual_scale(residuals, trust, spread)
-            data = data._replace(weights=_weights(experiments, scale, noise, trust))
+            if trust is None:
+                weights = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
+                scale = residual_scale(residuals, weights, spread)
+                data = data._replace(weights=_weights(experiments, scale, noise, weights))
             data = data._replace(ties=_ties(layout, parameters, data))
             before = data.cost(layout, parameters)
             layout, parameters, cost = _solve(layout, parameters, data, evaluations)
@@ -143,7 +151,7 @@ def fit_output_error(
         covariance.covariance,
         scale,
         parted(residuals, pieces),
-        parted(trust, pieces),
+        parted(weights, pieces),
         covariance.effective_samples,
         covariance.condition,
     )

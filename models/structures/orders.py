@@ -22,6 +22,7 @@ from diffdrive_mpc.models.velocity_model import ModelError
 # An order is worth its states if it explains this much more [percentage points of FIT, mean of both channels].
 _WORTH = 0.25
 _FLOOR = 1
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def compare_orders(
     yaw: YawSource,
     *,
     asked: int | None = None,
+    floor: FloatArray | None = None,
 ) -> OrderChoice:
     """Choose among models of order 1, 2 and so on.
 
@@ -88,6 +90,8 @@ def compare_orders(
         Which sensor's omega the models predict.
     asked
         The order, where nothing is to be chosen.
+    floor
+        (2,) FIT of a simpler model on `train` [%]: an order that is behind it is not chosen if another is not.
 
     Raises
     ------
@@ -113,6 +117,8 @@ def compare_orders(
     if not usable:
         name = models[0].structure.upper()
         raise ValueError(f"no order of {name} gives a model that could be a robot's: identify SM, or use a longer log")
+    if floor is not None:
+        usable = [order for order in usable if not is_behind(rows[order - 1].train_fit_percent, floor)] or usable
     score = {order: float(np.mean(fit)) for order in usable if (fit := rows[order - 1].block_fit_percent) is not None}
     if score:
         best = max(score.values())
@@ -121,6 +127,12 @@ def compare_orders(
         return OrderChoice(rows, order, reason)
     order = min(usable, key=lambda order: rows[order - 1].bic)
     return OrderChoice(rows, order, "lowest Schwarz criterion; the records are too short to hold blocks out")
+
+
+def is_behind(fit_percent: FloatArray, floor: FloatArray) -> bool:
+    """Return True if FIT (2,) [%] is below the floor's in the mean, or in a channel by more than an order is worth."""
+    gain = fit_percent - floor
+    return bool(gain.mean() < -_ROUNDING or gain.min() < -_WORTH)
 
 
 def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment]) -> list[FloatArray | None]:

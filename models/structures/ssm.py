@@ -16,6 +16,7 @@ from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import (
+    LinearSystem,
     LocalStateSpace,
     Realisation,
     balanced,
@@ -28,10 +29,11 @@ from diffdrive_mpc.models.output_error.state_space import (
     real_pole_names,
     spare_state,
 )
+from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import SsmFile
-from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
+from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders, is_behind
 from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
 from diffdrive_mpc.models.structures.structure import IdentificationConditions, StructureFit
@@ -40,8 +42,11 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 METHOD = (
     "output error (simulation from commands alone), state space with a dead time for each input, data driven local "
     "coordinates, all records at once, free initial states, outliers held back; starts from an impulse response "
-    "(eigensystem realization) and from the order below"
+    "(eigensystem realization), from SM and from the order below"
 )
+_Channels = tuple[IdentifiedChannel, IdentifiedChannel]
+_DECOUPLED = 4
+"""Order of SM as a state space."""
 
 
 def identify_ssm(
@@ -83,8 +88,10 @@ def choose_order(
     ValueError
         As `identify_ssm_orders`; or if no order gives a usable model.
     """
-    models = identify_ssm_orders(train, largest, yaw=yaw, limits=limits)
-    return compare_orders(models, train, validation, yaw, asked=asked)
+    channels = identify_channels(train, yaw=yaw, limits=limits)
+    models = _identify_orders(train, channels, largest, yaw)
+    floor = validate(_decoupled(channels), train, yaw).fit_percent
+    return compare_orders(models, train, validation, yaw, asked=asked, floor=floor)
 
 
 def identify_ssm_orders(
@@ -94,7 +101,9 @@ def identify_ssm_orders(
     yaw: YawSource = "gyro",
     limits: bool = True,
 ) -> list[IdentifiedModel]:
-    """Identify SSM of every order from 1 to `largest`; each starts from the one below too, so none explains less.
+    """Identify SSM of every order from 1 to `largest`; each starts from the one below too.
+
+    Order 4 starts from SM, too, with the weights of SM, and is SM where the search ends behind it; see `is_behind`.
 
     Parameters
     ----------
@@ -114,20 +123,32 @@ def identify_ssm_orders(
     """
     if not 1 <= largest <= LARGEST_ORDER:
         raise ValueError(f"order {largest}: give 1 to {LARGEST_ORDER}")
+    return _identify_orders(records, identify_channels(records, yaw=yaw, limits=limits), largest, yaw)
+
+
+def _identify_orders(
+    records: Sequence[Record], channels: _Channels, largest: int, yaw: YawSource
+) -> list[IdentifiedModel]:
     experiments = twist_experiments(records, yaw)
-    channels = identify_channels(records, yaw=yaw, limits=limits)
     fits: list[OutputErrorFit] = []
     for order in range(1, largest + 1):
         fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro"))
-    return [_identified(fit, yaw) for fit in fits]
+    models = [_identified(fit, yaw) for fit in fits]
+    if largest >= _DECOUPLED:
+        floor, row = validate(_decoupled(channels), records, yaw).fit_percent, _DECOUPLED - 1
+        if is_behind(validate(models[row].system, records, yaw).fit_percent, floor):
+            fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
+            models[row] = _identified(fit, yaw)
+    return models
 
 
 def _fit(
     experiments: list[SampledExperiment],
-    channels: tuple[IdentifiedChannel, IdentifiedChannel],
+    channels: _Channels,
     order: int,
     below: OutputErrorFit | None,
     offset: bool,
+    evaluations: int | None = None,
 ) -> OutputErrorFit:
     limited = tuple(row for channel in channels for row in channel.fit.layout.limited)
     dead_time = np.array([channel.parameters.value("dead_time") for channel in channels])
@@ -144,6 +165,10 @@ def _fit(
     candidates = []
     if order % 2 == 0:
         candidates.append(candidate(_side_by_side(channels, order // 2), dead_time))
+    scale = np.concatenate([channel.fit.scale for channel in channels])
+    trust = [np.concatenate(rows, axis=1) for rows in zip(*(channel.fit.trust for channel in channels), strict=True)]
+    if evaluations == 1:
+        return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=1)
     direct = from_impulse_response(impulse_response(experiments, dead_time, length), order, dt)
     if direct:
         candidates.append(candidate(direct, dead_time))
@@ -158,11 +183,17 @@ def _fit(
         candidates.append(candidate(beside(known, more or spare_state(*known)), system.dead_time))
     if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
-    scale = np.concatenate([channel.fit.scale for channel in channels])
-    return fit_output_error(candidates, experiments, scale=scale)
+    return fit_output_error(candidates, experiments, scale=scale, trust=trust)
 
 
-def _side_by_side(channels: tuple[IdentifiedChannel, IdentifiedChannel], poles: int) -> Realisation:
+def _decoupled(channels: _Channels) -> LinearSystem:
+    """Return SM as one system, sensor offsets and limits included."""
+    parts = [channel.fit.system for channel in channels]
+    dead_time, offset, limit = (np.concatenate(rows) for rows in zip(*(part[3:] for part in parts), strict=True))
+    return LinearSystem(*_side_by_side(channels, 2), dead_time, offset, limit)
+
+
+def _side_by_side(channels: _Channels, poles: int) -> Realisation:
     """The channels' transfer functions with two poles each, or with one pole of the same lag and gain."""
     parts = []
     for row, channel in enumerate(channels):
@@ -177,7 +208,7 @@ def _side_by_side(channels: tuple[IdentifiedChannel, IdentifiedChannel], poles: 
     return balanced(*beside(*parts))
 
 
-def _common_pole(channels: tuple[IdentifiedChannel, IdentifiedChannel]) -> Realisation:
+def _common_pole(channels: _Channels) -> Realisation:
     """One pole for both channels, for an impulse response too noisy to realise."""
     A, B, C = _side_by_side(channels, 1)
     return A[:1, :1], B[:1], C[:, :1]

@@ -191,7 +191,7 @@ class TwoRadii(ConstantTrack):
 
 
 def _later(record: Record, lag: float) -> Record:
-    """Return the record with wheel speeds as old as its poses, to parts of a sample: rounding looks like other radii."""
+    """Return the record with wheel speeds as old as its poses, to parts of a sample: rounding looks like a radius."""
     assert record.wheels is not None
     known = np.isfinite(record.wheels).all(axis=1)
     columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
