@@ -4,9 +4,10 @@ The rule, in this one place. A proposal is put into the mapping, the log is read
 training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
 dead time takes up a shift; so the coherence of the streams, whose gains and delays are those of a robot, counts beside
 it. A proposal is good where one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole.
-One that only says what the reader does anyway is good where that reader has an error less. The best is taken, the next
-one is tried on top of it, until none is good. A cut of the log is tried on the held-out rows of what it keeps, which
-the model before is not fitted to either.
+Neither sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only says
+what the reader does anyway is good where that reader has an error less. The best is taken, the next one is tried on top
+of it, until none is good. A cut of the log is tried on the held-out rows of what it keeps, which the model before is
+not fitted to either.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_lags
 from diffdrive_mpc.models.identification.log_data import divide, most_informative, usable
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
@@ -181,7 +183,7 @@ def advise(
         judged = [
             (proposal, *_judged(trial, best, score, rows))
             for proposal in proposals
-            if (trial := _Trial.of(selection, mapping, (*made, *proposal))) is not None
+            if (trial := _Trial.of(selection, mapping, (*made, *proposal))) is not None and trial.keeps_time()
         ]
         taken = max(judged, key=lambda row: row[1], default=None)
         if taken is None or taken[1] <= 0:
@@ -266,6 +268,17 @@ class _Trial:
         """What the findings on the logs as they are read now propose."""
         logs = [read_log(path, self.mapping) for path in self.selection.logs]
         return _proposals(finding for log in logs for finding in log.findings)
+
+    def keeps_time(self) -> bool:
+        """Return False if the clock is changed and poses do not confirm its rate and direction: FIT sees neither."""
+        if not any(change.key == "sample_time" for change in self.changes):
+            return True
+        posed = [record for log in self.logs for record in log.records if record.pose is not None]
+        try:
+            scale = calibrate_lags(posed).value("wheels.scale")
+        except ValueError:
+            return False
+        return abs(scale - 1.0) <= identification_settings().advice.clock_tolerance
 
     def rows(self) -> _Rows:
         """Rows to fit and rows held out, both thinned."""

@@ -31,6 +31,7 @@ class AdviceSettings(StrictModel):
     most_changes: int = Field(gt=0, description="proposals that are put one on top of the other [-]")
     least_gain: Positive = Field(description="of FIT or agreement of the streams [percentage points]")
     tolerance: Positive = Field(description="by which neither may fall [percentage points]")
+    clock_tolerance: Positive = Field(description="difference of wheels and poses under a changed clock [-]")
 
 
 class SensorSettings(StrictModel):

@@ -17,6 +17,7 @@ from diffdrive_mpc.models.logs.sqlite_file import SQLITE_MAGIC, sqlite_messages
 
 _METADATA = "metadata.yaml"
 _ROS1 = b"#ROSBAG"
+_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 class Connection(NamedTuple):
@@ -98,6 +99,8 @@ class Bag:
                         yield content.channel.topic, content.channel.kind, content.log_time, content.data
                     elif isinstance(content, McapChannel) and content.encoding == "cdr":
                         yield content.topic, content.kind, None, b""
+            elif head.startswith(_ZSTD):
+                raise ConfigError(f"{file}: compressed as a whole; unpack it: `zstd -d {file.name}`")
             elif head.startswith(_ROS1):
                 raise ConfigError(
                     f"{file}: a bag of ROS 1; convert it: `rosbags-convert --src {file.name} --dst {file.stem}`"

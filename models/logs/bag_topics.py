@@ -18,7 +18,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bag_reader import Bag, Connection
-from diffdrive_mpc.models.logs.mapping import MotorTopic, Topic
+from diffdrive_mpc.models.logs.mapping import MotorTopic, Topic, draft_command
 from diffdrive_mpc.models.logs.record import BoolArray
 
 Reading = tuple[float, ...]
@@ -143,14 +143,20 @@ def opened(path: Path) -> Iterator[Bag]:
         ) from error
 
 
+def connections_of(reader: Bag, topic: Topic, decoders: Decoders) -> list[Connection]:
+    """Return the connections of a topic, one for each type, that to read last: the decoded one with most messages."""
+    named = [known for known in reader.connections if known.topic == topic.topic]
+    return sorted(named, key=lambda known: (known.msgtype in decoders, known.msgcount, known.msgtype))
+
+
 def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
     """Raise ConfigError with all topics that the bag lacks, or that are of a type without a decoder."""
     sentences, missing = [], []
     for topic, decoders in wanted:
-        kinds = sorted({connection.msgtype for connection in reader.connections if connection.topic == topic.topic})
+        kinds = [connection.msgtype for connection in connections_of(reader, topic, decoders)]
         if not kinds:
             missing.append(f"'{topic.topic}'")
-        elif len(kinds) > 1 or (topic.fields is None and kinds[0] not in decoders):
+        elif kinds[-1] not in decoders if topic.fields is None else len(kinds) > 1:
             sentences.append(
                 f"topic '{topic.topic}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; of another "
                 "type name 'fields', where its numbers stand, and a file for it under 'definitions'"
@@ -158,7 +164,7 @@ def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decode
     if missing:
         there = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
         which = f"no topic {missing[0]}; name it" if len(missing) == 1 else f"no topics {', '.join(missing)}; name them"
-        sentences.insert(0, f"{which} under 'topics' in the mapping; the bag has {there}")
+        sentences.insert(0, f"{which} under 'topics' in a mapping, {draft_command(path)}; the bag has {there}")
     if sentences:
         raise ConfigError(mistakes(str(path), sentences))
 
@@ -201,12 +207,12 @@ def read_topics(
 
     require_topics(reader, path, [(request.topic, request.decoders) for request in requests.values()])
     store = get_typestore(Stores.ROS2_JAZZY)
-    names = {request.topic.topic for request in requests.values()}
-    connections = {known.topic: known for known in reader.connections if known.topic in names}
+    parts = requests.values()
+    connections = {part.topic.topic: connections_of(reader, part.topic, part.decoders)[-1] for part in parts}
     for known in connections.values():
         _register(path, store, known.msgtype, definitions)
     columns = {role: _Columns(path, request, connections[request.topic.topic]) for role, request in requests.items()}
-    by_topic = {name: [part for part in columns.values() if part.connection.topic == name] for name in names}
+    by_topic = {name: [part for part in columns.values() if part.connection.topic == name] for name in connections}
     for name, received, data in reader.messages(connections.values()):
         message = None
         for part in by_topic[name]:

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
     Decoders,
     TopicRequest,
     TopicRows,
+    connections_of,
     motor_readers,
     opened,
     read_topics,
@@ -28,7 +29,15 @@ from diffdrive_mpc.models.logs.command_bursts import check_bursts, silences
 from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.imu_mount import imu_decoders
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
-from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MappedWheels, MotorTopic, Topic, Topics
+from diffdrive_mpc.models.logs.mapping import (
+    FACTORS,
+    LogMapping,
+    MappedWheels,
+    MotorTopic,
+    Topic,
+    Topics,
+    draft_command,
+)
 from diffdrive_mpc.models.logs.record import Finding, ranges
 from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
@@ -49,7 +58,7 @@ _OF_A_SIDE = 2
 
 def is_bag(path: Path) -> bool:
     """Whether the path is that of a bag: a folder, or a file with the ending of one."""
-    return path.is_dir() or path.suffix in (".mcap", ".db3", ".bag")
+    return path.is_dir() or path.suffix in (".mcap", ".db3", ".bag", ".zst", ".zstd")
 
 
 def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
@@ -83,6 +92,11 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
                 requested[role], readers[role] = side, motor_readers(side)
         require_topics(reader, path, [(topic, readers[role]) for role, topic in requested.items()])
         findings: list[Finding] = []
+        for role, topic in requested.items():
+            kinds = [known.msgtype for known in connections_of(reader, topic, readers[role])]
+            if len(kinds) > 1:
+                words = f"of {', '.join(sorted(kinds))} only {kinds[-1]} is read, of which there are most messages"
+                findings.append(Finding("two types", "warning", f"{path.name}, {topic.topic}", words))
         requests = {
             role: TopicRequest(topic, readers[role], _stride(reader, path, topic, role, findings))
             for role, topic in requested.items()
@@ -119,9 +133,10 @@ def _requested(path: Path, topics: Topics, there: set[str]) -> dict[str, Topic]:
     """Topics of command and sensors by role; raises ConfigError without a sensor, or for a wrong count of fields."""
     requested: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
     if not set(requested) & set(_FIELDS):
+        missing = "" if topics.command.topic in there else f", nor is the command {topics.command.topic}"
         raise ConfigError(
-            f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
-            f"{', '.join(sorted(there)) or 'none'}"
+            f"{path}: neither /odom nor /imu is there{missing}; give a mapping file that names the topics, "
+            f"{draft_command(path)}; the bag has {', '.join(sorted(there)) or 'none'}"
         )
     for role, topic in requested.items():
         if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):

@@ -25,7 +25,9 @@ from diffdrive_mpc.models.logs.mapping import (
     MappedWheels,
     SensorColumns,
     SignalColumn,
+    TimeColumn,
     WheelColumn,
+    draft_command,
     load_mapping,
 )
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, MappingChange, ranges, refuse
@@ -246,7 +248,8 @@ def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(OWN_FORMAT), read_header(path)
     assert mapping.columns is not None
     if header and not mapping.columns.found_in(header).names() <= set(header):
-        raise ConfigError(f"{path}: which column is what? Give a mapping file; the columns are {', '.join(header)}")
+        words = f"Give a mapping file, {draft_command(path)}"
+        raise ConfigError(f"{path}: which column is what? {words}; the columns are {', '.join(header)}")
     return mapping
 
 
@@ -266,7 +269,13 @@ def _times(table: CsvTable, columns: Columns) -> FloatArray:
     if columns.time is None:
         assert columns.sample_time is not None
         return np.asarray(columns.sample_time * table.row, dtype=float)
-    return FACTORS[columns.time.unit] * table.numbers(columns.time.column)[0]
+    return _seconds(table, columns.time)
+
+
+def _seconds(table: CsvTable, time: TimeColumn) -> FloatArray:
+    """Return a column of times (n,) [s], its nanoseconds included."""
+    seconds = FACTORS[time.unit] * table.numbers(time.column)[0]
+    return seconds if time.nanosec is None else seconds + 1e-9 * table.numbers(time.nanosec)[0]
 
 
 def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
@@ -276,7 +285,7 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
     def add(name: str, sensor: SensorColumns, values: dict[str, FloatArray], counts: bool = False) -> None:
         own = time
         if sensor.time is not None:
-            own = FACTORS[sensor.time.unit] * reader.table.numbers(sensor.time.column)[0]
+            own = _seconds(reader.table, sensor.time)
             late = {"the rows": np.zeros(1), f"column '{sensor.time.column}'": time - own}
             require_one_clock(
                 str(reader.table.path), late, "log both on one clock, or leave its time out of the mapping"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import difflib
 import io
 import re
@@ -70,6 +71,7 @@ _BLOCK = 1 << 24
 _SHOWN = 60
 _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
 """Words, in lower case, that say as an empty cell does: no reading. NaN is a number, and says that one went wrong."""
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
 
@@ -138,7 +140,7 @@ class CsvTable:
     def cell(self, text: str | float) -> float:
         """The number that stands for a text in `cells`: its own, or that of the word; NaN where no cell holds it."""
         try:
-            return float(text)
+            return _plain(str(text))
         except ValueError:
             return self.words.get(str(text).strip(), float("nan"))
 
@@ -332,9 +334,20 @@ def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool
         return np.array([_number(text, cell, words) for text, cell in zip(texts, cells, strict=True)])
 
 
+def _plain(text: str) -> float:
+    """Return a number, or seconds since 1970 of a date and time in ISO 8601, in UTC if it names no zone."""
+    try:
+        return float(text)
+    except ValueError:
+        if not _DATE.match(text):
+            raise
+        time = datetime.datetime.fromisoformat(text)
+        return (time if time.tzinfo else time.replace(tzinfo=datetime.UTC)).timestamp()
+
+
 def _number(text: str, cell: str, words: dict[str, float]) -> float:
     try:
-        return float(text or "nan")
+        return _plain(text or "nan")
     except ValueError:
         if len(words) >= file_limits().csv_words and cell not in words:
             raise ConfigError(

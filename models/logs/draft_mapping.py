@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import get_args
@@ -61,6 +61,7 @@ def _shared(words: set[str], known: str) -> set[str]:
 
 
 _TWIST = ("v", "omega")
+_NANOSECONDS = re.compile("nano|nsec")
 _STEADY = 0.5
 """Steps of a column of times differ by at most this share of the usual one."""
 _WHEELS = (*SIDES, *FOUR_WHEELS)
@@ -85,10 +86,11 @@ class _Column:
     unit: str
     values: FloatArray
     reasons: list[str]
+    nanosec: str = ""
 
     def entry(self) -> str:
         """The column as it stands in the mapping, with the reasons as a comment."""
-        fields = {"column": self.name, "unit": self.unit}
+        fields = {"column": self.name, "unit": self.unit} | ({"nanosec": self.nanosec} if self.nanosec else {})
         return f"{_flow(fields)}    # {plain_line('; '.join(self.reasons))}"
 
 
@@ -118,6 +120,10 @@ def _draft_of_table(log: Path) -> list[str]:
     table = read_table(log, read_header(log))
     columns = [column for name in table.header if (column := _column(table, name)) is not None]
     times = {column.source: column for column in reversed(columns) if column.quantity == "time" and _runs(column)}
+    parts = {bool(_NANOSECONDS.search(part.name.lower())): part for part in columns if part.quantity == "time"}
+    if len(parts) == len({True, False}) and 0.0 <= np.nanmax(parts[True].values) < 1e9:
+        reasons = [f"'{parts[True].name}' beside it holds the nanoseconds"]
+        times = {"": replace(parts[False], unit="s", nanosec=parts[True].name, reasons=reasons)}
     used = _roles([column for column in columns if column.quantity != "time"])
     time = times.pop("", None) or (times.pop(next(iter(times))) if times else _steady(table))
     lines = [*_wheels(used), "columns:"]
@@ -135,7 +141,10 @@ def _draft_of_table(log: Path) -> list[str]:
         if role in times:
             lines.append(f"    time: {times[role].entry()}")
     text = "\n".join(lines)
-    return [*lines, *_not_used(name for name in table.header if f"column: {_flow([name])[1:-1]}," not in text)]
+    return [
+        *lines,
+        *_not_used(name for name in table.header if not re.search(rf": {re.escape(_flow([name])[1:-1])}[,}}]", text)),
+    ]
 
 
 def _wheels(used: _Used) -> list[str]:
@@ -364,6 +373,7 @@ def _draft_of_bag(log: Path) -> list[str]:
         others = f"; it could also be {', '.join(row[2] for row in ranked[1:])}" if ranked[1:] else ""
         why = ", and its name fits" if points > 0 else ""
         lines.append(f"  {role}: {_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{why}{others}')}")
+    lines.append("# wheels: {track: }    # in m, of the odometry: fill it in for `--structure mbm` and `--for`")
     return [*lines, *_not_used(sorted(topic for topic, _ in counts if topic not in taken))]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -49,6 +50,11 @@ FACTORS: dict[str, float] = {
 """SI value of one of each unit. A wheel's ticks and rim speeds also need its ticks per turn or its radius."""
 
 
+def draft_command(log: Path) -> str:
+    """Return the words that name the command which drafts a mapping for a log."""
+    return f"drafted by `{shlex.join(['diffdrive-mpc', 'identify', str(log), '--draft-mapping'])}`"
+
+
 MAPPINGS = Path(__file__).parent / "mappings"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -81,6 +87,7 @@ class TimeColumn(Column):
     """A column of times."""
 
     unit: TimeUnit = "s"
+    nanosec: str | None = Field(None, min_length=1, description="column of the nanoseconds to be added")
 
 
 class _SignedColumn(Column):
@@ -282,6 +289,8 @@ class Columns(StrictModel):
         groups = [self.command, self.encoders, self.gyro, self.pose, self.battery, self.motors]
         parts = [part for group in groups if group is not None for _, part in group]
         names = {part.column for part in [self.time, *parts] if isinstance(part, Column)}
+        times = [self.time, *(part for part in parts if isinstance(part, TimeColumn))]
+        names |= {part.nanosec for part in times if part is not None and part.nanosec}
         return names | set(self.where) | ({self.segment} if self.segment else set())
 
 

@@ -141,7 +141,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
     fits: list[FloatArray | None] = []
     for model in models:
         try:
-            powers = hold_out(model.fits[0], experiments).powers
+            powers = hold_out(model.fits[0], experiments, brief=True).powers
         except ValueError:
             fits.append(None)
         else:

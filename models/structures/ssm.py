@@ -47,6 +47,8 @@ METHOD = (
 _Channels = tuple[IdentifiedChannel, IdentifiedChannel]
 _DECOUPLED = 4
 """Order of SM as a state space."""
+_EVALUATIONS = 8
+"""In a round: the candidates are near, or as good as their start."""
 
 
 def identify_ssm(
@@ -183,7 +185,7 @@ def _fit(
         candidates.append(candidate(beside(known, more or spare_state(*known)), system.dead_time))
     if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
-    return fit_output_error(candidates, experiments, scale=scale, trust=trust)
+    return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=_EVALUATIONS)
 
 
 def _decoupled(channels: _Channels) -> LinearSystem:

@@ -111,12 +111,12 @@ def message(kind, reading, seconds):
 
 
 def write_bag(folder, topics, storage="sqlite3"):
-    """Write a bag; topics: name -> (type, times of receipt [s], stamps [s], readings)."""
+    """Write a bag; topics: name, and # and a word for a further type -> (type, times of receipt [s], stamps [s], readings)."""
     plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         queue = []
         for name, (kind, received, stamped, readings) in topics.items():
-            connection = writer.add_connection(name, kind, typestore=STORE)
+            connection = writer.add_connection(name.partition("#")[0], kind, typestore=STORE)
             for at, stamp, reading in zip(received, stamped, readings, strict=True):
                 queue.append((round((BAG_START + at) * 1e9), connection, kind, reading, BAG_START + stamp))
         for at, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):

@@ -47,6 +47,14 @@ def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
     assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
 
 
+def test_seconds_and_nanoseconds_are_one_time(tmp_path):
+    time = 1.7e9 + COLUMNS["t"]
+    columns = {"stamp.sec": np.floor(time), "stamp.nanosec": np.round((time % 1) * 1e9), **COLUMNS}
+    log = write_csv(tmp_path / "log.csv", {name: cells for name, cells in columns.items() if name != "t"})
+    (record,) = read_log(log, draft_of(log, tmp_path)).records
+    assert record.dt == pytest.approx(0.02, abs=1e-6)
+
+
 def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled_in(tmp_path):
     counts = np.round(1e4 * COLUMNS["t"])
     columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}
@@ -70,4 +78,5 @@ def test_topics_are_guessed_by_type_and_name(tmp_path):
         *("/cmd_vel", "/odom", "/imu", "/pose")
     ]
     assert "it could also be /joy/cmd_vel" in draft_mapping(bag)
+    assert "# wheels: {track: }" in draft_mapping(bag)
     assert len(read_log(bag, tmp_path / "draft.yaml").records) == 1

@@ -1,6 +1,7 @@
 """Identified models are validated, and written."""
 
 import datetime
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,14 @@ def test_a_true_twist_does_not_drift():
     assert max(drift.heading_rmse for drift in exact) < 1e-9
     late = pose_drift([driven(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
     assert max(drift.position_rmse for drift in late) < 1e-9
+
+
+def test_poses_that_are_slow_and_off_the_seconds_tell_the_drift():
+    twist = set_points(6, 1500, (0.5, 1.0))
+    slow = replace(driven(twist), fresh_pose=np.arange(1500) % 11 == 5)
+    drifts = pose_drift([slow], [twist], side_slip=0.1)
+    assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
+    assert max(drift.position_rmse for drift in drifts) < 1e-9
 
 
 def test_a_speed_error_drifts_in_proportion_to_time():

@@ -162,7 +162,7 @@ def only(topics, *names):
         (
             ("/odom", "/imu"),
             None,
-            r"no topic '/cmd_vel'; name it under 'topics' in the mapping; the bag has /imu \(sensor_msgs/msg/Imu\), /o",
+            r"no topic '/cmd_vel'; name it under 'topics' in a mapping, drafted by `diffdrive-mpc .*-mapping`; the bag has /imu \(sensor_msgs/msg/Imu\), /o",
         ),
         (
             ("/cmd_vel", "/imu"),
@@ -484,6 +484,28 @@ def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) 
     (tmp_path / "bag.mcap.zstd").write_bytes(b"")
     (tmp_path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}), encoding="utf-8")
     assert "compressed as a whole; unpack the bag" in _refused(tmp_path)
+
+
+def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bag.mcap.zst").write_bytes(zstandard.ZstdCompressor().compress(b"anything"))
+    assert "bag.mcap.zst: compressed as a whole; unpack it: `zstd -d bag.mcap.zst`" in _refused(
+        tmp_path / "bag.mcap.zst"
+    )
+
+
+def test_of_two_types_on_a_topic_the_more_frequent_is_read(tmp_path: Path) -> None:
+    topics = bag_topics(COLUMNS)
+    _, *rows = topics["/cmd_vel"]
+    few = ("geometry_msgs/msg/TwistStamped", *(part[:50] + 0.5 for part in rows))
+    log = read_log(write_bag(tmp_path / "bag", topics | {"/cmd_vel#stamped": few}))
+    assert [finding.place for finding in log.findings if finding.kind == "two types"] == ["bag, /cmd_vel"]
+    assert same(log.records[0], read_log(write_bag(tmp_path / "plain", topics)).records[0])
+
+
+def test_a_missing_command_is_named_with_missing_sensors(tmp_path: Path) -> None:
+    words = _refused(write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), "/pose")))
+    assert "neither /odom nor /imu is there, nor is the command /cmd_vel" in words
+    assert "--draft-mapping`; the bag has /pose" in words
 
 
 @pytest.mark.parametrize("count", [2, 10_000])

@@ -1,5 +1,7 @@
 """CSV logs: what is read of them, and bad ones in one line."""
 
+import datetime
+
 import numpy as np
 import pytest
 from log_parts import DT, MAPPING, drive, write_csv, write_mapping
@@ -130,6 +132,19 @@ def test_segments_and_a_fixed_sample_time_replace_time_stamps(tmp_path):
     assert [len(record.command) for record in records] == [400, 400, 200]
     assert np.array_equal(records[1].yaw_rate, COLUMNS["gyro"][400:800])
     assert [record.dt for record in records] == [0.02] * 3
+
+
+@pytest.mark.parametrize("kind", ["sec and nanosec", "ISO 8601"])
+def test_times_of_the_calendar_and_of_ros_headers_are_read(tmp_path, kind):
+    time = np.round(1.7e9 + COLUMNS["t"], 6)
+    if kind == "ISO 8601":
+        columns = {"t": [datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat() for t in time.tolist()]}
+    else:
+        columns = {"t": np.floor(time), "nanosec": np.round((time % 1) * 1e9)}
+    named = MAPPING if kind == "ISO 8601" else MAPPING.replace("time: t", "time: {column: t, nanosec: nanosec}")
+    (record,) = read(tmp_path, COLUMNS | columns, named).records
+    assert record.dt == pytest.approx(0.02, abs=1e-9)
+    np.testing.assert_allclose(record.yaw_rate, COLUMNS["gyro"], atol=1e-3)
 
 
 def test_wrapped_headings_are_unwrapped(tmp_path):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffdrive_mpc.models.base_effects import PoseMount
 from diffdrive_mpc.models.doubt import Doubt
@@ -29,6 +30,8 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
+_NEAR = 0.2
+"""Part of the horizon by which the last pose of a prediction may be off it."""
 _LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
 # Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.
 _UNIT_WHEELS = WheelGeometry(1.0, 1.0)
@@ -71,8 +74,9 @@ def pose_drift(
 ) -> list[PoseDrift]:
     """Open-loop pose error about the rotation centre.
 
-    A prediction starts at the measured pose every second inside one record, and follows the arcs of the predicted
-    twists; position errors are those of the point that the robot turns about.
+    A prediction starts at a measured pose about every second inside one record, follows the arcs of the predicted
+    twists, and ends at the pose nearest to the horizon; position errors are those of the point that the robot turns
+    about.
 
     Parameters
     ----------
@@ -92,7 +96,7 @@ def pose_drift(
     Raises
     ------
     ValueError
-        If a record has no pose, or none is as long as the horizon.
+        If a record has no pose, or none has two poses about a horizon apart.
     """
     settings = identification_settings()
     return [
@@ -123,23 +127,34 @@ def _drift_after(
             raise ValueError(f"record '{record.name}': no pose; the drift of a prediction needs one")
         centre = rotation_centre(record.pose, lever_arm)
         lag, steps, stride = (round(time / record.dt) for time in (pose_lag, horizon, start_every))
-        starts = np.arange(lag, len(twist) - steps, stride)
-        starts = starts[record.fresh_pose[starts] & record.fresh_pose[starts + steps]]
-        if not len(starts):
+        fresh = lag + np.flatnonzero(record.fresh_pose[lag : len(twist)])
+        if not len(fresh):
             continue
+        starts = np.unique(_nearest(fresh, np.arange(lag, len(twist) - steps, stride)))
+        ends = _nearest(fresh, starts + steps)
+        near = np.abs(ends - starts - steps) <= _NEAR * steps
+        starts, ends = starts[near], ends[near]
         mean = 0.5 * (twist[1:] + twist[:-1])
         pose = centre[starts]
-        for step in range(steps):
-            v, omega = mean[starts - lag + step].T
-            pose = integrate_pose(pose, v, omega, record.dt, side_slip)
-        error = pose - centre[starts + steps]
+        for step in range(max(ends - starts, default=0)):
+            (on,) = np.nonzero(step < ends - starts)
+            v, omega = mean[starts[on] - lag + step].T
+            pose[on] = integrate_pose(pose[on], v, omega, record.dt, side_slip)
+        error = pose - centre[ends]
         errors.append(np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))]))
-    if not errors:
-        raise ValueError(f"no record is {horizon:.3g} s long with poses at both ends; give longer ones")
-    size = np.concatenate(errors)
+    size = np.concatenate([np.empty((0, 2)), *errors])
+    if not len(size):
+        raise ValueError(f"no two poses of a record are {horizon:.3g} s apart; give longer records, or more poses")
     rmse = np.sqrt((size**2).mean(axis=0))
     mean_size = size.mean(axis=0)
     return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(mean_size[0]), float(mean_size[1]), len(size))
+
+
+def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the one of the sorted `rows` (n,) that is nearest to each of the `targets` (k,)."""
+    after = np.searchsorted(rows, targets).clip(0, len(rows) - 1)
+    before = rows[np.maximum(after - 1, 0)]
+    return np.where(targets - before <= rows[after] - targets, before, rows[after])
 
 
 @dataclass(frozen=True)

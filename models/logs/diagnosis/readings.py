@@ -128,10 +128,10 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
         as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))
         usual = float(np.ptp(time)) / len(steps)
         remedy = (
-            "sort the rows by their time" if in_order < as_written else "the rows are in order and the stamps are not"
+            "sort the rows by their time" if in_order <= as_written else "the rows are in order and the stamps are not"
         )
         words = f"time runs backwards {back} times in {len(steps)} steps: {remedy}"
-        by_rows = () if in_order < as_written else (MappingChange("time", "sample_time", float(f"{usual:.4g}")),)
+        by_rows = () if in_order <= as_written else (MappingChange("time", "sample_time", float(f"{usual:.4g}")),)
         return Finding("shuffled stamps", "error", name, words, changes=by_rows)
     typical = float(np.median(steps))
     forward = steps[(steps > 0) & (steps < settings.clock_jump)]
