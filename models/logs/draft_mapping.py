@@ -141,10 +141,8 @@ def _draft_of_table(log: Path) -> list[str]:
         if role in times:
             lines.append(f"    time: {times[role].entry()}")
     text = "\n".join(lines)
-    return [
-        *lines,
-        *_not_used(name for name in table.header if not re.search(rf": {re.escape(_flow([name])[1:-1])}[,}}]", text)),
-    ]
+    used_names = {name for name in table.header if re.search(rf": {re.escape(_flow([name])[1:-1])}[,}}]", text)}
+    return [*lines, *_not_used(name for name in table.header if name not in used_names)]
 
 
 def _wheels(used: _Used) -> list[str]:

@@ -111,7 +111,7 @@ def message(kind, reading, seconds):
 
 
 def write_bag(folder, topics, storage="sqlite3"):
-    """Write a bag; topics: name, and # and a word for a further type -> (type, times of receipt [s], stamps [s], readings)."""
+    """Write a bag; topics: name, with #word for a further type -> (type, times of receipt, stamps [s], readings)."""
     plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         queue = []

@@ -12,6 +12,7 @@ from degraded_logs import (
     SIMULATED,
     Case,
     held,
+    in_bursts,
     logs_of,
     put,
     replaced,
@@ -52,6 +53,11 @@ def slow_body(lag):
     return replaced(gyro=lambda columns: lfilter([1 - keep], [1, -keep], columns["gyro"]))
 
 
+def coarse(columns):
+    """Return stamps in quarters of a second, as floats of 32 bits have some weeks after their epoch."""
+    return np.round(4.0 * columns["t"]) / 4.0
+
+
 def from_a_half_on(columns, base):
     half = np.arange(len(columns["t"])) < len(columns["t"]) // 2
     return columns | {name: np.where(half, 1.0, 0.5) * columns[name] for name in base.wheels}
@@ -83,6 +89,7 @@ MENDED = {
     "gyro in deg/s, sides swapped": (of(QUICK, gyro_and_sides), {"encoders sides", "gyro yaw_rate.unit"}),
     "gyro held": (of(QUICK, replaced(gyro=held("gyro", 5))), {"gyro held"}),
     "milliseconds": (of(SKIDS, scaled(t=1000.0)), {"time unit"}),
+    "stamps in bursts, confirmed by poses": (of(SKIDS, replaced(t=in_bursts)), {"time sample_time"}),
     "yaw in degrees": (of(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
     "encoders half from the middle on": (of(QUICK, from_a_half_on), {"log times"}),
 }
@@ -105,6 +112,9 @@ def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
 
 
 NOT_MENDED = {
+    "stamps in bursts, without poses": of(SKIDS, replaced(t=in_bursts), NO_POSE),
+    "time reversed": of(SKIDS, replaced(t=lambda columns: columns["t"][::-1])),
+    "stamps of coarse floats": of(SKIDS, replaced(t=coarse), NO_POSE),
     "a body slower than its wheels": of({"seed": 64, "seconds": 60.0}, slow_body(0.5), NO_POSE),
     "coarse encoders that are not held": of(
         {"seed": 65, "seconds": 60.0, "lag": 0.2}, replaced(left=rounded("left", 2.0), right=rounded("right", 2.0))

@@ -162,7 +162,7 @@ def only(topics, *names):
         (
             ("/odom", "/imu"),
             None,
-            r"no topic '/cmd_vel'; name it under 'topics' in a mapping, drafted by `diffdrive-mpc .*-mapping`; the bag has /imu \(sensor_msgs/msg/Imu\), /o",
+            r"no topic '/cmd_vel'; name it under 'topics' in a mapping, drafted by `.*-mapping`; the bag has /imu",
         ),
         (
             ("/cmd_vel", "/imu"),
@@ -487,10 +487,9 @@ def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) 
 
 
 def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
-    (tmp_path / "bag.mcap.zst").write_bytes(zstandard.ZstdCompressor().compress(b"anything"))
-    assert "bag.mcap.zst: compressed as a whole; unpack it: `zstd -d bag.mcap.zst`" in _refused(
-        tmp_path / "bag.mcap.zst"
-    )
+    path = tmp_path / "bag.mcap.zst"
+    path.write_bytes(zstandard.ZstdCompressor().compress(b"anything"))
+    assert "bag.mcap.zst: compressed as a whole; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
 
 
 def test_of_two_types_on_a_topic_the_more_frequent_is_read(tmp_path: Path) -> None:

@@ -238,7 +238,8 @@ def test_limits_state_the_multipliers_that_they_hold_with(exact):
     assert "only with the separation multiplier of ros2_control.yaml" in quantities["max.omega"].reason
     bare = [replace(record, wheels=None) for record in log.data.train]
     as_driven = estimate_stack(replace(log.data, train=tuple(bare)))["max.omega"]
-    level = 0.7 * max(np.abs(record.command[:, 1]).max() for record in log.data.train)
+    firmware, multiplier = draw_robot(SEED).build.firmware, log.truth["separation_multiplier"]
+    level = log.truth["max.omega"] * multiplier * log.data.stated_track / firmware.track
     assert as_driven.value == pytest.approx(level, rel=0.02)
     assert "for the multipliers of the log" in as_driven.reason
 
