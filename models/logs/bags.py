@@ -93,9 +93,9 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         require_topics(reader, path, [(topic, readers[role]) for role, topic in requested.items()])
         findings: list[Finding] = []
         for role, topic in requested.items():
-            kinds = [known.msgtype for known in connections_of(reader, topic, readers[role])]
-            if len(kinds) > 1:
-                words = f"of {', '.join(sorted(kinds))} only {kinds[-1]} is read, of which there are most messages"
+            types = [known.msgtype for known in connections_of(reader, topic, readers[role])]
+            if len(types) > 1:
+                words = f"of {', '.join(sorted(types))} only {types[-1]} is read, of which there are most messages"
                 findings.append(Finding("two types", "warning", f"{path.name}, {topic.topic}", words))
         requests = {
             role: TopicRequest(topic, readers[role], _stride(reader, path, topic, role, findings))

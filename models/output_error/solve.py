@@ -127,7 +127,7 @@ def fit_output_error(
     noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
     evaluations = evaluations or (_BRIEF if brief else _EVALUATIONS)
-    weights = None if trust is None else parted(trust, experiments)
+    weights = parted(trust, experiments) if trust is not None else [np.ones_like(part.outputs) for part in experiments]
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         data = _Data(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
         fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]

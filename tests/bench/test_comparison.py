@@ -1,6 +1,5 @@
 """The comparison: which cases it consists of, and what it shows beyond its tables of errors."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from diffdrive_mpc.bench.comparison.properties import measure_properties, proper
 from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.run_row import RunOutcome, row_of
-from diffdrive_mpc.bench.statistics import BootstrapEstimate, cvar, mean, median
 from file_kinds import KINDS
 
 QUICK = {
@@ -227,26 +225,3 @@ def test_the_plants_own_model_explains_it_and_another_does_not(outcome: RunOutco
     assert 0 <= own.drift < other.drift
     runs = frame(row_of(case, outcome.run) for case in cases).assign(position_rmse_m=[1, 3, 5, 7, 8])
     assert [row["position_rmse_m"] for row in property_rows([own, other], runs)] == [(1 + 3 + 8) / 3, (5 + 7) / 2]
-
-
-def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
-    values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
-    assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
-    # A twentieth of 30 runs is one and a half of them.
-    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
-    assert cvar(np.arange(1.0, 11.0)) == 10.0
-    assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
-    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
-    assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
-
-
-def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
-    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
-    found = BootstrapEstimate.of_runs(values, mean)
-    half = 1.96 * np.std(values) / math.sqrt(400)
-    assert found.value == pytest.approx(np.mean(values))
-    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
-    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
-    assert BootstrapEstimate.of_runs(values, mean) == found
-    shift = BootstrapEstimate.of_same_runs([values, values + 1.0], lambda a, b: mean(b) - mean(a))
-    assert (shift.low, shift.high) == pytest.approx((1.0, 1.0))

@@ -154,7 +154,7 @@ def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.
     """Return the one of the sorted `rows` (n,) that is nearest to each of the `targets` (k,)."""
     after = np.searchsorted(rows, targets).clip(0, len(rows) - 1)
     before = rows[np.maximum(after - 1, 0)]
-    return np.where(targets - before <= rows[after] - targets, before, rows[after])
+    return np.asarray(np.where(targets - before <= rows[after] - targets, before, rows[after]))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from scipy.stats import binom
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc_extras.bootstrap import BootstrapEstimate, cvar, mean, median
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.campaign.rates import Rate, conformal_quantile
@@ -179,3 +180,26 @@ def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, of: int) -
     assert binom.sf(count - 1, of, rate.low) == pytest.approx(0.025)
     assert binom.cdf(count, of, rate.high) == pytest.approx(0.025)
     assert binom.cdf(count, of, rate.bound) == pytest.approx(0.05)
+
+
+def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
+    values = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
+    assert cvar(values) == pytest.approx(np.mean([96, 97, 98, 99, 100]))
+    # A twentieth of 30 runs is one and a half of them.
+    assert cvar(np.arange(1.0, 31.0)) == pytest.approx((30 + 0.5 * 29) / 1.5)
+    assert cvar(np.arange(1.0, 11.0)) == 10.0
+    assert cvar(np.arange(12.0).reshape(2, 6), axis=-1) == pytest.approx([5.0, 11.0])
+    # Of a normal distribution it is density over tail: 2.0627 standard deviations.
+    assert cvar(np.random.default_rng(1).normal(size=400_000)) == pytest.approx(2.0627, abs=0.02)
+
+
+def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
+    values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
+    found = BootstrapEstimate.of_runs(values, mean)
+    half = 1.96 * np.std(values) / math.sqrt(400)
+    assert found.value == pytest.approx(np.mean(values))
+    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
+    assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
+    assert BootstrapEstimate.of_runs(values, mean) == found
+    shift = BootstrapEstimate.of_same_runs([values, values + 1.0], lambda a, b: mean(b) - mean(a))
+    assert (shift.low, shift.high) == pytest.approx((1.0, 1.0))

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import betaincinv
 from scipy.stats import binomtest
 
-from diffdrive_mpc.bench.statistics import CONFIDENCE
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc_extras.bootstrap import CONFIDENCE
 
 
 @dataclass(frozen=True)

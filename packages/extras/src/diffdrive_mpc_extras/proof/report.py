@@ -23,11 +23,11 @@ from diffdrive_mpc.bench.html_report.page import (
     tail,
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
-from diffdrive_mpc.bench.statistics import CONFIDENCE, TAIL, BootstrapEstimate, cvar, mean, median
 from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
+from diffdrive_mpc_extras.bootstrap import CONFIDENCE, TAIL, BootstrapEstimate, cvar, mean, median
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import TIME
 from diffdrive_mpc_extras.campaign.engine import CampaignRun

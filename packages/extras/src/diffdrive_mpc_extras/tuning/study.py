@@ -14,7 +14,6 @@ from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.runner import lasting_processes
-from diffdrive_mpc.bench.statistics import BootstrapEstimate
 from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import check
@@ -23,6 +22,7 @@ from diffdrive_mpc.models.whole_file import check_not_read, whole_file
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.rooms import plain_key
+from diffdrive_mpc_extras.bootstrap import BootstrapEstimate
 from diffdrive_mpc_extras.tuning.search import ConfigurationSearch, TunePoint, Values, best_of, failed
 from diffdrive_mpc_extras.tuning.tune_file import TunePlan, load_plan
 

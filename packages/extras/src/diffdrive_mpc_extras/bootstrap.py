@@ -29,7 +29,7 @@ class BootstrapEstimate:
 
     @classmethod
     def of_runs(cls, values: ArrayLike, figure: Callable[..., FloatArray]) -> BootstrapEstimate:
-        """`figure(values, axis=-1)` of (n,) values; the interval is NaN for fewer than two, all is without any."""
+        """Return `figure(values, axis=-1)` of (n,) values; the interval is NaN for fewer than two, all is without any."""
         sample = np.asarray(values, dtype=float)
         if sample.size == 0:
             return cls(np.nan, np.nan, np.nan)
@@ -50,7 +50,7 @@ class BootstrapEstimate:
 
     @classmethod
     def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> BootstrapEstimate:
-        """`figure(*tables)` of tables (..., n) of the same n runs, which are drawn together; along the last axis."""
+        """Return `figure(*tables)` of tables (..., n) of the same n runs, which are drawn together; along the last axis."""
 
         def drawn(runs: ArrayLike, axis: int = -1) -> FloatArray:
             return figure(*(table[..., np.moveaxis(np.asarray(runs), axis, -1).astype(int)] for table in tables))
@@ -62,17 +62,17 @@ class BootstrapEstimate:
 
 
 def mean(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Mean along an axis."""
+    """Return the mean along an axis."""
     return np.asarray(np.mean(values, axis=axis))
 
 
 def median(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Median along an axis."""
+    """Return the median along an axis."""
     return np.asarray(np.median(values, axis=axis))
 
 
 def cvar(values: ArrayLike, axis: int = -1) -> FloatArray:
-    """Conditional value at risk: the mean of the worst twentieth along an axis.
+    """Return the conditional value at risk: the mean of the worst twentieth along an axis.
 
     Where a twentieth of n is no whole number, the last of the worst counts by the part that is left (Rockafellar,
     Uryasev, J. Banking & Finance 26, 2002, for a sample).
