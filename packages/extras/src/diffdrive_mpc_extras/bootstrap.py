@@ -29,7 +29,7 @@ class BootstrapEstimate:
 
     @classmethod
     def of_runs(cls, values: ArrayLike, figure: Callable[..., FloatArray]) -> BootstrapEstimate:
-        """Return `figure(values, axis=-1)` of (n,) values; the interval is NaN for fewer than two, all is without any."""
+        """Return `figure(values, axis=-1)` of (n,) values; NaN without any, its interval with fewer than two."""
         sample = np.asarray(values, dtype=float)
         if sample.size == 0:
             return cls(np.nan, np.nan, np.nan)
@@ -50,7 +50,7 @@ class BootstrapEstimate:
 
     @classmethod
     def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> BootstrapEstimate:
-        """Return `figure(*tables)` of tables (..., n) of the same n runs, which are drawn together; along the last axis."""
+        """Return `figure(*tables)` of tables (..., n) of the same n runs, drawn together along the last axis."""
 
         def drawn(runs: ArrayLike, axis: int = -1) -> FloatArray:
             return figure(*(table[..., np.moveaxis(np.asarray(runs), axis, -1).astype(int)] for table in tables))
