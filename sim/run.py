@@ -103,6 +103,7 @@ class Run(ReadOnlyArrays):
     measurements: tuple[Measurement, ...]
     disturbance: tuple[float, float] | None = None
     ended: str = ""
+    states: tuple[str, ...] = ()
     solver_statuses: tuple[str, ...] = ()
     solver_methods: tuple[str, ...] = ()
     solve_time: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -121,6 +122,7 @@ class Run(ReadOnlyArrays):
         """Fill in for a controller that tells nothing of solver and estimate."""
         count = len(self.time)
         nothing = {
+            "states": self.modes,
             "solver_statuses": ("",) * count,
             "solver_methods": (NO_SOLVER,) * count,
             "solve_time": np.full(count, np.nan),

@@ -48,7 +48,8 @@ def diagnostics(
             objection = "" if loop.objection in loop.last.message else loop.objection
             faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal, loop.shortfall
             words = "; ".join(filter(None, faults))
-            status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
+            state = loop.last.mode if loop.last.result is None else loop.last.result.state
+            status.message = f"{state}: {words}" if words else state
     for part in parts:
         if loop is not None:
             values |= _watches(part.topics, loop.inbox.now)
