@@ -129,7 +129,9 @@ class Controller:
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
-        self._pursuit = Pursuit(config, self._tick.stray, lambda: pressing_limit(self._program, self._config, self._soft_names))
+        self._pursuit = Pursuit(
+            config, self._tick.stray, lambda: pressing_limit(self._program, self._config, self._soft_names)
+        )
         self._pending: _Prepared | None = None
         self._reference: Reference | None = None
         self._t0 = 0.0

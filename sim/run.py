@@ -55,6 +55,8 @@ class Run(ReadOnlyArrays):
         (n,) duration of the controller's step [s].
     modes, messages
         Mode of the controller at each tick and its reason in words.
+    states
+        The modes, with `LATE` in place of `TRACKING` while the robot cannot keep up with its reference.
     measurements
         What the controller was given at each tick; enough to replay the run without the plant.
     disturbance

@@ -145,6 +145,28 @@ def test_a_reference_is_compared_with_its_own_side():
         controller.checked_reference(reference(0.1, -1.2))
 
 
+def test_robot_is_late_by_the_limit_that_it_reaches_until_it_has_caught_up():
+    """Reverse is capped while it drives: the reference waits, and gets ahead again where it is slow."""
+    segments = [Segment(v=v, omega=0.0, duration=duration) for v, duration in ((-0.3, 3.0), (0.1, 10.0))]
+    reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="to and fro")
+    controller, plant, late = Controller("ssm"), make_plant("model:ssm", seed=1), []
+    controller.start(reference, plant.time)
+    with pytest.warns(UserWarning, match=r"the robot will be late: .* limits.v.reverse = 0.2"):
+        controller.update(limits={"v.reverse": 0.2})
+    while plant.time < 20.0:
+        result = controller.step(plant.time, plant.measure())
+        if not late or late[-1][0] != result.state:
+            late.append((result.state, result.limited_by))
+        plant.advance(result.command)
+    assert late == [("TRACKING", ""), ("LATE", "limits.v.reverse"), ("TRACKING", ""), ("FINISHED", "")]
+
+
+@pytest.mark.parametrize("model", ["kinematic", "mbm", "sm", "ssm"])
+def test_shipped_models_are_never_late_on_the_shipped_paths(model):
+    for name in ("circle", "square", "s", "cane"):
+        assert "LATE" not in simulate(Controller(model), make_plant("mujoco", seed=1), load_trajectory(name)).states
+
+
 def test_link_of_a_plant_carries_the_larger_side():
     limits = {"limits": {"v": {"forward": 2.5, "reverse": 0.2}}}
     assert plant_settings(load_config("ssm", limits))["limits"].v == 2.5
