@@ -11,7 +11,6 @@ from diffdrive_mpc.mpc.core.tick import ResultLayout
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
 
-
 LATE = "LATE"
 """State of a robot that tracks and cannot keep up with its reference."""
 

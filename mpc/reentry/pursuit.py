@@ -221,8 +221,6 @@ class Pursuit:
                 no_way = "no way: nothing free leads back to the path; waits"
                 return Target(way_back, since_start, no_way) if isinstance(way_back, StandingReference) else way_back
             if way_back is not None:
-                if self._way_back is None and not self._resumes and self._limited_by():
-                    self._fall_behind()
                 self._way_back = followed = way_back
                 time = way_back.begins
                 self._clock.set(since_start - time, 1.0)
@@ -245,8 +243,7 @@ class Pursuit:
                 self.is_late, self.limit = False, ""
                 return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
-        if late > 1.0 and self._way_back is None and not still:
-            self._fall_behind()
+        self._count_lag(lags=late > 1.0 and self._way_back is None and not still)
         words = self._words(still)
         if self._top_speed > _KEPT * self._speed_limit:
             words = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", words]))
@@ -254,8 +251,9 @@ class Pursuit:
             words += f"; the wheels get no faster than {reach:.2f} m/s"
         return Target(self._clock.clocked(followed), since_start, words, still)
 
-    def _fall_behind(self) -> None:
-        self.is_late, self.limit = True, self._limited_by() or self.limit
+    def _count_lag(self, *, lags: bool) -> None:
+        if lags:
+            self.is_late, self.limit = True, self._limited_by() or self.limit
 
     def _within_reach(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
         """Progress rate at which the upcoming twists (n, 2) need no more than the rim speed `reach` [m/s].
@@ -331,6 +329,7 @@ class Pursuit:
         )
         if path is None:
             return StandingReference(estimate.pose)
+        self._count_lag(lags=not (self._way_back or self._resumes) and bool(self._limited_by()))
         if beside or not (aside or displaced):
             reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:
