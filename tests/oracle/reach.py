@@ -24,7 +24,8 @@ ASTRAY, BESIDE = 0.25, 0.25
 class WheelReach:
     """Limit of the wheels' rim speed: `attained` as it was learned, `allowed` as it applies [m/s]."""
 
-    def __init__(self, config: ControllerConfig, gain: FloatArray, lag: int) -> None:
+    def __init__(self, config: ControllerConfig, gain: FloatArray, lags: FloatArray) -> None:
+        lag, self.sooner = int(lags.max()), int(lags[0] - lags[1])
         self.dt, self.gain, self.enabled = config.sample_time, gain, config.monitor.wheel_limits
         self.half_track, self.most = config.wheels.track / 2, config.limits.wheel_speed
         self.wheel_yaw_ratio = config.wheels.track / config.wheels.encoder_track / gain[1, 1]
@@ -70,7 +71,9 @@ class WheelReach:
             twists = self.gain @ sent[-self.window :].T
             # Elsewhere a saturated wheel looks like a smaller gain.
             gain = slip.omega_gain * slip.yaw_gain if self.on_spot else 1.0
-            both = np.hstack([twists, twists * [[1.0], [gain]]])
+            at = np.clip(np.arange(self.window) + self.sooner, 0, self.window - 1)
+            shown = np.hstack([twists, [twists[0], twists[1, at]]])
+            both = np.hstack([shown, shown * [[1.0], [gain]]])
             by_command = sign * self._rims(both, Slip())
             least, along = by_command.min(axis=1), sign[:, 0] * self.actual
             demanded = np.minimum(least, sign[:, 0] * by_reference)
