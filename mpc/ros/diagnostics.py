@@ -73,7 +73,7 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.WARN if loop.held or concern else DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
-    well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
+    well = tick.result.state in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
     well = well and not concern
     return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
 
