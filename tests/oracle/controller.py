@@ -103,7 +103,7 @@ class OracleController:
         spare = self.estimator.filter.spare
         self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon, spare)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
-        self.reach = WheelReach(config, self.model.dc_gain, self.feed_forward.ahead)
+        self.reach = WheelReach(config, self.model.dc_gain, int(self.feed_forward.ahead.max()))
         self.upcoming = np.zeros((2, 2))
         self.wanted_pose = np.zeros(3)
         self.pursuit = Pursuit(config, self._stray)
