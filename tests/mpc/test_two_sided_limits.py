@@ -167,6 +167,17 @@ def test_shipped_models_are_never_late_on_the_shipped_paths(model):
         assert "LATE" not in simulate(Controller(model), make_plant("mujoco", seed=1), load_trajectory(name)).states
 
 
+@pytest.mark.parametrize(("track", "slew"), [(1.0, 0.9), (1.0, 1.1), (1.3, 0.9)])
+def test_wheel_inside_a_turn_that_begins_at_full_slew_is_not_at_its_end(track, slew):
+    """v shows later than omega: for a while the inner wheel is slower than each of the commands demands."""
+    limits = {"v": 2.0, "predicted_v": 2.4, "omega": 2.5, "predicted_omega": 3.0, "wheel_speed": 3.2, "v_slew": slew}
+    config = load_config(
+        "ssm", {"wheels.track": track, "wheels.encoder_track": track} | {f"limits.{k}": v for k, v in limits.items()}
+    )
+    run = simulate(Controller(config), make_plant("model:ssm", seed=2), load_trajectory("figure8", timing="commanded"))
+    assert not any("no faster" in message for message in run.messages)
+
+
 def test_link_of_a_plant_carries_the_larger_side():
     limits = {"limits": {"v": {"forward": 2.5, "reverse": 0.2}}}
     assert plant_settings(load_config("ssm", limits))["limits"].v == 2.5
