@@ -341,9 +341,9 @@ class Pursuit:
         """Progress rate at which the reference stays inside the limits of the command."""
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
-        within = sides / np.maximum(self._top, [STANDING, TURNING])
+        shares = sides / np.maximum(self._top, [STANDING, TURNING])
         # A limit far below the reference makes it wait where it is reached, not all along.
-        within = float(within[within > _KEPT].min(initial=math.inf))
+        within = float(shares[shares > _KEPT].min(initial=math.inf))
         return max(1.0, min(self._settings.max_progress, within))
 
     def _limits(self) -> TrajectoryLimits:

@@ -24,7 +24,7 @@ def pressing_limit(program: Program, config: ControllerConfig, soft_names: Seque
     forces, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
     bounds[HARD:] = program.soft_limits[:, None]
     costs = np.where(forces != 0.0, np.abs(forces * bounds), 0.0)
-    kind, step = np.unravel_index(np.argmax(costs), costs.shape)
+    kind, step = divmod(int(np.argmax(costs)), costs.shape[1])
     if costs[kind, step] == 0.0:
         return ""
     if kind >= HARD:
