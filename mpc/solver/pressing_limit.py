@@ -10,7 +10,6 @@ from diffdrive_mpc.models.two_sided import TwoSided
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
 from diffdrive_mpc.mpc.solver.backend import Program
-from diffdrive_mpc.mpc.trajectories.speed_check import at_side
 
 _KEYS = {"v": "predicted_v", "omega": "predicted_omega", "right": "wheel_speed", "left": "wheel_speed"}
 _KEYS |= {"across": "corridor", "turn": "min_turn_radius", "commanded": "min_commanded_radius"}
@@ -35,4 +34,5 @@ def pressing_limit(program: Program, config: ControllerConfig, soft_names: Seque
         before = program.guess[2 * (step - 1) + kind % 2] if step else program.last_command[kind % 2]
         sense *= -1.0 if before < 0.0 else 1.0
     limit = getattr(config.limits, name)
-    return f"limits.{name}{at_side(sense, limit if isinstance(limit, TwoSided) else TwoSided(limit))[2]}"
+    has_sides = isinstance(limit, TwoSided) and not limit.is_symmetric
+    return f"limits.{name}.{limit.names[bool(sense < 0.0)]}" if has_sides else f"limits.{name}"
