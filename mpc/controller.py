@@ -42,6 +42,7 @@ from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
+from diffdrive_mpc.mpc.solver.pressing_limit import pressing_limit
 from diffdrive_mpc.mpc.solver.quadratic_program import QuadraticProgram, quadratic_program
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
@@ -128,7 +129,9 @@ class Controller:
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
-        self._pursuit = Pursuit(config, self._tick.stray)
+        self._pursuit = Pursuit(
+            config, self._tick.stray, lambda: pressing_limit(self._program, self._config, self._soft_names)
+        )
         self._pending: _Prepared | None = None
         self._reference: Reference | None = None
         self._t0 = 0.0
@@ -725,6 +728,8 @@ class Controller:
             times[1],
             (layout, block) if c.has_plan else None,
             self._messages.unused(c.reasons) if c.reasons else (),
+            is_late=pursuit.is_late,
+            limited_by=pursuit.limit,
         )
 
 

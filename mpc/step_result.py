@@ -11,6 +11,9 @@ from diffdrive_mpc.mpc.core.tick import ResultLayout
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
 
+LATE = "LATE"
+"""State of a robot that tracks and cannot keep up with its reference."""
+
 
 class Mode(StrEnum):
     """What the controller is doing. The names are those of `ddmpc_mode` in core.h."""
@@ -46,6 +49,9 @@ class StepResult:
         Rate of the reference's clock now: 1 on time, 0 while it waits [-].
     reference_delay
         How far the reference's clock is behind the controller's [s]; negative where the robot was carried ahead.
+    is_late, limited_by
+        True from where the reference waits for a robot that lags until it has caught up; the limit that it was at, such
+        as `limits.v.reverse`, empty if none.
     estimate
         The estimate that the command is based on; None before the first pose.
     blocked_for
@@ -81,6 +87,13 @@ class StepResult:
     clearance: float = float("nan")
     clearance_ahead: float = float("nan")
     pressed_by: tuple[str, ...] = ()
+    is_late: bool = False
+    limited_by: str = ""
+
+    @property
+    def state(self) -> str:
+        """The mode, or `LATE` in place of `TRACKING` for a robot that `is_late`."""
+        return LATE if self.is_late and self.mode is Mode.TRACKING else str(self.mode)
 
     @property
     def plan(self) -> FloatArray | None:
@@ -109,7 +122,7 @@ class StepResult:
         v, omega = self.command.tolist()
         lines = [
             f"command   {v:+.3f} m/s {omega:+.3f} rad/s",
-            f"mode      {self.mode}",
+            f"mode      {self.state}",
             f"solver    {self.solver.status} ({self.solver.method}, {self.solver.iterations} iterations)",
         ]
         if self.estimate is not None:

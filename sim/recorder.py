@@ -94,6 +94,7 @@ class Recorder:
             solver_iterations=self._iterations[driven],
             modes=tuple(words.mode for words in self._said),
             messages=tuple(words.message for words in self._said),
+            states=tuple(words.state for words in self._said),
             measurements=tuple(self._measurements),
             solver_statuses=tuple(words.solver_status for words in self._said),
             solver_methods=tuple(words.solver_path for words in self._said),
@@ -120,14 +121,14 @@ class _Said(NamedTuple):
     solver_status: str
     solver_path: str
     scalars: list[float]
+    state: str
 
     @classmethod
     def by(cls, step: ControlStep) -> _Said:
         """The words of `step`."""
-        solver = step.solver
-        if solver is None:
-            return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
-        return cls(str(step.mode), step.message, str(solver.status), solver_method(solver), scalar_row(step))
+        solver, state = step.solver, str(getattr(step, "state", step.mode))
+        status, method = ("", NO_SOLVER) if solver is None else (str(solver.status), solver_method(solver))
+        return cls(str(step.mode), step.message, status, method, scalar_row(step), state)
 
 
 def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:

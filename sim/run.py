@@ -55,6 +55,8 @@ class Run(ReadOnlyArrays):
         (n,) duration of the controller's step [s].
     modes, messages
         Mode of the controller at each tick and its reason in words.
+    states
+        The modes, with `LATE` in place of `TRACKING` while the robot cannot keep up with its reference.
     measurements
         What the controller was given at each tick; enough to replay the run without the plant.
     disturbance
@@ -103,6 +105,7 @@ class Run(ReadOnlyArrays):
     measurements: tuple[Measurement, ...]
     disturbance: tuple[float, float] | None = None
     ended: str = ""
+    states: tuple[str, ...] = ()
     solver_statuses: tuple[str, ...] = ()
     solver_methods: tuple[str, ...] = ()
     solve_time: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -121,6 +124,7 @@ class Run(ReadOnlyArrays):
         """Fill in for a controller that tells nothing of solver and estimate."""
         count = len(self.time)
         nothing = {
+            "states": self.modes,
             "solver_statuses": ("",) * count,
             "solver_methods": (NO_SOLVER,) * count,
             "solve_time": np.full(count, np.nan),

@@ -139,7 +139,8 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
         f"{_METHODS.get(name, name)} {100 * count / metrics.steps:.1f} %" for name, count in ticks.most_common()
     )
     yield f"solver: {'none' if set(ticks) == {NO_SOLVER} else shares}"
-    yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fall-back mode"
+    late = f", {run.states.count('LATE')} LATE" if "LATE" in run.states else ""
+    yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fall-back mode{late}"
     if outcome.case.scenario != NO_SCENARIO:
         recovery = run.recovery
         yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"

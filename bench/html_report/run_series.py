@@ -110,9 +110,9 @@ def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
 
 
 def _words(run: Run, name: str, labels: Labels, style: int) -> Series:
-    """Return the mode at each tick without a fresh plan or after the end, else the method of the solver, as steps."""
-    telling = {*FALLBACK_MODES, "FINISHED"}
-    words = [mode if mode in telling else word for mode, word in zip(run.modes, run.solver_methods, strict=True)]
+    """Return the state at each tick without a fresh plan, late or after the end, else the solver's method, as steps."""
+    telling = {*FALLBACK_MODES, "FINISHED", "LATE"}
+    words = [state if state in telling else word for state, word in zip(run.states, run.solver_methods, strict=True)]
     changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
     time = rounded_list(run.time[[*changes, len(words) - 1]], 3)
     return Series(name, time, [words[k] for k in (*changes, len(words) - 1)], style, "steps", labels=labels)

@@ -200,17 +200,17 @@ static void substitute_back(const real *U, int stride, const real *inverse, int 
     }
 }
 
-void ddmpc_plan_of_rows(ddmpc_rows *rows, real *plan)
+void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *start, real *plan)
 {
     const int n = rows->n;
     memset(rows->spread, 0, (size_t)rows->used * sizeof(real));
     for (int i = 0; i < rows->active; i++)
-        rows->spread[rows->order[i]] = rows->multiplier[i];
+        rows->spread[rows->order[i]] = multipliers[i];
     for (int k = 0; k < n; k++)
         rows->z[k] = dot(rows->columns + k * rows->slots, rows->spread, rows->used);
     substitute_back(rows->problem->factor, n, rows->inverse, n, rows->z);
     for (int k = 0; k < n; k++)
-        plan[k] = rows->problem->minimiser[k] - rows->z[k];
+        plan[k] = start[k] - rows->z[k];
     rows->problem->values(rows->problem->context, plan, rows->now);
     rows->work += ddmpc_plan_operations(n, rows->m, rows->used);
 }

@@ -68,8 +68,8 @@ void ddmpc_solve_rows(ddmpc_rows *rows);
 void ddmpc_null_step(ddmpc_rows *rows, int position);
 /* Solve for `step` with itself as right-hand side. */
 void ddmpc_solve_step(ddmpc_rows *rows);
-/* The plan at the multipliers, and the values of all rows there, into `now`. */
-void ddmpc_plan_of_rows(ddmpc_rows *rows, real *plan);
+/* The plan that is `multipliers` of the active rows away from `start`, and the values of all rows there, into `now`. */
+void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *start, real *plan);
 
 /* a'b in several sums side by side, which one order of adding would forbid. */
 real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count);

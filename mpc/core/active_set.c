@@ -126,11 +126,15 @@ static int enter_broken(ddmpc_rows *rows, int all, int *entered)
     return broken;
 }
 
-/* Whether active rows are where their multipliers say, to within their tolerance; leaves what is missing in `step`. */
-static int is_met(ddmpc_rows *rows)
+/* Whether active rows are where their multipliers say, to within their tolerance, or `exactly`: to within the rounding of
+ * the plan. Leaves what is missing in `step`. */
+static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
 {
     const ddmpc_limited_problem *problem = rows->problem;
+    real largest = R(0.0);
     int met = 1;
+    for (int k = 0; exactly && k < rows->n; k++)
+        largest = ddmpc_max(largest, ddmpc_fabs(plan[k]));
     for (int i = 0; i < rows->active; i++) {
         const int row = ddmpc_row_at(rows, i);
         const range piece = piece_of(rows, i);
@@ -138,9 +142,30 @@ static int is_met(ddmpc_rows *rows)
         if (ddmpc_is_exceeded(rows, i))
             wanted += (rows->multiplier[i] - (rows->state[row] > 0 ? piece.low : piece.high)) / problem->slope;
         rows->step[i] = rows->now[row] - wanted;
-        met &= ddmpc_fabs(rows->step[i]) <= tolerance(rows, row);
+        const real rounding = ROUNDINGS * EPSILON * (largest + ddmpc_fabs(rows->now[row]));
+        met &= ddmpc_fabs(rows->step[i]) <= (exactly ? rounding : tolerance(rows, row));
     }
     return met;
+}
+
+/* Bring active rows to where their multipliers say, in MOST_REFINEMENTS rounds at most. The plan is moved by the changes of
+ * the multipliers: a sum over large multipliers would round it anew each time. Returns whether rows are within tolerance. */
+static int refine(ddmpc_rows *rows, real *plan, int exactly)
+{
+    int met = is_met(rows, plan, exactly);
+    for (int round = 0; !met && round < (exactly ? 1 : MOST_REFINEMENTS) && rows->factored == rows->active; round++) {
+        ddmpc_solve_step(rows);
+        for (int i = 0; i < rows->active; i++) {
+            const real before = rows->multiplier[i], multiplier = before + rows->step[i];
+            rows->multiplier[i] = within(piece_of(rows, i), multiplier);
+            /* The plan still takes a step that a large multiplier rounds away. */
+            if (rows->multiplier[i] != multiplier)
+                rows->step[i] = rows->multiplier[i] - before;
+        }
+        ddmpc_move_plan(rows, rows->step, plan, plan);
+        met = is_met(rows, plan, exactly);
+    }
+    return met || (exactly && is_met(rows, plan, 0));
 }
 
 /* Whether there may be no further iteration. */
@@ -167,15 +192,15 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
         for (int i = rows->active - 1; i >= 0; i--)
             if (rows->pivot[i] == R(0.0))
                 ddmpc_leave_row(rows, i);
-        ddmpc_plan_of_rows(rows, plan);
-        const int met = is_met(rows);
+        ddmpc_move_plan(rows, rows->multiplier, rows->problem->minimiser, plan);
+        for (int i = 0; i < rows->active; i++)
+            wrong += rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i]);
+        const int met = wrong == 0 && refine(rows, plan, 1);
         if (!survey(rows, broken) || broken[1])
             return 0;
         for (int i = rows->active - 1; i >= 0; i--)
-            if (rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i])) {
-                wrong++;
+            if (rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i]))
                 ddmpc_leave_row(rows, i);
-            }
         if (broken[0])
             wrong += enter_broken(rows, 1, &entered);
         if (wrong == 0)
@@ -364,28 +389,24 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
     /* Each round settles, and so takes an iteration, of which there are `most_iterations`. */
     for (int stalls = 0; stalls < MOST_STALLS;) {
         const outcome end = settle(rows, iterations);
-        int refinements = 0, entered, broken[2];
+        int entered, broken[2];
         if (end == UNBOUNDED || end == ASTRAY)
             return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
-        ddmpc_plan_of_rows(rows, plan);
+        ddmpc_move_plan(rows, rows->multiplier, rows->problem->minimiser, plan);
         if (end == RAN_OUT)
             return DDMPC_UNFINISHED;
-        /* MOST_REFINEMENTS rounds at most. */
-        while (!is_met(rows)) {
-            if (refinements++ == MOST_REFINEMENTS)
-                return DDMPC_NOT_PROVEN;
-            ddmpc_solve_step(rows);
-            for (int i = 0; i < rows->active; i++)
-                rows->multiplier[i] = within(piece_of(rows, i), rows->multiplier[i] + rows->step[i]);
-            ddmpc_plan_of_rows(rows, plan);
-        }
+        if (!refine(rows, plan, 0))
+            return DDMPC_NOT_PROVEN;
         if (!survey(rows, broken))
             return DDMPC_NOT_PROVEN;
         const real reached = height(rows);
         stalls = reached > highest ? 0 : stalls + 1;
         highest = ddmpc_max(highest, reached);
-        if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0)
-            return DDMPC_PROVEN;
+        if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0) {
+            rows->problem->values(rows->problem->context, plan, rows->now);
+            rows->work += 8 * rows->m;
+            return refine(rows, plan, 1) && survey(rows, broken) ? DDMPC_PROVEN : DDMPC_NOT_PROVEN;
+        }
         if (entered == 0)
             return DDMPC_UNFINISHED;
     }
@@ -544,10 +565,10 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
     return result;
 }
 
-/* Operations of the greatest parts: a factorisation, a start with all rows pressing, a round of the primal-dual method,
- * and one of the dual method with what follows where it has settled. */
+/* Operations of the greatest parts: a factorisation, a start with all rows pressing, a refinement, a round of the
+ * primal-dual method, and one of the dual method with what follows where it has settled. */
 typedef struct {
-    ddmpc_count factor, start, many, settled;
+    ddmpc_count factor, start, refined, many, settled;
 } parts;
 
 static parts parts_of(int n, int m, int slots)
@@ -559,8 +580,9 @@ static parts parts_of(int n, int m, int slots)
     /* A block of rows is done with the ones before it, for each block of columns from it on. */
     p.factor = LANES * LANES * LANES * blocks * (blocks + 1) * (blocks + 2) / 6 + square + 16 * slots;
     p.start = slots * column;
-    p.many = p.factor + square + plan + m + square + p.start;
-    p.settled = p.factor + 3 * square + plan + MOST_REFINEMENTS * (2 * square + plan) + m + FEW * (slots + column);
+    p.refined = 8 * m + MOST_REFINEMENTS * (2 * square + plan);
+    p.many = p.factor + square + plan + p.refined + m + square + p.start;
+    p.settled = p.factor + 3 * square + plan + p.refined + m + FEW * (slots + column);
     return p;
 }
 
@@ -575,8 +597,8 @@ ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
     const int slots = DDMPC_LIMITED_SLOTS(most_active);
     const parts p = parts_of(inputs, rows, slots);
     const ddmpc_count round = p.many > p.settled ? p.many : p.settled;
-    /* After the last round the plan is found once more, or the cost is looked at. */
-    const ddmpc_count end = 2 * ddmpc_plan_operations(inputs, rows, slots);
+    /* After the last round the plan is found once more, or refined, and the cost is looked at. */
+    const ddmpc_count end = p.refined + 2 * ddmpc_plan_operations(inputs, rows, slots);
     return MOST_WORK * (p.start + p.factor) + 2 * p.start + round + end;
 }
 

@@ -22,7 +22,8 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
 /* The smallest and largest speeds that commands have demanded of each wheel, in the directions `sign`, and the largest |v|
  * that they have demanded of the robot: over the last lag plus short_for, or plus 4/3 of the lag where that is longer, as
  * slow wheels that are still speeding up fall short of nothing. Returns 0 if the stored commands do not reach back that far.
- * Wheels turn as the model states: the body slips, not they. In a turn on the spot they may also turn with the estimated
+ * v and omega count separately, since they show after different lags: the wheel inside a turn that begins while the robot
+ * speeds up is slower than any pair demands. Wheels turn as the model states: the body slips, not they. In a turn on the spot they may also turn with the estimated
  * gain; elsewhere a saturated wheel has the same effect on the estimate as a smaller gain. */
 static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2],
                            real *forward_most)
@@ -34,8 +35,11 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
     const int since = LONGEST_LAG(c) + (steady > settling ? steady : settling);
     if (since > newest)
         return 0;
-    least[0] = least[1] = (real)HUGE_VAL;
-    most[0] = most[1] = -(real)HUGE_VAL;
+    real low[2][2], high[2][2];
+    for (int i = 0; i < 4; i++) {
+        low[i / 2][i % 2] = (real)HUGE_VAL;
+        high[i / 2][i % 2] = -(real)HUGE_VAL;
+    }
     *forward_most = R(0.0);
     for (int ago = 0; ago <= since; ago++) {
         const real *u = c->estimator.commands + 2 * (newest - ago);
@@ -43,11 +47,16 @@ static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real l
         const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
         *forward_most = ddmpc_max(*forward_most, ddmpc_fabs(forward));
         for (int i = 0; i < 2; i++) {
-            const real plain = i ? -turning : turning;
-            const real rim = sign[i] * (forward + plain), learned = sign[i] * (forward + gain * plain);
-            least[i] = ddmpc_min(least[i], ddmpc_min(rim, learned));
-            most[i] = ddmpc_max(most[i], ddmpc_max(rim, learned));
+            const real along = sign[i] * forward, plain = i ? -sign[i] * turning : sign[i] * turning;
+            low[i][0] = ddmpc_min(low[i][0], along);
+            high[i][0] = ddmpc_max(high[i][0], along);
+            low[i][1] = ddmpc_min(low[i][1], ddmpc_min(plain, gain * plain));
+            high[i][1] = ddmpc_max(high[i][1], ddmpc_max(plain, gain * plain));
         }
+    }
+    for (int i = 0; i < 2; i++) {
+        least[i] = low[i][0] + low[i][1];
+        most[i] = high[i][0] + high[i][1];
     }
     return 1;
 }

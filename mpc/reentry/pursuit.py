@@ -58,10 +58,17 @@ class Pursuit:
         Limits, and the groups `reentry` and `failure`.
     stray
         Returns the robot's deviation from a reference pose (3,) with twist (2,).
+    limited_by
+        Returns the key of the limit that cost the last plan most; empty if none.
     """
 
-    def __init__(self, config: ControllerConfig, stray: Callable[[FloatArray, FloatArray], Stray]) -> None:
-        self._stray_from = stray
+    def __init__(
+        self,
+        config: ControllerConfig,
+        stray: Callable[[FloatArray, FloatArray], Stray],
+        limited_by: Callable[[], str] = str,
+    ) -> None:
+        self._stray_from, self._limited_by = stray, limited_by
         self._clock = ReferenceClock(config.reentry.max_progress, config.reentry.progress_ramp)
         self._blocked = BlockedWatch(config.reentry.blocked_after)
         self._reference: Reference | None = None
@@ -74,6 +81,10 @@ class Pursuit:
         """The part of `delay` that was decided: it stood, or went slowly for things ahead or a speed limit [s]."""
         self.room: Room | None = None
         """Where the robot may be on its way back, set before each tick; None: everywhere."""
+        self.is_late = False
+        """True from where the reference waits for a robot that lags until it has caught up."""
+        self.limit = ""
+        """Key of the limit that the robot was at when it fell behind; empty if at none."""
         self.configure(config)
         self.restart()
 
@@ -106,6 +117,7 @@ class Pursuit:
         self._driving, self._resumes = True, False
         self._time = -math.inf
         self.planned_delay, self._slows_down = 0.0, False
+        self.is_late, self.limit = False, ""
 
     def switch_reference(self, reference: Reference, *, native: bool) -> None:
         """Follow `reference`, the current one transformed by a pose; drop any way back, which led to the old place."""
@@ -228,14 +240,20 @@ class Pursuit:
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()
             if self._clock.on_time:
+                self.is_late, self.limit = False, ""
                 return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
+        self._count_lag(lags=late > 1.0 and self._way_back is None and not still)
         words = self._words(still)
         if self._top_speed > _KEPT * self._speed_limit:
             words = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", words]))
         if within < 1.0:
             words += f"; the wheels get no faster than {reach:.2f} m/s"
         return Target(self._clock.clocked(followed), since_start, words, still)
+
+    def _count_lag(self, *, lags: bool) -> None:
+        if lags:
+            self.is_late, self.limit = True, self._limited_by() or self.limit
 
     def _within_reach(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
         """Progress rate at which the upcoming twists (n, 2) need no more than the rim speed `reach` [m/s].
@@ -311,6 +329,7 @@ class Pursuit:
         )
         if path is None:
             return StandingReference(estimate.pose)
+        self._count_lag(lags=not (self._way_back or self._resumes) and bool(self._limited_by()))
         if beside or not (aside or displaced):
             reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:
@@ -322,7 +341,9 @@ class Pursuit:
         """Progress rate at which the reference stays inside the limits of the command."""
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
-        within = float((sides / np.maximum(self._top, [STANDING, TURNING])).min())
+        shares = sides / np.maximum(self._top, [STANDING, TURNING])
+        # A limit far below the reference makes it wait where it is reached, not all along.
+        within = float(shares[shares > _KEPT].min(initial=math.inf))
         return max(1.0, min(self._settings.max_progress, within))
 
     def _limits(self) -> TrajectoryLimits:
@@ -348,4 +369,6 @@ class Pursuit:
             words.append(
                 "the reference is late and catches up" if delay > 0.0 else "the reference is early and slows down"
             )
+        if words and self.limit:
+            words.append(f"at {self.limit}")
         return "; ".join(words)

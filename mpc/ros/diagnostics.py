@@ -48,7 +48,8 @@ def diagnostics(
             objection = "" if loop.objection in loop.last.message else loop.objection
             faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal, loop.shortfall
             words = "; ".join(filter(None, faults))
-            status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
+            state = loop.last.mode if loop.last.result is None else loop.last.result.state
+            status.message = f"{state}: {words}" if words else state
     for part in parts:
         if loop is not None:
             values |= _watches(part.topics, loop.inbox.now)
@@ -72,7 +73,7 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.WARN if loop.held or concern else DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
-    well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
+    well = tick.result.state in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
     well = well and not concern
     return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
 

@@ -262,7 +262,8 @@ def check_two_sided(seed, steps=30):
 
 
 def test_programs_with_limits_of_two_sides_are_solved_exactly():
-    figures = np.array([check_two_sided(seed) for seed in range(40)])
+    # Multipliers of the last are so large that their rounding alone would leave a gap of 4e-8.
+    figures = np.array([check_two_sided(seed) for seed in [*range(40), 1033372]])
     assert (figures[:, :3] < 1e-9).all()
     assert (figures[:, 3] < 1e-7).all()
     assert (figures[:, 4] > 3).mean() > 0.5
@@ -376,8 +377,10 @@ def test_from_whatever_start_its_operations_stay_below_the_bound():
     rng = np.random.default_rng(0)
     _, functions, _ = library()
     shares, stopped = [], 0
-    for _ in range(300):
-        p = robot_problem(rng, int(rng.integers(3, 16)), tight=float(10 ** rng.uniform(-1.5, 0.5)))
+    for number in range(300):
+        steps, tight = int(rng.integers(3, 16)), float(10 ** rng.uniform(-1.5, 0.5))
+        p = robot_problem(rng, steps, tight=tight)
+        p = two_sided(p, rng, steps, tight) if number % 2 else p
         m, n = p.A.shape
         room = int(rng.integers(n, n + m))
         start = 10 ** rng.uniform(-3, 3) * rng.normal(size=m) * (rng.random(m) < rng.random())

@@ -2,6 +2,7 @@
 
 import pickle
 
+import daqp
 import numpy as np
 import pytest
 import yaml
@@ -75,6 +76,11 @@ def test_equal_sides_drive_as_one_number_to_the_last_bit(method):
     np.testing.assert_array_equal(*runs)
 
 
+def drawn_slews(draw):
+    """Return slew limits of two sides."""
+    return {key: dict(zip(SIDES[key], draw.uniform(0.3, 3.0, 2), strict=True)) for key in SIDES if key.endswith("slew")}
+
+
 def drawn_reference(draw):
     """Return steps between twists of any sign, within the ranges of `TWO_SIDED`."""
     segments = [
@@ -90,10 +96,7 @@ def test_no_command_leaves_the_envelope(method):
     signs, modes = set(), set()
     for seed in range(6):
         draw = np.random.default_rng(seed)
-        slews = {
-            key: dict(zip(SIDES[key], draw.uniform(0.3, 3.0, 2), strict=True)) for key in SIDES if key.endswith("slew")
-        }
-        config = load_config("ssm", TWO_SIDED | slews | {"solver.method": method, "horizon": 12})
+        config = load_config("ssm", TWO_SIDED | drawn_slews(draw) | {"solver.method": method, "horizon": 12})
         controller, plant = Controller(config), make_plant("model:ssm", seed=seed)
         controller.start(drawn_reference(draw), plant.time)
         last = np.zeros(2)
@@ -140,6 +143,39 @@ def test_a_reference_is_compared_with_its_own_side():
         controller.checked_reference(reference(-0.3, 0.0))
     with pytest.raises(ValueError, match=r"omega = 1.2 at .* more than limits.omega.right = 1; slow"):
         controller.checked_reference(reference(0.1, -1.2))
+
+
+def test_robot_is_late_by_the_limit_that_it_reaches_until_it_has_caught_up():
+    """Reverse is capped while it drives: the reference waits, and gets ahead again where it is slow."""
+    segments = [Segment(v=v, omega=0.0, duration=duration) for v, duration in ((-0.3, 3.0), (0.1, 10.0))]
+    reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="to and fro")
+    controller, plant, late = Controller("ssm"), make_plant("model:ssm", seed=1), []
+    controller.start(reference, plant.time)
+    with pytest.warns(UserWarning, match=r"the robot will be late: .* limits.v.reverse = 0.2"):
+        controller.update(limits={"v.reverse": 0.2})
+    while plant.time < 20.0:
+        result = controller.step(plant.time, plant.measure())
+        if not late or late[-1][0] != result.state:
+            late.append((result.state, result.limited_by))
+        plant.advance(result.command)
+    assert late == [("TRACKING", ""), ("LATE", "limits.v.reverse"), ("TRACKING", ""), ("FINISHED", "")]
+
+
+@pytest.mark.parametrize("model", ["kinematic", "mbm", "sm", "ssm"])
+def test_shipped_models_are_never_late_on_the_shipped_paths(model):
+    for name in ("circle", "square", "s", "cane"):
+        assert "LATE" not in simulate(Controller(model), make_plant("mujoco", seed=1), load_trajectory(name)).states
+
+
+@pytest.mark.parametrize(("track", "slew"), [(1.0, 0.9), (1.0, 1.1), (1.3, 0.9)])
+def test_wheel_inside_a_turn_that_begins_at_full_slew_is_not_at_its_end(track, slew):
+    """v shows later than omega: for a while the inner wheel is slower than each of the commands demands."""
+    limits = {"v": 2.0, "predicted_v": 2.4, "omega": 2.5, "predicted_omega": 3.0, "wheel_speed": 3.2, "v_slew": slew}
+    config = load_config(
+        "ssm", {"wheels.track": track, "wheels.encoder_track": track} | {f"limits.{k}": v for k, v in limits.items()}
+    )
+    run = simulate(Controller(config), make_plant("model:ssm", seed=2), load_trajectory("figure8", timing="commanded"))
+    assert not any("no faster" in message for message in run.messages)
 
 
 def test_link_of_a_plant_carries_the_larger_side():
@@ -192,3 +228,63 @@ def test_a_base_of_two_sides_is_driven_as_well_as_one_without(tmp_path, base, li
         for plant, settings in ((f"mujoco:{tmp_path / 'robot.yaml'}", config), ("mujoco", load_config("ssm")))
     ]
     assert errors[0] < 1.2 * errors[1]
+
+
+def solve(program, lower, upper):
+    """Return commands (2, N) and cost of a tick's program with these bounds; None and infinity if there are none."""
+    sense = np.zeros(len(lower), dtype=np.intc)
+    x, cost, flag, _ = daqp.solve(program.P.toarray(), program.q, program.A.toarray(), upper, lower, sense)
+    return (x[:16].reshape(8, 2).T, cost) if flag > 0 else (None, np.inf)
+
+
+def least_cost(program, slews):
+    """Return the least cost over all signs of the 2 x 8 commands, by branch and bound on `slews` (2, 2) by side.
+
+    A branch holds some signs; increments after other commands have the larger of both limits.
+    """
+    least, branches = np.inf, [np.zeros((2, 8), dtype=int)]
+    while branches:
+        signs = branches.pop()
+        lower, upper = (bound[:32].reshape(2, 2, 8).copy() for bound in (program.l, program.u))
+        for channel, slew in enumerate(slews):
+            sides = np.array([slew.max(), *slew])
+            lower[1, channel, 1:], upper[1, channel, 1:] = -sides[-signs[channel, :-1]], sides[signs[channel, :-1]]
+        lower[0][signs > 0] = upper[0][signs < 0] = 0.0
+        plan, cost = solve(program, np.append(lower, program.l[32:]), np.append(upper, program.u[32:]))
+        if cost >= least - 1e-10:
+            continue
+        signed = np.where(np.abs(plan) > 1e-9, np.sign(plan), 0)[:, :-1]
+        growth = np.diff(plan) * signed
+        excess = np.maximum(growth - slews[:, :1], -slews[:, 1:] - growth) * (signs[:, :-1] == 0)
+        if excess.max() < 1e-7:
+            least = cost
+            continue
+        for sign in (-1, 1):
+            branches.append(signs.copy())
+            branches[-1][np.unravel_index(np.argmax(excess), excess.shape)] = sign
+    return least
+
+
+@pytest.mark.parametrize("seeds", [range(100, 103), pytest.param(range(200, 220), marks=pytest.mark.long)])
+def test_signs_of_the_shifted_plan_lose_little_against_all_patterns(seeds):
+    """Costs count from the one without limits: 15 ticks of each drive with changes of direction, horizon 8."""
+    costs, free = [], np.full(16, np.inf)
+    for seed in seeds:
+        draw = np.random.default_rng(seed)
+        config = load_config("ssm", TWO_SIDED | drawn_slews(draw) | {"horizon": 8})
+        controller, plant, reference = Controller(config), make_plant("model:ssm", seed=seed), drawn_reference(draw)
+        slews = np.array([config.limits.v_slew.sides, config.limits.omega_slew.sides]) * config.sample_time
+        controller.start(reference, plant.time)
+        chosen = draw.choice(int(reference.duration / config.sample_time), 15, replace=False)
+        for tick in range(max(chosen) + 1):
+            result = controller.step(plant.time, plant.measure())
+            if tick in chosen:
+                program, plan = controller.quadratic_program(), result.planned_commands.T.ravel()
+                fixed = np.r_[plan, -free, program.l[32:]], np.r_[plan, free, program.u[32:]]
+                unlimited = -0.5 * program.q[:16] @ np.linalg.solve(program.P.toarray()[:16, :16], program.q[:16])
+                costs.append(np.array([solve(program, *fixed)[1], least_cost(program, slews)]) - unlimited)
+            plant.advance(result.command)
+    lost, least = (np.array(costs) @ [[1.0, 0.0], [-1.0, 1.0]]).T
+    print(f"{lost.sum() / least.sum():.2e} of the cost lost, at {(lost > 1e-6).sum()} of {len(lost)} ticks")  # noqa: T201
+    assert lost.sum() < 1e-3 * least.sum()
+    assert 0.0 < (lost > 1e-6).mean() < 0.1

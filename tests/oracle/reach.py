@@ -70,15 +70,16 @@ class WheelReach:
             twists = self.gain @ sent[-self.window :].T
             # Elsewhere a saturated wheel looks like a smaller gain.
             gain = slip.omega_gain * slip.yaw_gain if self.on_spot else 1.0
-            both = np.hstack([twists, twists * [[1.0], [gain]]])
-            by_command = sign * self._rims(both, Slip())
-            least, along = by_command.min(axis=1), sign[:, 0] * self.actual
+            forward = sign * self._rims(twists * [[1.0], [0.0]], Slip())
+            turning = sign * self._rims(np.hstack([twists, gain * twists]) * [[0.0], [1.0]], Slip())
+            least, along = forward.min(axis=1) + turning.min(axis=1), sign[:, 0] * self.actual
+            most = forward.max(axis=1) + turning.max(axis=1)
             demanded = np.minimum(least, sign[:, 0] * by_reference)
             lacks = demanded - along
             slower = math.inf if self.on_spot else np.abs(twists[0]).max() - abs(self.actual.sum()) / 2
             steady = (np.abs(read - self.actual) < _STEADY * demanded) & (slower > _SLOWER * lacks)
             short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
-            if short.any() and (along <= by_command.max(axis=1) + _LEAST).all():
+            if short.any() and (along <= most + _LEAST).all():
                 rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
                 wheel = int(np.argmax(np.where(short, rank, -np.inf)))
         if wheel is not None and self._gains_nothing(wheel, float(least[wheel])):

@@ -235,6 +235,15 @@ def test_limits_are_kept(floor):
     assert rim.max() <= limits.wheel_speed + 1e-6
 
 
+def test_sides_that_the_reference_does_not_use_change_nothing():
+    sides = {"v.reverse": 0.1, "omega.right": 0.8}
+    plans = [
+        planned("p4_asphalt", config=load_config(CONFIG, {f"limits.{k}": v for k, v in changed.items()}))
+        for changed in ({}, sides)
+    ]
+    np.testing.assert_allclose(plans[1].pose, plans[0].pose, atol=5e-4)
+
+
 def test_no_motion_nearby_is_better():
     """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
     floor, price, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)

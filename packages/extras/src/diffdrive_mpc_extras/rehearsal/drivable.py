@@ -187,16 +187,19 @@ class _Problem:
         """Bounds of the constraints; a reference that speeds up more quickly than the slew allows may do so."""
         limits, N = self._config.limits, self._count
         own = np.abs(np.diff(self.wheels, axis=0) @ self._inverse_gain.T) / self._step
-        slew = np.maximum([limits.v_slew, limits.omega_slew], own)
-        rim = limits.wheel_speed
-        most = [limits.v, limits.omega, limits.predicted_v, limits.predicted_omega, rim, rim]
+        # The signs of commands are those of the reference.
+        before = (self.wheels @ self._inverse_gain.T)[:-1]
+        grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides])
+        fastest, slowest = (np.maximum(np.where(sense * before < 0.0, falls, grows), own) for sense in (1.0, -1.0))
+        both = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed]
+        forward, reverse = np.transpose([limits.v.sides, limits.omega.sides])
         turns = 0 if limits.min_turn_radius is None else 2
-        lower = np.tile([*np.negative(most), *[-np.inf] * turns], N - 1)
-        upper = np.tile([*most, *[0.0] * turns], N - 1)
+        lower = np.tile([*-reverse, *np.negative(both), *[-np.inf] * turns], N - 1)
+        upper = np.tile([*forward, *both, *[0.0] * turns], N - 1)
         none = np.zeros(3 * N)
         return {
-            "lbg": np.concatenate([none, -slew.ravel(), lower]),
-            "ubg": np.concatenate([none, slew.ravel(), upper]),
+            "lbg": np.concatenate([none, -slowest.ravel(), lower]),
+            "ubg": np.concatenate([none, fastest.ravel(), upper]),
         }
 
     def _moved(self) -> ca.Function:
