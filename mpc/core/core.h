@@ -435,6 +435,8 @@ typedef struct {
    of limit, four of them hard, and limits that may press at once. */
 long long ddmpc_operations_bound(int steps, int kinds, int pressing);
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
+/* The program of the last tick, which has a plan, once more: linearised along `plan` [2*N]. The next tick is unchanged. */
+void ddmpc_linearise_again(ddmpc_controller *controller, const real *plan);
 /* The rows (N, 2 N) of one kind of soft limit, of kind 4 on. */
 void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);
 /* Which kinds (4 + K) `plan` exceeds by more than `margin`. */
