@@ -1,10 +1,11 @@
 """The public call from logs to a controller, without the command line."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_model
+from diffdrive_mpc import ArgumentError, ConfigError, Controller, identify, load_config, load_model
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
@@ -49,6 +50,15 @@ def test_the_configuration_without_its_model_is_refused_and_not_driven_with_anot
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=r"model 'model\.yaml'"):
         Controller(load_config(found.config))
+
+
+def test_data_frames_give_the_model_of_their_files(folder, found):
+    one, two = (pd.read_csv(folder / f"{name}.csv") for name in ("one", "two"))
+    of_frames = identify(one, folder / "map.yaml", "sm", validate=[two])
+    assert of_frames.model.name == "SM from data_frame_0"
+    assert of_frames.model.A.tolist() == found.model.A.tolist()
+    with pytest.raises(ArgumentError, match=r"logs: expected paths .* or data frames, got dict; make a pandas"):
+        identify({"v": np.zeros(200), "omega": np.zeros(200)})
 
 
 def test_one_path_is_a_log_and_progress_is_told(folder):
