@@ -658,7 +658,10 @@ class Controller:
         tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
         tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
         tick_input.is_late = most_iterations is not None
-        since_start = t - self._t0
+        try:
+            since_start = t - self._t0
+        except TypeError as error:
+            raise wrong_type("t", "a time [s]", t, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
         tick_input.reference_time = pursuit.advance(since_start) if moved else since_start
