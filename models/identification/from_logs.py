@@ -336,7 +336,7 @@ def identify_data(
 
 
 def _paths(logs: object, folder: Path, name: str) -> list[Path]:
-    """Paths of the logs; data frames are written to CSV files called `name` in `folder`."""
+    """Return the paths of the logs; data frames are written to CSV files called `name` in `folder`."""
     listed = logs if isinstance(logs, (list, tuple)) else [logs]
     paths = []
     for number, log in enumerate(listed):

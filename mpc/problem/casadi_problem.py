@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,11 +17,18 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Weights
 from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.problem.constants import Problem
-from diffdrive_mpc.mpc.problem.formulas import arc_move, body_twist, named_function, softly_limited, tracking_errors
+from diffdrive_mpc.mpc.problem.formulas import (
+    arc_move,
+    body_twist,
+    named_function,
+    softly_limited,
+    term_symbols,
+    tracking_errors,
+)
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_terms, parameter_places
 
 _UNLIMITED = 1e13
@@ -58,10 +64,11 @@ class CasadiProblem:
         (state, pose, slip, sent (2, W + 1) with the command of the stage last, late, ahead (1, 1)) to `next_state`,
         `next_pose` and `next_twist` (2, 1) [m/s, rad/s] of the body.
     stage_cost
-        (pose, twist, command, previous_command, reference (4, 1), feed_forward and previous_feed_forward (2, 1),
-        parameters (P, 1), terminal) to `cost` [-], at the end of a stage; `terminal` multiplies the errors' weights.
+        (pose, twist, command, reference (4, 1), parameters (P, 1), previous_command, feed_forward and
+        previous_feed_forward (2, 1), terminal) to `cost` [-], at the end of a stage; `terminal` multiplies the weights
+        of the errors.
     limited
-        (pose, twist, command, reference (4, 1), slip, parameters (P, 1)) to `values` (K, 1) that have soft limits.
+        (pose, twist, command, reference (4, 1), parameters (P, 1), slip) to `values` (K, 1) that have soft limits.
     horizon
         (plan and all inputs above) to `cost` without penalties, `hard` (4, N): v_ref, omega_ref and their increments,
         the first from zero, `soft` (K, N), `poses` (3, N + 1) and `twists` (2, N + 1).
@@ -114,19 +121,22 @@ def casadi_problem(
         Like `Controller`; and if the configuration limits the turn radius, which depends on the direction of travel.
     """
     config = prepared(load_config(config, overrides))
-    own = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
-    problem = build_problem(config, chosen_model(config, model), own)
+    terms = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
+    problem = build_problem(config, chosen_model(config, model), terms)
     for name in ("min_turn_radius", "min_commanded_radius"):
         if getattr(config.limits, name) is not None:
             raise ConfigError(f"limits.{name}: not part of the CasADi problem; remove it, or state it as a soft term")
-    stage, stage_cost, limited = _stage(problem), _stage_cost(problem), _limited(problem)
-    horizon = _horizon(problem, stage, stage_cost, limited)
-    return CasadiProblem(stage, stage_cost, limited, horizon, _nlp(problem, horizon))
+    symbols = _symbols(problem)
+    stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _limited(problem)
+    outputs = _roll_out(problem, symbols, stage, stage_cost, limited)
+    horizon = named_function("horizon", symbols, outputs)
+    return CasadiProblem(stage, stage_cost, limited, horizon, _nlp(config.weights, symbols, outputs))
 
 
 def _symbols(problem: Problem) -> dict[str, ca.SX]:
     sizes, N = problem.sizes, problem.config.horizon
     shapes = {
+        "plan": (2, N),
         "state": (sizes["states"], 1),
         "pose": (3, 1),
         "slip": (sizes["slips"], 1),
@@ -142,31 +152,29 @@ def _symbols(problem: Problem) -> dict[str, ca.SX]:
 
 
 def _outputs(problem: Problem, state: ca.SX) -> ca.SX:
-    """Twist (2, 1) of the model."""
+    """Return the twist (2, 1) of the model."""
     model = problem.model
-    return model.output(state) if isinstance(model, NonlinearModel) else model.C @ state
+    return ca.SX(model.output(state) if isinstance(model, NonlinearModel) else model.C @ state)
 
 
 def _next_state(problem: Problem, state: ca.SX, sent: ca.SX, late: ca.SX) -> ca.SX:
-    """State (n, 1) after a sample; `sent` (2, W + 1) ends with its command."""
+    """Return the state (n, 1) after a sample; `sent` (2, W + 1) ends with its command."""
     model, newest = problem.model, sent.size2() - 1
     if isinstance(model, NonlinearModel):
         return model.step(state, ca.vec(sent[:, newest - model.memory :]))
-    spare = problem.sizes["spare"]
+    ages = range(problem.sizes["spare"] + 1 + (problem.sizes["spare"] > 0))
 
-    def acting(channel: int, age: int) -> ca.SX:
+    def acting(channel: int, lag: int) -> ca.SX:
         """Interpolate between the commands that are older by the estimated delay."""
-        weights = [ca.fmax(0, 1 - ca.fabs(late[channel] - i)) for i in range(spare + 2)] if spare else [1]
-        first = newest - age - int(model.delay[channel])
-        return sum(weight * sent[channel, first - i] for i, weight in enumerate(weights))
+        first = newest - lag - int(model.delay[channel])
+        return ca.SX(sum(ca.fmax(0, 1 - ca.fabs(late[channel] - age)) * sent[channel, first - age] for age in ages))
 
-    recent, older = (ca.vertcat(acting(0, age), acting(1, age)) for age in (0, 1))
-    return model.A @ state + model.B0 @ recent + model.B1 @ older
+    recent, older = (ca.vertcat(acting(0, lag), acting(1, lag)) for lag in (0, 1))
+    return ca.SX(model.A @ state + model.B0 @ recent + model.B1 @ older)
 
 
-def _stage(problem: Problem) -> ca.Function:
-    symbols, dt = _symbols(problem), problem.model.dt
-    inputs = {name: symbols[name] for name in ("state", "pose", "slip", "sent", "late", "ahead")}
+def _stage(problem: Problem, symbols: Mapping[str, ca.SX]) -> ca.Function:
+    inputs, dt = {name: symbols[name] for name in ("state", "pose", "slip", "sent", "late", "ahead")}, problem.model.dt
     inputs["sent"], inputs["ahead"] = ca.SX.sym("sent", 2, problem.sizes["window"] + 1), ca.SX.sym("ahead")
     state, pose, slip, sent, late, ahead = inputs.values()
     after = _next_state(problem, state, sent, late)
@@ -177,21 +185,19 @@ def _stage(problem: Problem) -> ca.Function:
 
 
 def _values(terms: Sequence[Term], inputs: Mapping[str, ca.SX], *, soft: bool) -> list[ca.SX]:
-    """Values of the terms of one kind."""
-    places = parameter_places(terms)
-    return [
-        term.function(
-            *({**inputs, "parameters": inputs["parameters"][places[term.name]]}[n] for n in term.function.name_in())
-        )
-        for term in terms
-        if term.soft == soft
-    ]
+    """Return the values of the terms of one kind."""
+    values, places = [], parameter_places(terms)
+    for term in terms:
+        known = {**inputs, "parameters": inputs["parameters"][places[term.name]]}
+        if term.soft == soft:
+            values.append(term.function(*(known[name] for name in term.function.name_in())))
+    return values
 
 
 def _stage_cost(problem: Problem) -> ca.Function:
-    w, lengths = problem.config.weights, {"pose": 3, "twist": 2, "command": 2, "previous_command": 2, "reference": 4}
-    lengths |= {"feed_forward": 2, "previous_feed_forward": 2, "parameters": problem.sizes["parameters"], "terminal": 1}
-    inputs = {name: ca.SX.sym(name, length) for name, length in lengths.items()}
+    w, inputs = problem.config.weights, term_symbols(problem.sizes["parameters"])
+    inputs |= {name: ca.SX.sym(name, 2) for name in ("previous_command", "feed_forward", "previous_feed_forward")}
+    inputs["terminal"] = ca.SX.sym("terminal")
     errors = tracking_errors(inputs["pose"], inputs["reference"])
     deviation = inputs["command"] - inputs["feed_forward"]
     increment = deviation - (inputs["previous_command"] - inputs["previous_feed_forward"])
@@ -203,43 +209,37 @@ def _stage_cost(problem: Problem) -> ca.Function:
 
 
 def _limited(problem: Problem) -> ca.Function:
-    sizes = problem.sizes
-    lengths = {"pose": 3, "twist": 2, "command": 2, "reference": 4, "slip": sizes["slips"]}
-    inputs = {name: ca.SX.sym(name, size) for name, size in (lengths | {"parameters": sizes["parameters"]}).items()}
+    inputs = term_symbols(problem.sizes["parameters"]) | {"slip": ca.SX.sym("slip", problem.sizes["slips"])}
     half_track = ca.vertcat(inputs["slip"], 0.5 * problem.config.wheels.track)
     shipped = softly_limited(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
-    return named_function(
-        "limited", inputs, {"values": ca.vertcat(shipped, *_values(problem.terms, inputs, soft=True))}
-    )
+    values = ca.vertcat(shipped, *_values(problem.terms, inputs, soft=True))
+    return named_function("limited", inputs, {"values": values})
 
 
-def _horizon(problem: Problem, stage: ca.Function, cost: ca.Function, limited: ca.Function) -> ca.Function:
-    N, p = problem.config.horizon, _symbols(problem)
-    plan = ca.SX.sym("plan", 2, N)
-    window, before = p["sent"].size2(), ca.horzcat(p["last_command"], plan[:, :-1])
-    line, state, total = ca.horzcat(p["sent"], plan), p["state"], ca.SX(0)
-    poses, twists = [p["pose"]], [body_twist(_outputs(problem, state), p["slip"])]
-    soft: list[Any] = []
-    for k in range(N):
-        state, pose, twist = stage(state, poses[-1], p["slip"], line[:, k : k + window + 1], p["late"], p["ahead"][k])
-        fed, parameters, aim = p["feed_forward"], p["parameters"][:, k + 1], p["reference"][:, k + 1]
-        terminal = problem.config.weights.terminal if k == N - 1 else 1.0
-        total += cost(pose, twist, plan[:, k], before[:, k], aim, fed[:, k + 1], fed[:, k], parameters, terminal)
-        soft.append(limited(pose, twist, plan[:, k], aim, p["slip"], parameters))
+def _roll_out(
+    problem: Problem, p: Mapping[str, ca.SX], stage: ca.Function, cost: ca.Function, limited: ca.Function
+) -> dict[str, ca.SX]:
+    plan, fed, slip, window = p["plan"], p["feed_forward"], p["slip"], p["sent"].size2()
+    line, before = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
+    state, total, poses, soft = p["state"], ca.SX(0), [p["pose"]], []
+    twists = [body_twist(_outputs(problem, state), slip)]
+    for k in range(problem.config.horizon):
+        state, pose, twist = stage(state, poses[-1], slip, line[:, k : k + window + 1], p["late"], p["ahead"][k])
+        at_end = pose, twist, plan[:, k], p["reference"][:, k + 1], p["parameters"][:, k + 1]
+        terminal = problem.config.weights.terminal if k == problem.config.horizon - 1 else 1.0
+        total += cost(*at_end, before[:, k], fed[:, k + 1], fed[:, k], terminal)
+        soft.append(limited(*at_end, slip))
         poses.append(pose)
         twists.append(twist)
     hard = ca.vertcat(plan, plan - ca.horzcat(ca.SX(2, 1), plan[:, :-1]))
-    outputs = {"cost": total, "hard": hard, "soft": ca.horzcat(*soft)}
-    outputs |= {"poses": ca.horzcat(*poses), "twists": ca.horzcat(*twists)}
-    return named_function("horizon", {"plan": plan, **p}, outputs)
+    rows = {"soft": ca.horzcat(*soft), "poses": ca.horzcat(*poses), "twists": ca.horzcat(*twists)}
+    return {"cost": total, "hard": hard, **rows}
 
 
-def _nlp(problem: Problem, horizon: ca.Function) -> dict[str, ca.SX]:
-    N, p, w = problem.config.horizon, _symbols(problem), problem.config.weights
-    plan = ca.SX.sym("plan", 2, N)
-    cost, hard, soft, *_ = horizon(plan, *p.values())
-    over, under = (ca.SX.sym(side, soft.numel()) for side in ("over", "under"))
-    slacks, values = ca.vertcat(over, under), ca.vec(soft.T)
+def _nlp(w: Weights, symbols: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    plan, *inputs = symbols.values()
+    values = ca.vec(outputs["soft"].T)
+    over, under = (ca.SX.sym(side, values.numel()) for side in ("over", "under"))
+    slacks, rows = ca.vertcat(over, under), ca.vertcat(ca.vec(outputs["hard"].T), values - over, values + under)
     penalty = w.soft * ca.sum1(slacks) + 0.5 * w.soft_quadratic * ca.sumsqr(slacks)
-    rows = ca.vertcat(ca.vec(hard.T), values - over, values + under)
-    return {"x": ca.veccat(plan, slacks), "p": ca.veccat(*p.values()), "f": cost + penalty, "g": rows}
+    return {"x": ca.veccat(plan, slacks), "p": ca.veccat(*inputs), "f": outputs["cost"] + penalty, "g": rows}

@@ -40,25 +40,25 @@ def test_cost_and_limits_equal_those_of_the_oracle(name):
     problem = casadi_problem(subject.config, load_model(name).with_extra_dead_time(EXTRA))
     ahead = subject.turning_points(tick, tick.feed_forward)
     program, _ = nonlinear_program(subject, tick, ahead)
-    oracle, own = ca.Function("oracle", [program["x"]], [program["f"], program["g"]]), problem.horizon
+    oracle, horizon = ca.Function("oracle", [program["x"]], [program["f"], program["g"]]), problem.horizon
     plan = tick.feed_forward + 0.3 * rng.normal(size=tick.feed_forward.shape)
     inputs = {
         "state": tick.state,
         "pose": tick.pose,
         "slip": tick.slip.flat,
-        "sent": tick.past[-own.size2_in("sent") :].T,
+        "sent": tick.past[-horizon.size2_in("sent") :].T,
         "late": tick.late,
         "last_command": tick.last_command,
         "reference": np.column_stack([tick.aim, tick.heading]).T,
         "feed_forward": np.vstack([tick.fed_before, tick.feed_forward]).T,
         "ahead": ahead[None],
     }
-    found = {key: value.full() for key, value in own(plan=plan.T, **inputs).items()}
+    outputs = {key: value.full() for key, value in horizon(plan=plan.T, **inputs).items()}
     cost, rows = (value.full().ravel() for value in oracle(np.append(plan, np.zeros(10 * subject.steps))))
-    assert found["cost"].item() == pytest.approx(cost.item(), rel=1e-12)
+    assert outputs["cost"].item() == pytest.approx(cost.item(), rel=1e-12)
     n = 2 * subject.steps
-    assert found["hard"][2:].T.ravel() == pytest.approx(rows[:n], abs=1e-12)
-    assert found["soft"].T.ravel() == pytest.approx(rows[n:], abs=1e-12)
+    assert outputs["hard"][2:].T.ravel() == pytest.approx(rows[:n], abs=1e-12)
+    assert outputs["soft"].T.ravel() == pytest.approx(rows[n:], abs=1e-12)
 
 
 @pytest.mark.parametrize(("overrides", "model"), [({}, None), (CURVED, None), ({}, saturating())])
@@ -67,8 +67,8 @@ def test_it_repeats_the_compiled_plan_and_leaves_the_next_tick_alone(overrides, 
     (controller, robot, step), (twin, *_) = (driven(config, model) for _ in range(2))
     problem, inputs = casadi_problem(config, model), controller.problem_inputs()
     named = {name: inputs[name] for name in problem.horizon.name_in()[1:]}
-    found = problem.horizon(plan=step.planned_commands.T, **named)
-    assert pytest.approx(step.plan, abs=1e-12) == found["poses"].full().T
+    outputs = problem.horizon(plan=step.planned_commands.T, **named)
+    assert pytest.approx(step.plan, abs=1e-12) == outputs["poses"].full().T
     before = controller.quadratic_program()
     assert np.abs(controller.quadratic_program(step.planned_commands + 0.1).q - before.q).max() > 1e-6
     measurement = robot.measure()
