@@ -12,7 +12,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -28,6 +27,7 @@ from diffdrive_mpc.mpc.problem.formulas import (
     softly_limited,
     term_symbols,
     tracking_errors,
+    turned_tighter,
 )
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_terms, parameter_places
 
@@ -52,6 +52,7 @@ class CasadiProblem:
     reference       (4, N + 1)      x, y [m], theta [rad] to aim at, and the heading [rad] to hold
     feed_forward    (2, N + 1)      commands from which deviations count; the first is that of the last tick
     ahead           (1, N)          distance of the turning point ahead of the origin on each arc [m], held constant
+    direction       (2, N)          1 or -1 (backwards) of the reference at the end of a step, and a lag after it
     parameters      (P, N + 1)      stage parameters of the terms
     ==============  ==============  ====================================================================================
 
@@ -68,7 +69,8 @@ class CasadiProblem:
         previous_feed_forward (2, 1), terminal) to `cost` [-], at the end of a stage; `terminal` multiplies the weights
         of the errors.
     limited
-        (pose, twist, command, reference (4, 1), parameters (P, 1), slip) to `values` (K, 1) that have soft limits.
+        (pose, twist, command, reference (4, 1), parameters (P, 1), slip, direction (2, 1)) to `values` (K, 1) that have
+        soft limits.
     horizon
         (plan and all inputs above) to `cost` without penalties, `hard` (4, N): v_ref, omega_ref and their increments,
         the first from zero, `soft` (K, N), `poses` (3, N + 1) and `twists` (2, N + 1).
@@ -118,14 +120,11 @@ def casadi_problem(
     Raises
     ------
     ConfigError
-        Like `Controller`; and if the configuration limits the turn radius, which depends on the direction of travel.
+        Like `Controller`.
     """
     config = prepared(load_config(config, overrides))
     terms = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
     problem = build_problem(config, chosen_model(config, model), terms)
-    for name in ("min_turn_radius", "min_commanded_radius"):
-        if getattr(config.limits, name) is not None:
-            raise ConfigError(f"limits.{name}: not part of the CasADi problem; remove it, or state it as a soft term")
     symbols = _symbols(problem)
     stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _limited(problem)
     outputs = _roll_out(problem, symbols, stage, stage_cost, limited)
@@ -146,6 +145,7 @@ def _symbols(problem: Problem) -> dict[str, ca.SX]:
         "reference": (4, N + 1),
         "feed_forward": (2, N + 1),
         "ahead": (1, N),
+        "direction": (2, N),
         "parameters": (sizes["parameters"], N + 1),
     }
     return {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
@@ -209,10 +209,18 @@ def _stage_cost(problem: Problem) -> ca.Function:
 
 
 def _limited(problem: Problem) -> ca.Function:
-    inputs = term_symbols(problem.sizes["parameters"]) | {"slip": ca.SX.sym("slip", problem.sizes["slips"])}
+    inputs, limits = term_symbols(problem.sizes["parameters"]), problem.config.limits
+    inputs |= {"slip": ca.SX.sym("slip", problem.sizes["slips"]), "direction": ca.SX.sym("direction", 2)}
     half_track = ca.vertcat(inputs["slip"], 0.5 * problem.config.wheels.track)
     shipped = softly_limited(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
-    values = ca.vertcat(shipped, *_values(problem.terms, inputs, soft=True))
+    turns = [
+        turned_tighter(inputs[moves], ca.vertcat(radius, inputs["direction"][row]))
+        for row, (moves, radius) in enumerate(
+            (("twist", limits.min_turn_radius), ("command", limits.min_commanded_radius))
+        )
+        if radius is not None
+    ]
+    values = ca.vertcat(shipped, *turns, *_values(problem.terms, inputs, soft=True))
     return named_function("limited", inputs, {"values": values})
 
 
@@ -228,7 +236,7 @@ def _roll_out(
         at_end = pose, twist, plan[:, k], p["reference"][:, k + 1], p["parameters"][:, k + 1]
         terminal = problem.config.weights.terminal if k == problem.config.horizon - 1 else 1.0
         total += cost(*at_end, before[:, k], fed[:, k + 1], fed[:, k], terminal)
-        soft.append(limited(*at_end, slip))
+        soft.append(limited(*at_end, slip, p["direction"][:, k]))
         poses.append(pose)
         twists.append(twist)
     hard = ca.vertcat(plan, plan - ca.horzcat(ca.SX(2, 1), plan[:, :-1]))

@@ -267,6 +267,7 @@ class Controller:
             "reference": p.aim.T.copy(),
             "feed_forward": np.vstack([p.fed_before, p.feed_forward]).T,
             "ahead": p.ahead[None].copy(),
+            "direction": p.directions,
             "parameters": self._tick.parameters.T.copy(),
             "lower": bounds[0],
             "upper": bounds[1],

@@ -439,6 +439,8 @@ ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
 void ddmpc_linearise_again(ddmpc_controller *controller, const real *plan);
 /* The rows (N, 2 N) of one kind of soft limit, of kind 4 on. */
 void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);
+/* Directions of travel (2, N), 1 or -1, of the body at the end of each step and of its command, for limits of the radius. */
+void ddmpc_directions(const ddmpc_controller *controller, real *directions);
 /* Which kinds (4 + K) `plan` exceeds by more than `margin`. */
 void ddmpc_broken(const ddmpc_controller *controller, const real *plan, real margin, int *broken);
 

@@ -87,6 +87,13 @@ class Program:
         """Linearise the last tick's problem along `plan` (2 N,) instead; the next tick does not depend on that."""
         self._tick.lib.ddmpc_linearise_again(self._tick.c, self._tick.ffi.from_buffer("real[]", plan))
 
+    @property
+    def directions(self) -> FloatArray:
+        """(2, N) directions of travel, 1 or -1, of the body at the end of each step and of its command."""
+        values, tick = np.empty((2, self._steps)), self._tick
+        tick.lib.ddmpc_directions(tick.c, tick.ffi.from_buffer("real[]", values))
+        return values
+
     def rows(self, kind: int) -> FloatArray:
         """(N, 2 N) rows of one kind of soft limit."""
         rows, tick = np.empty((self._steps, 2 * self._steps)), self._tick

@@ -9,7 +9,6 @@ from nonlinear_program import saturating
 from test_oracle_problem import EXTRA, setting
 
 from diffdrive_mpc import (
-    ConfigError,
     Controller,
     Measurement,
     casadi_problem,
@@ -52,6 +51,7 @@ def test_cost_and_limits_equal_those_of_the_oracle(name):
         "reference": np.column_stack([tick.aim, tick.heading]).T,
         "feed_forward": np.vstack([tick.fed_before, tick.feed_forward]).T,
         "ahead": ahead[None],
+        "direction": np.ones((2, subject.steps)),
     }
     outputs = {key: value.full() for key, value in horizon(plan=plan.T, **inputs).items()}
     cost, rows = (value.full().ravel() for value in oracle(np.append(plan, np.zeros(10 * subject.steps))))
@@ -88,13 +88,11 @@ def test_a_linearisation_has_the_gradient_of_the_nonlinear_cost():
     assert (program.P @ np.append(plan, np.zeros(150)) + program.q)[:30] == pytest.approx(expected, abs=1e-9)
 
 
-def test_what_has_no_plan_or_no_formula_is_refused():
+def test_a_tick_without_a_plan_and_a_short_plan_are_refused():
     controller = Controller("ssm")
     controller.start(load_trajectory("circle"), 0.0)
     controller.step(0.0, Measurement())
     with pytest.raises(RuntimeError, match="call step until its mode is TRACKING"):
         controller.problem_inputs()
-    with pytest.raises(ConfigError, match=r"limits\.min_turn_radius: not part of the CasADi problem; remove it"):
-        casadi_problem("ssm", **{"limits.min_turn_radius": 0.3})
     with pytest.raises(ValueError, match="plan: 3 pairs; give one for each of the 30 steps"):
         driven(load_config("ssm", {"horizon": 30}), ticks=5)[0].quadratic_program(np.zeros((3, 2)))

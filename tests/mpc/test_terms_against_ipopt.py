@@ -89,25 +89,23 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
     assert result.command == pytest.approx(drive.commands[-1], abs=2e-4)
 
 
-def test_rows_of_the_least_commanded_radius_converge_to_ipopts_solution_while_they_press():
-    """A circle that turns a tenth tighter than commands may: the plan is held, in every sample of it."""
-    radius = 1.1 * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
-    overrides = {"horizon": HORIZON, "reentry.enabled": False, "limits.min_commanded_radius": radius}
+@pytest.mark.parametrize(
+    ("limit", "factor", "turned", "ticks"), [("min_commanded_radius", 1.1, 0.0, 60), ("min_turn_radius", 1.0, -0.2, 20)]
+)
+def test_rows_of_the_least_radius_converge_to_ipopts_solution_while_they_press(limit, factor, turned, ticks):
+    """A circle that turns a tenth tighter than commands may, and a robot that heads out of it."""
+    radius = factor * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
+    overrides = {"horizon": HORIZON, "reentry.enabled": False, f"limits.{limit}": radius}
     config = load_config("ssm", overrides | NO_SLIP | EXACT)
 
     def make():
         return Controller(config)
 
     controller = make()
-    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0])
-    drive = record(controller, robot, CIRCLE, 60, lambda *_: None)
+    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turned])
+    drive = record(controller, robot, CIRCLE, ticks, lambda *_: None)
     again, result = converged(make, drive, CIRCLE, lambda *_: None)
-    free = load_config(config, {"limits.min_commanded_radius": None})
-    without = by_ipopt(again, free)
-    command = ca.SX.sym("command", 2)
-    rows = ca.vertcat(radius * command[1] - command[0], -radius * command[1] - command[0])
-    term = Term("turn", ca.Function("turn", [command], [rows], ["command"], ["r"]), "soft", upper=[0.0, 0.0])
-    plan = by_ipopt(again, free, terms=(term,))
+    plan, without = by_ipopt(again), by_ipopt(again, load_config(config, {f"limits.{limit}": None}))
     assert np.abs(plan - without).max() > 1e-2, "the rows must press"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)
-    assert (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()
+    assert limit == "min_turn_radius" or (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()
