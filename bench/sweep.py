@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from diffdrive_mpc.models.errors import load_pandas, wrong_type
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, Trajectory
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.typed_settings import parsed_settings
 from diffdrive_mpc.sim.loop import simulate
 
@@ -105,6 +107,9 @@ def sweep(
     }
     listed |= {name: _listed(value) for name, value in values.items()}
     for name, several in listed.items():
+        near = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
+        if near and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
+            raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{near[0]}'?")
         if not several:
             raise ConfigError(f"sweep: {name} has no value; give one or several")
         if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in several):

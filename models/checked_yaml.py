@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -192,7 +193,9 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a 
         return parse_yaml(text)
     except yaml.MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(f"{path}{line}: {error.problem or 'not valid YAML'}") from error
+        problem = str(error.problem or "not valid YAML")
+        problem += "; indent with spaces, not tabs, or quote it" if "cannot start any token" in problem else ""
+        raise ConfigError(f"{path}{line}: {problem}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
 
@@ -262,9 +265,14 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     if kind == "missing":
         return f"key '{place}' is missing"
     message = plain_line(str(error["msg"]).removeprefix("Value error, "))
-    stated_value = error.get("input")
+    stated_value, hint = error.get("input"), ""
+    if kind == "model_type":
+        message = "expected keys and values"
+    if kind == "literal_error":
+        near = get_close_matches(str(stated_value).lower(), re.findall(r"'([^']*)'", error["ctx"]["expected"]), 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
     if isinstance(stated_value, int) and stated_value.bit_length() > _MOST_BITS:
         plain = False  # Python prints no integer of thousands of digits
     value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""
-    return f"{place}: {message}{value}" if place else message
+    return f"{place}: {message}{value}{hint}" if place else message

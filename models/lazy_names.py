@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
@@ -15,7 +16,9 @@ def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]
 
     def look_up(name: str) -> Any:  # noqa: ANN401 - the type checker sees imports of its own
         if name not in homes:
-            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+            near = get_close_matches(name, homes, 1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise AttributeError(f"module '{package}' has no attribute '{name}'{hint}")
         return getattr(import_module(f"{package}.{homes[name]}"), name)
 
     return look_up

@@ -55,8 +55,9 @@ def named_file(
         return Path(name)
     near = difflib.get_close_matches(text.lower(), known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ""
+    missing = "there is no such file; " if Path(text).suffix or os.sep in text else ""
     raise ConfigError(
-        f"unknown {kind} '{text}': give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
+        f"unknown {kind} '{text}': {missing}give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
     )
 
 

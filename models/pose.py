@@ -97,8 +97,15 @@ def integrate_pose(
     -------
     FloatArray
         (..., 3) the pose after `dt`. theta is not wrapped.
+
+    Raises
+    ------
+    ValueError
+        If the last axis of `pose` has another length.
     """
     pose = np.asarray(pose, dtype=float)
+    if pose.shape[-1:] != (3,):
+        raise ValueError(f"pose: shape {pose.shape}; give x, y and theta in the last axis")
     v, omega, dt, side_slip = (np.asarray(argument, dtype=float) for argument in (v, omega, dt, side_slip))
     dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, -side_slip * v * omega)
     return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)

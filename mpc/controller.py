@@ -135,7 +135,6 @@ class Controller:
         self._pending: _Prepared | None = None
         self._reference: Reference | None = None
         self._t0 = 0.0
-        self._result: StepResult | None = None
         self._blocked_for = 0.0
         self._set_defaults()
         self._host = Host(
@@ -223,17 +222,64 @@ class Controller:
         """The quadratic program of the last tick that came as far as one; it shares the core's memory."""
         return self._program
 
-    def quadratic_program(self) -> QuadraticProgram:
+    def quadratic_program(self, plan: ArrayLike | None = None) -> QuadraticProgram:
         """Return a copy of the last tick's program with all limits, for OSQP and other QP solvers.
+
+        Parameters
+        ----------
+        plan
+            (N, 2) commands v_ref [m/s], omega_ref [rad/s] to linearise along; None: those of the last linearisation.
 
         Raises
         ------
         RuntimeError
-            If no tick has stated one yet.
+            If no tick has stated one yet; with `plan`, if the last step has no fresh plan.
+        ValueError
+            If the plan is not N pairs of finite numbers.
         """
         if not self._program.H.any():
             raise RuntimeError("no tick has stated a program yet: call start and step first")
+        if plan is not None:
+            self._fresh_estimate()
+            pairs = _pairs(plan)
+            if len(pairs) != self._config.horizon:
+                raise ValueError(f"plan: {len(pairs)} pairs; give one for each of the {self._config.horizon} steps")
+            self._program.linearise(np.ascontiguousarray(pairs))
         return quadratic_program(self._program, self._config.weights, self._soft_names)
+
+    def problem_inputs(self) -> dict[str, FloatArray]:
+        """Return the inputs of `CasadiProblem` at the last tick, in its shapes.
+
+        Turning points and bounds are those along the plan of the last linearisation, see `quadratic_program`.
+
+        Raises
+        ------
+        RuntimeError
+            If the last step has no fresh plan.
+        """
+        estimate, belief, p = self._fresh_estimate(), self.belief, self._program
+        bounds = np.stack([p.lower, p.upper])
+        bounds[:, HARD_KINDS:] += p.soft_values
+        return {
+            "state": estimate.state,
+            "pose": estimate.pose,
+            "slip": estimate.mean[belief.slips],
+            "sent": belief.sent.T,
+            "late": p.late.copy(),
+            "last_command": p.last_command.copy(),
+            "reference": p.aim.T.copy(),
+            "feed_forward": np.vstack([p.fed_before, p.feed_forward]).T,
+            "ahead": p.ahead[None].copy(),
+            "direction": p.directions,
+            "parameters": self._tick.parameters.T.copy(),
+            "lower": bounds[0],
+            "upper": bounds[1],
+        }
+
+    def _fresh_estimate(self) -> Estimate:
+        if self._c_result.mode != self._tick.lib.DDMPC_TRACKING:
+            raise RuntimeError("the last step has no fresh plan: call step until its mode is TRACKING")
+        return Estimate(self._tick.layout, self._tick.layout.copy(), self._c_result.estimate.time)
 
     @property
     def reference(self) -> Reference | None:
@@ -394,7 +440,6 @@ class Controller:
         # C reads it from now on.
         self._tick.reference, self._reference, self._t0, self._host.t0 = native, reference, t0, t0
         self._pursuit.start(tracked, native=native.complete)
-        self._result = None
 
     def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
         """A reference for the core, and as it will be driven."""
@@ -448,7 +493,6 @@ class Controller:
         self._pursuit.restart()
         for feature in self._features.values():
             feature.forget()
-        self._result = None
 
     @property
     def is_latched(self) -> bool:
@@ -618,7 +662,10 @@ class Controller:
         tick_input.request = 0 if hold is None else 3 if hold.waits else 2 if hold.failure else 1
         tick_input.deadline, tick_input.most_iterations = deadline or 0.0, most_iterations or 0
         tick_input.is_late = most_iterations is not None
-        since_start = t - self._t0
+        try:
+            since_start = t - self._t0
+        except TypeError as error:
+            raise wrong_type("t", "a time [s]", t, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
         tick_input.reference_time = pursuit.advance(since_start) if moved else since_start

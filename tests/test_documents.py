@@ -71,13 +71,14 @@ def marked(document):
 def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
     """In order, in one folder: files first written as the document shows them."""
     monkeypatch.chdir(tmp_path)
+    names = {"__name__": "__main__"}
     for language, body in blocks(document):
         if language == "yaml":
             name = re.match(r"# file: (\S+)\n", body)
             assert name, f"{named(document)}: a YAML example must say which file it is"
             (tmp_path / name[1]).write_text(body, encoding="utf-8")
         elif language == "python":
-            exec(compile(body, named(document), "exec"), {"__name__": "__main__"})
+            exec(compile(body, named(document), "exec"), names)
         elif language == "sh":
             for line in body.strip().splitlines():
                 words = shlex.split(line)

@@ -89,12 +89,6 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
     assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", said)
 
 
-def test_solve_with_osqp(tmp_path):
-    printed = run("solve_with_osqp.py", tmp_path)
-    assert float(re.search(r"commands: (\S+)", printed)[1]) < 1e-6
-    assert re.search(r"press: omega_increment\[0\], (?!over)", printed)
-
-
 def test_own_cost(tmp_path):
     without, aware = map(float, re.findall(r"(0\.\d+) m", run("own_cost.py", tmp_path)))
     assert without < 0.1

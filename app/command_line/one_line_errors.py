@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 import warnings
@@ -98,12 +99,21 @@ class OneLineErrors(TyperGroup):
                 echo(error.format_message())
             else:
                 complaint = error.format_message().rstrip(".")
-                remedy = "a value goes after its option, as in --model ssm; " if "extra argument" in complaint else ""
-                _complain(f"{complaint}; {remedy}see --help")
+                _complain(f"{complaint}; {_remedy(complaint)}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
             _complain("aborted")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _remedy(complaint: str) -> str:
+    """Return how to give a value without its option."""
+    if "extra argument" not in complaint:
+        return ""
+    from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - loads what --help needs not
+
+    paths = [word for word in re.findall(r"\w+", complaint.rpartition("(")[2]) if word in BUILT_IN]
+    return f"a value goes after its option, as in {f'--trajectory {paths[0]}' if paths else '--model ssm'}; "
 
 
 _SHOWN_NOTES: set[str] = set()

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,6 +45,9 @@ from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
 from diffdrive_mpc.models.velocity_model import VelocityModel
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 AUTOMATIC = "auto"
 BESIDE = "sm"
@@ -152,13 +156,13 @@ class Identification:
 
 
 def identify(
-    logs: str | Path | Sequence[str | Path],
+    logs: str | Path | DataFrame | Sequence[str | Path | DataFrame],
     mapping: str | Path | None = None,
     structure: str = "sm",
     effects: bool = False,
     *,
     robot: str | Path | None = None,
-    validate: Sequence[str | Path] = (),
+    validate: Sequence[str | Path | DataFrame] = (),
     fit_share: float | None = None,
     order: int | str = AUTOMATIC,
     name: str | None = None,
@@ -172,7 +176,7 @@ def identify(
     Parameters
     ----------
     logs
-        CSV files or ROS 2 bags, all of one robot.
+        CSV files, ROS 2 bags or data frames of pandas, all of one robot.
     mapping
         What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
@@ -209,39 +213,43 @@ def identify(
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """
-    paths = _paths(logs)
     chosen, predictor = _chosen(structure, effects=effects)
     wanted = _order(chosen, order)
     if validate and fit_share is not None:
         raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
-    if on_progress:
-        on_progress("reading")
     share = identification_settings().fit_share if fit_share is None else fit_share
     stated = None if robot is None else load_stated_robot(robot)
-    # What a node recorded has names of its own.
-    of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
-    known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
-    selection = LogSelection(tuple(paths), tuple(Path(path) for path in validate), known, share)
-    try:
-        data = read_data(
-            selection.logs,
-            selection.validate,
-            mapping=known,
-            fit_share=share,
-            wheels=chosen.needs_wheels,
-            on_findings=(lambda findings: on_findings(told(findings, None))) if on_findings else (lambda _: None),
-            on_log=on_log,
-            force=force,
-            most_rows=identification_settings().most_rows["effects" if effects else "plain"],
-        )
-    except UnsoundLogError as error:
-        raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
-    corrections = find_corrections(data.logs[0], data.train, known)
-    if on_findings:
-        on_findings(corrections.findings)
-    advice = advise(selection, data.findings, on_progress)
+    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder:
+        paths = _paths(logs, Path(folder), "data_frame")
+        if not paths:
+            raise ConfigError("no logs: give at least one")
+        if on_progress:
+            on_progress("reading")
+        # What a node recorded has names of its own.
+        of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
+        known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
+        tried = _paths(validate, Path(folder), "validation")
+        selection = LogSelection(tuple(paths), tuple(tried), known, share)
+        try:
+            data = read_data(
+                selection.logs,
+                selection.validate,
+                mapping=known,
+                fit_share=share,
+                wheels=chosen.needs_wheels,
+                on_findings=(lambda findings: on_findings(told(findings, None))) if on_findings else (lambda _: None),
+                on_log=on_log,
+                force=force,
+                most_rows=identification_settings().most_rows["effects" if effects else "plain"],
+            )
+        except UnsoundLogError as error:
+            raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
+        corrections = find_corrections(data.logs[0], data.train, known)
+        if on_findings:
+            on_findings(corrections.findings)
+        advice = advise(selection, data.findings, on_progress)
     data = replace(
         data,
         train=corrections.mended(data.train),
@@ -327,15 +335,20 @@ def identify_data(
     return identification
 
 
-def _paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:
-    listed = [logs] if isinstance(logs, (str, Path)) else logs
-    if not (isinstance(listed, Sequence) and all(isinstance(path, (str, Path)) for path in listed)):
-        raise wrong_type(
-            "logs", "paths of log files", logs, "write arrays to a CSV file, and name its columns in a mapping"
-        )
-    if not listed:
-        raise ConfigError("no logs: give at least one")
-    return [Path(path) for path in listed]
+def _paths(logs: object, folder: Path, name: str) -> list[Path]:
+    """Return the paths of the logs; data frames are written to CSV files called `name` in `folder`."""
+    listed = logs if isinstance(logs, (list, tuple)) else [logs]
+    paths = []
+    for number, log in enumerate(listed):
+        if hasattr(log, "to_csv"):
+            paths.append(folder / f"{name}_{number}.csv")
+            log.to_csv(paths[-1], index=False)
+        elif isinstance(log, (str, Path)):
+            paths.append(Path(log))
+        else:
+            remedy = "make a pandas.DataFrame of arrays, and name its columns in a mapping"
+            raise wrong_type("logs", "paths of log files or data frames", log, remedy)
+    return paths
 
 
 def _linear_content(report: IdentificationReport) -> ModelFile:

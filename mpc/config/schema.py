@@ -121,7 +121,7 @@ class Limits(Group):
 class Wheels(Group):
     """What turns a twist into wheel speeds, and back."""
 
-    track: Positive = Field(
+    track: Annotated[float, Field(gt=0, le=10)] = Field(
         0.4,
         description="track by which the robot's firmware turns a yaw rate into wheel speeds; on a skid-steer it is "
         "wider than the geometric one [m]",

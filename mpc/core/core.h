@@ -435,8 +435,12 @@ typedef struct {
    of limit, four of them hard, and limits that may press at once. */
 long long ddmpc_operations_bound(int steps, int kinds, int pressing);
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
+/* The program of the last tick, which has a plan, once more: linearised along `plan` [2*N]. The next tick is unchanged. */
+void ddmpc_linearise_again(ddmpc_controller *controller, const real *plan);
 /* The rows (N, 2 N) of one kind of soft limit, of kind 4 on. */
 void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);
+/* Directions of travel (2, N), 1 or -1, of the body at the end of each step and of its command, for limits of the radius. */
+void ddmpc_directions(const ddmpc_controller *controller, real *directions);
 /* Which kinds (4 + K) `plan` exceeds by more than `margin`. */
 void ddmpc_broken(const ddmpc_controller *controller, const real *plan, real margin, int *broken);
 

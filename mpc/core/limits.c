@@ -67,6 +67,17 @@ static real direction_at(const ddmpc_controller *c, int k, int end)
     return v[2 * at] < R(0.0) ? R(-1.0) : R(1.0);
 }
 
+/* The command acts one lag later. */
+static real commanded_direction(const ddmpc_controller *c, int k) { return direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1); }
+
+void ddmpc_directions(const ddmpc_controller *c, real *directions)
+{
+    for (int k = 0; k < STEPS(c); k++) {
+        directions[k] = direction_at(c, k + 1, STEPS(c));
+        directions[STEPS(c) + k] = commanded_direction(c, k);
+    }
+}
+
 /* One kind of soft limit at sample k + 1, or now (k = -1): its value and gradient. */
 typedef struct {
     ddmpc_function function;
@@ -82,9 +93,9 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
     real shipped[DDMPC_MOST_SLIPS + 1];
     if (group->radius > R(0.0)) {
         shipped[0] = group->radius;
-        /* A command acts one lag later: use the reference's direction at that time. The last command has its own. */
+        /* The last command has its own. */
         if (group->commanded)
-            shipped[1] = k >= 0            ? direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1)
+            shipped[1] = k >= 0            ? commanded_direction(c, k)
                          : p->last[0] < R(0.0) ? R(-1.0)
                                                : R(1.0);
         else

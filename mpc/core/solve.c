@@ -142,6 +142,23 @@ ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
     return program;
 }
 
+void ddmpc_linearise_again(ddmpc_controller *c, const real *plan)
+{
+    real shifted[2 * DDMPC_MOST_STEPS], *guess = c->problem.guess, *commands = c->estimator.commands;
+    const size_t plan_bytes = (size_t)INPUTS(c) * sizeof(real), line_bytes = (size_t)(2 * (COMMANDS(c) - 1)) * sizeof(real);
+    const real command[2] = {commands[2 * COMMANDS(c) - 2], commands[2 * COMMANDS(c) - 1]};
+    memcpy(shifted, guess, plan_bytes);
+    memcpy(guess, plan, plan_bytes);
+    /* The tick's own command was not on its way yet. */
+    memmove(commands + 2, commands, line_bytes);
+    ddmpc_problem_linearise(c);
+    ddmpc_problem_condense(c);
+    ddmpc_problem_limit(c);
+    memmove(commands, commands + 2, line_bytes);
+    ddmpc_estimator_correct_last(c, command);
+    memcpy(guess, shifted, plan_bytes);
+}
+
 void ddmpc_solver_reset(ddmpc_controller *c)
 {
     c->problem.has_guess = 0;

@@ -51,6 +51,8 @@ class Program:
         (2,) delays that the plan reckons with [samples].
     ahead
         (N,) how far ahead of its origin the robot turns on each arc [m], along the guess.
+    soft_values
+        (kinds - 4, N) soft values at a plan of zeros, to first order; soft bounds are less this.
     kinds
         The kinds that pressed last, or that the minimiser without limits breaks.
     """
@@ -64,7 +66,7 @@ class Program:
         self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
         self.feed_forward, self.ahead = tick.view(c.feed_forward, (steps, 2)), tick.view(c.ahead, (steps,))
         self.fed_before, self.late = tick.view(c.fed_before, (2,)), tick.view(c.late, (2,))
-        self._soft_value, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
+        self.soft_values, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
         self._missed = tick.ffi.new("int[]", kinds)
 
     @property
@@ -75,11 +77,22 @@ class Program:
     @property
     def soft_limits(self) -> FloatArray:
         """(kinds - 4,) upper limits of the soft kinds at this tick, in their own units."""
-        return self.upper[HARD:, 0] + self._soft_value[:, 0]
+        return self.upper[HARD:, 0] + self.soft_values[:, 0]
 
     def count_from(self, command: FloatArray) -> None:
         """Let slew count from `command` (2,) at the next tick: for a controller that looks on while another drives."""
         self._tick.view(self._tick.lib.ddmpc_last_command(self._tick.c), (2,))[:] = command
+
+    def linearise(self, plan: FloatArray) -> None:
+        """Linearise the last tick's problem along `plan` (2 N,) instead; the next tick does not depend on that."""
+        self._tick.lib.ddmpc_linearise_again(self._tick.c, self._tick.ffi.from_buffer("real[]", plan))
+
+    @property
+    def directions(self) -> FloatArray:
+        """(2, N) directions of travel, 1 or -1, of the body at the end of each step and of its command."""
+        values, tick = np.empty((2, self._steps)), self._tick
+        tick.lib.ddmpc_directions(tick.c, tick.ffi.from_buffer("real[]", values))
+        return values
 
     def rows(self, kind: int) -> FloatArray:
         """(N, 2 N) rows of one kind of soft limit."""

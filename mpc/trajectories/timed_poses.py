@@ -94,9 +94,8 @@ def _read(path: Path) -> FloatArray:
             header = [cell.strip() for cell in next(reader, [])]
             missing = [name for name in _COLUMNS if name not in header]
             if missing:
-                raise ConfigError(
-                    f"{path}, line 1: column '{missing[0]}' is missing; the header must name {','.join(_COLUMNS)}"
-                )
+                named = f"the header must name {','.join(_COLUMNS)} (found {plain_line(','.join(header), 100)})"
+                raise ConfigError(f"{path}, line 1: column '{missing[0]}' is missing; {named}")
             columns = [header.index(name) for name in _COLUMNS]
             lines, numbers = array("q"), array("d")
             for cells in reader:

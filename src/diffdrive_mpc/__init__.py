@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.pose import integrate_pose as integrate_pose
     from diffdrive_mpc.models.velocity_model import ModelError as ModelError
     from diffdrive_mpc.models.velocity_model import VelocityModel as VelocityModel
+    from diffdrive_mpc.mpc.casadi_problem import casadi_problem as casadi_problem
     from diffdrive_mpc.mpc.config.config_file import load_config as load_config
     from diffdrive_mpc.mpc.config.schema import ControllerConfig as ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller as Controller
@@ -51,6 +52,7 @@ _HOMES = {
     "Term": "mpc.problem.terms",
     "Trajectory": "mpc.trajectories.trajectory",
     "VelocityModel": "models.velocity_model",
+    "casadi_problem": "mpc.casadi_problem",
     "identify": "models.identification.from_logs",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",

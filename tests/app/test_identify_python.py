@@ -1,6 +1,7 @@
 """The public call from logs to a controller, without the command line."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
@@ -20,35 +21,44 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def found(folder):
+def identification(folder):
     return identify([folder / "one.csv"], mapping=folder / "map.yaml", structure="sm", validate=[folder / "two.csv"])
 
 
-def test_the_model_is_the_robot_and_drives(found):
-    assert np.diag(found.model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
-    assert found.model.name == "SM from one"
-    controller = Controller(load_config(found.config), model=found.model)
-    assert controller.config.limits.v == found.config["limits"]["v"]
+def test_the_model_is_the_robot_and_drives(identification):
+    assert np.diag(identification.model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
+    assert identification.model.name == "SM from one"
+    controller = Controller(load_config(identification.config), model=identification.model)
+    assert controller.config.limits.v == identification.config["limits"]["v"]
     assert controller.config.sample_time == pytest.approx(0.02)
 
 
-def test_what_is_written_is_what_was_found(found, tmp_path):
-    found.write(tmp_path / "new" / "mine")
+def test_what_is_written_is_what_was_found(identification, tmp_path):
+    identification.write(tmp_path / "new" / "mine")
     folder = tmp_path / "new" / "mine"
     assert sorted(path.name for path in folder.iterdir()) == sorted(set(FILES) - {NODE_FILE})
-    written, held = load_config(folder / "config.yaml"), load_config(found.config)
+    written, held = load_config(folder / "config.yaml"), load_config(identification.config)
     assert written.model_copy(update={"model": held.model}) == held
     assert written.model == str(folder / "model.yaml")
     loaded = load_model(folder / "model.yaml")
     for name in ("A", "B", "C", "dead_time"):
-        assert getattr(loaded, name).tolist() == getattr(found.model, name).tolist()
-    found.write(folder)  # and again, over itself
+        assert getattr(loaded, name).tolist() == getattr(identification.model, name).tolist()
+    identification.write(folder)  # and again, over itself
 
 
-def test_the_configuration_without_its_model_is_refused_and_not_driven_with_another(found, tmp_path, monkeypatch):
+def test_the_configuration_without_its_model_is_refused_and_not_driven_with_another(
+    identification, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=r"model 'model\.yaml'"):
-        Controller(load_config(found.config))
+        Controller(load_config(identification.config))
+
+
+def test_data_frames_give_the_model_of_their_files(folder, identification):
+    logs = [pd.read_csv(folder / f"{name}.csv") for name in ("one", "two")]
+    model = identify(logs[0], folder / "map.yaml", "sm", validate=logs[1:]).model
+    assert model.name == "SM from data_frame_0"
+    assert model.A.tolist() == identification.model.A.tolist()
 
 
 def test_one_path_is_a_log_and_progress_is_told(folder):

@@ -8,9 +8,8 @@ from nonlinear_program import (
     EXACT,
     LAG,
     NO_SLIP,
-    NonlinearProgram,
+    by_ipopt,
     converged,
-    nonlinear_outputs,
     record,
     saturating,
     windowed,
@@ -101,9 +100,8 @@ def test_real_time_iterations_converge_to_ipopts_solution(name, ticks):
         pass
 
     drive = record(make(), ExactRobot(model), CIRCLE, ticks, nothing)
-    result = converged(make, drive, CIRCLE, nothing)
-    program = NonlinearProgram(make(), result, drive, CIRCLE, nonlinear_outputs(model))
-    assert result.planned_commands == pytest.approx(program.solve(), abs=1e-6)
+    controller, result = converged(make, drive, CIRCLE, nothing)
+    assert result.planned_commands == pytest.approx(by_ipopt(controller, model=model), abs=1e-6)
 
 
 def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monkeypatch):

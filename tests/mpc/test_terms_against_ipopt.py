@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from ideal_robot import IdealRobot
-from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
+from nonlinear_program import EXACT, NO_SLIP, by_ipopt, converged, record
 
 from diffdrive_mpc import Controller, Term, load_config, load_trajectory
 
@@ -80,12 +80,8 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
 
     controller = make()
     drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, set_points)
-    result = converged(make, drive, CIRCLE, set_points)
-    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))
-    without = program.solve()
-    for term in terms:
-        program.add(term, points(drive.times[-1]) if term.parameters else np.zeros((HORIZON + 1, 0)))
-    plan = program.solve()
+    again, result = converged(make, drive, CIRCLE, set_points)
+    plan, without = by_ipopt(again, terms=terms), by_ipopt(again)
     assert result.planned_commands == pytest.approx(plan, abs=tolerance)
     assert result.solver.soft_limits == (shipped == "limited" or any(term.soft for term in terms))
     assert not terms or shipped == "limited" or np.abs(plan - without).max() > 100 * tolerance, "the terms must matter"
@@ -93,26 +89,23 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
     assert result.command == pytest.approx(drive.commands[-1], abs=2e-4)
 
 
-def test_rows_of_the_least_commanded_radius_converge_to_ipopts_solution_while_they_press():
-    """A circle that turns a tenth tighter than commands may: the plan is held, in every sample of it."""
-    radius = 1.1 * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
-    overrides = {"horizon": HORIZON, "reentry.enabled": False, "limits.min_commanded_radius": radius}
+@pytest.mark.parametrize(
+    ("limit", "factor", "turned", "ticks"), [("min_commanded_radius", 1.1, 0.0, 60), ("min_turn_radius", 1.0, -0.2, 20)]
+)
+def test_rows_of_the_least_radius_converge_to_ipopts_solution_while_they_press(limit, factor, turned, ticks):
+    """A circle that turns a tenth tighter than commands may, and a robot that heads out of it."""
+    radius = factor * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
+    overrides = {"horizon": HORIZON, "reentry.enabled": False, f"limits.{limit}": radius}
     config = load_config("ssm", overrides | NO_SLIP | EXACT)
 
     def make():
         return Controller(config)
 
     controller = make()
-    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0])
-    drive = record(controller, robot, CIRCLE, 60, lambda *_: None)
-    result = converged(make, drive, CIRCLE, lambda *_: None)
-    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))
-    without = program.solve()
-    command = ca.SX.sym("command", 2)
-    rows = ca.vertcat(radius * command[1] - command[0], -radius * command[1] - command[0])
-    term = Term("turn", ca.Function("turn", [command], [rows], ["command"], ["r"]), "soft", upper=[0.0, 0.0])
-    program.add(term, np.zeros((HORIZON + 1, 0)))
-    plan = program.solve()
+    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turned])
+    drive = record(controller, robot, CIRCLE, ticks, lambda *_: None)
+    again, result = converged(make, drive, CIRCLE, lambda *_: None)
+    plan, without = by_ipopt(again), by_ipopt(again, load_config(config, {f"limits.{limit}": None}))
     assert np.abs(plan - without).max() > 1e-2, "the rows must press"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)
-    assert (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()
+    assert limit == "min_turn_radius" or (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()

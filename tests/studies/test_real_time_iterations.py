@@ -6,12 +6,9 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from speed_parts import oracle_tick
 
-from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
+from diffdrive_mpc import Controller, casadi_problem, load_config, load_trajectory, make_plant
 from oracle.controller import OracleController
-from oracle.nonlinear import nonlinear_program
-from oracle.problem import TrackingProblem
 from oracle.solver import solve
 from studies.speed.measure import closed_loop_cost
 
@@ -93,20 +90,15 @@ def test_that_holds_where_limits_are_active(converged):
 
 @pytest.mark.parametrize("trajectory", ["s"])
 def test_in_steady_tracking_commands_are_those_of_ipopt(trajectory):
-    ticks, sent = [], [np.zeros(2)] * 50
+    ticks = []
 
     def remember(controller, result):
-        past = np.array(sent[-controller.model.discretise(controller.config.sample_time).memory :])
-        ticks.append((oracle_tick(controller.program, result.estimate, past), result.planned_commands[0]))
-        sent.append(result.command)
+        ticks.append((controller.problem_inputs(), result.planned_commands[0]))
 
-    controller = drive(trajectory, Controller, remember).controller
-    problem = TrackingProblem(controller.config, controller.model.discretise(controller.config.sample_time))
+    problem = casadi_problem(drive(trajectory, Controller, remember).controller.config)
     options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-    for tick, command in ticks[100:-100:60]:
-        program, bounds = nonlinear_program(problem, tick)
-        solver = ca.nlpsol("reference", "ipopt", program, options)
-        start = np.concatenate([tick.feed_forward.ravel(), np.zeros(10 * problem.steps)])
-        best = np.array(solver(x0=start, **bounds)["x"]).ravel()[:2]
+    solver = ca.nlpsol("reference", "ipopt", problem.nlp, options)
+    for inputs, command in ticks[100:-100:60]:
+        best = np.array(solver(**problem.arguments(inputs))["x"]).ravel()[:2]
         assert solver.stats()["success"]
         assert command == pytest.approx(best, abs=2e-3)

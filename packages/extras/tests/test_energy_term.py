@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
 from identification_parts import differences
-from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
+from nonlinear_program import EXACT, NO_SLIP, by_ipopt, converged, record
 
 from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc_extras.energy.power_readings import run_energy
-from diffdrive_mpc_extras.energy_term import energy_function, energy_terms, with_least_radius
+from diffdrive_mpc_extras.energy_term import energy_function, with_least_radius
 from diffdrive_mpc_extras.turn_costs import load_turn_costs
 
 COSTS = {floor: load_turn_costs(f"fsu_bot-{floor}") for floor in ("slippery", "default")}
@@ -69,7 +69,6 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
     # With lighter increments Gauss-Newton steps of this curved term swing instead of converging.
     chosen |= {"weights.v_increment": 20.0, "weights.omega_increment": 15.0}
     config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | chosen)
-    (term,) = energy_terms(config)
 
     def make():
         return Controller(config)
@@ -77,11 +76,8 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
     controller = make()
     robot = IdealRobot(controller._predicted.sampled, np.zeros(3))
     drive = record(controller, robot, GENTLE, 120, lambda *_: None)
-    result = converged(make, drive, GENTLE, lambda *_: None)
-    program = NonlinearProgram(controller, result, drive, GENTLE, linear_outputs(controller._predicted.sampled))
-    without = program.solve()
-    program.add(term, np.tile(term.defaults, (13, 1)))
-    plan = program.solve()
+    again, result = converged(make, drive, GENTLE, lambda *_: None)
+    plan, without = by_ipopt(again), by_ipopt(again, load_config(config, {"energy.weight": 0.0}))
     assert np.abs(plan - without).max() > 1e-3, "the term must matter"
     assert result.planned_commands == pytest.approx(plan, abs=1e-6)
 
