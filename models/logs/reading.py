@@ -81,8 +81,8 @@ def read_log(
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
-        found = diagnose(raw.name, streams, settings)
-        findings += [replace(finding, changes=of_topics(finding.changes)) for finding in found] if raw.topics else found
+        faults = diagnose(raw.name, streams, settings)
+        findings += [replace(fault, changes=of_topics(fault.changes)) for fault in faults] if raw.topics else faults
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 
 

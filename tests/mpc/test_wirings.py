@@ -123,7 +123,8 @@ def test_the_setting_that_a_message_names_restores_tracking(tmp_path):
     ]
     write_sensor_sets(tmp_path)
     cases = [(name, robot) for name in wirings for robot in robots]
-    tasks = [partial(lateral_square, robot) for robot in robots] + [partial(remedied, *case, tmp_path) for case in cases]
+    tasks = [partial(lateral_square, robot) for robot in robots]
+    tasks += [partial(remedied, *case, tmp_path) for case in cases]
     squares = run_tasks(tasks, 2, lambda *_: None)
     usual = dict(zip(robots, squares, strict=False))
     pairs = zip(cases, squares[len(robots) :], strict=True)
