@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topics, load_mapping
 from diffdrive_mpc.models.logs.record import MappingChange
 
-_TOPICS = {"command": "command", "encoders": "odometry", "gyro": "imu", "pose": "pose"}
-_SIGNS_OF_TOPICS = ("omega.sign", "yaw_rate.sign", "theta.sign")
-"""What the one sign of a topic stands for."""
+_TOPICS = {"encoders": "odometry", "gyro": "imu"}
+_SIGNS = dict.fromkeys(("omega.sign", "yaw_rate.sign", "theta.sign"), "sign")
+"""Keys of columns that the one sign of a topic stands for."""
 _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
 
 
@@ -36,6 +37,14 @@ def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapp
 
     with opened(path) as reader:
         return LogMapping(topics=Topics().named({known.topic for known in reader.connections}))
+
+
+def of_topics(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
+    """Return changes under the keys of a mapping of topics, whose readings share one sign."""
+    return tuple(
+        replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
+        for change in changes
+    )
 
 
 def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
@@ -72,10 +81,9 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     if change.stream == "time" and of_columns:
         _set_time(group, change)
         return
-    name = change.stream if of_columns else _TOPICS.get(change.stream, change.stream)
-    if group.get(name) is None and not (name == "command" and not of_columns):
-        raise ConfigError(f"the mapping has no '{name}' to be changed")
-    stream = group[name] = _whole(group.get(name, "/cmd_vel"), "topic")
+    if group.get(change.stream) is None and not (change.stream == "command" and not of_columns):
+        raise ConfigError(f"the mapping has no '{change.stream}' to be changed")
+    stream = group[change.stream] = _whole(group.get(change.stream, "/cmd_vel"), "topic")
     if change.key == "delay":
         stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
     elif change.key == "heading_offset" and of_columns:
@@ -83,7 +91,7 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     elif change.key in ("held", "on_change"):
         stream[change.key] = change.value
     elif not of_columns:
-        if change.key not in _SIGNS_OF_TOPICS:
+        if change.key != "sign":
             raise ConfigError(f"topics have no '{change.key}'")
         _turn(stream)
     else:

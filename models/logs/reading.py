@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_s
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
+from diffdrive_mpc.models.logs.mapping_changes import of_topics
 from diffdrive_mpc.models.logs.record import Finding, Log, Record, refuse
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
 from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
@@ -79,7 +81,8 @@ def read_log(
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
-        findings += diagnose(raw.name, streams, settings)
+        faults = diagnose(raw.name, streams, settings)
+        findings += [replace(fault, changes=of_topics(fault.changes)) for fault in faults] if raw.topics else faults
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 
 

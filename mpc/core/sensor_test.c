@@ -453,8 +453,8 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         high = ddmpc_max(high, off[i]);
     }
     /* No delay explains a leap: begin again. An accused gyro may turn by any factor. */
-    const real first[3] = {own, square(k->delay_fit[2]), m->accused & BY_GYRO ? R(4.0) : square(k->gyro[SHARE])};
-    const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > R(5.0) * ddmpc_sqrt(all);
+    const real first[3] = {own, square(k->delay_fit[2]), square(m->accused & BY_GYRO ? k->delay_fit[7] : k->gyro[SHARE])};
+    const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > k->delay_fit[6] * ddmpc_sqrt(all);
     m->fits = restart ? R(1.0) : left * m->fits + R(1.0);
     int best = 1;
     for (int i = 0; i < MONITORED_DELAYS; i++) {

@@ -30,7 +30,7 @@ from diffdrive_mpc.models.identification.advice import LogSelection, advise, tol
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
-from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text
+from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text, of_topics
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
 
 SKIDS = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
@@ -167,12 +167,13 @@ def test_changes_of_v_and_omega_reach_the_wheels(tmp_path, key, value, expected)
 def test_a_topic_is_changed_as_far_as_it_can_be():
 
     bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
-    new = changed(bag, [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)])
+    changes = [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)]
+    new = changed(bag, of_topics(changes))
     assert new.topics.imu.sign == 1
     assert new.topics.command.on_change
     assert "/cmd_vel" in mapping_text(new)
     with pytest.raises(ConfigError, match=r"left\.unit"):
-        changed(bag, [MappingChange("encoders", "left.unit", "rpm")])
+        changed(bag, of_topics([MappingChange("encoders", "left.unit", "rpm")]))
 
 
 UNTOLD = {"asphalt: command +0.3 s"}

@@ -99,6 +99,11 @@ def test_signs_and_delays_of_topics_act(tmp_path):
     assert np.allclose(record.yaw_rate[:295], -COLUMNS["gyro"][5:300], atol=1e-12)
 
 
+def test_finding_in_a_bag_names_the_key_of_its_mapping(tmp_path):
+    bag = write_bag(tmp_path / "bag", bag_topics({**COLUMNS, "gyro": -COLUMNS["gyro"]}))
+    assert any(str(finding).endswith("in the mapping: imu `sign: -1`") for finding in read_log(bag).findings)
+
+
 def altered_bag(folder, topic, change):
     """Write the bag of the drive with other times of receipt, stamps and readings of a topic."""
     topics = bag_topics(COLUMNS)
