@@ -58,7 +58,7 @@ class TrialSettings(StrictModel):
     curved: tuple[str, ...] = Field(description="paths without corners, of which the promise is")
     window: Positive = Field(description="over which motion that the model leaves unexplained is averaged [s]")
     noise_speed: Positive = Field(description="speed that noise of the poses may pass for [m/s]")
-    unexplained: int = Field(ge=1, description="curved drives with such motion; the promise is their largest error")
+    unexplained: int = Field(ge=1, description="curved drives with such motion, from which the promise is made")
     stand_in_order: int = Field(ge=1, description="of the SSM that stands in for a robot whose model is an SM or MBM")
     stand_in_rows: int = Field(ge=1, description="of the data held out that it is fitted to")
 

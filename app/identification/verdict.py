@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import t as student
 
 from diffdrive_mpc.app.identification.trial_drives import (
     HELD_OUT,
@@ -42,6 +43,8 @@ _WIDTH = 80
 _HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
 DRIVES = 2 * len(PATHS)
 """Trial drives of one configuration."""
+_SHARE = 0.95
+"""Of further drives that a promise holds for [-]."""
 _SERIES = 60.0
 """Length of the motion drawn for a drive, after which it repeats [s]."""
 
@@ -113,7 +116,7 @@ class TrialVerdict:
 
     @property
     def _rough(self) -> tuple[str, ...]:
-        if self._lost > 1:
+        if self._lost:
             return (f"{self._lost} of {len(self.unexplained)} drives of {UNEXPLAINED} do not arrive",)
         if all(drive.passed for drive in self.unexplained):
             return ()
@@ -126,11 +129,16 @@ class TrialVerdict:
         if self.against or not curved:
             return None
         v, omega = np.max([np.abs(drive.run.reference_twist).max(axis=0) for drive in curved], axis=0)
-        arrived = [drive.metrics for drive in (*curved, *self.unexplained) if drive.metrics.completed]
-        largest = np.max([(metrics.lateral_max_m, metrics.position_max_m) for metrics in arrived], axis=0)
+        seen, rough = (_errors(drives) for drives in (curved, self.unexplained))
+        largest = np.max([*seen, *rough], axis=0)
+        if len(rough) > 1:
+            # Largest errors of drives are about log-normal: 95 % quantile of one more drive, by Student's distribution.
+            sizes = np.log(rough)
+            factor = student.ppf(_SHARE, len(rough) - 1) * math.sqrt(1.0 + 1.0 / len(rough))
+            largest = np.maximum(largest, np.exp(sizes.mean(axis=0) + factor * sizes.std(axis=0, ddof=1)))
         beside, off = (math.ceil(100 * size) / 100 for size in largest)
         count = len(self.unexplained)
-        share = "95 of 100" if self._lost < 2 else f"{count - self._lost} of {count}"
+        share = f"{count - self._lost} of {count}" if self._lost else "95 of 100"
         return Promise(float(v), float(omega), beside, off, share)
 
     @property
@@ -171,6 +179,12 @@ class TrialVerdict:
         lines = [line for head, words in zip(_HEADS, answers, strict=True) for line in _answer(head, words)]
         limits = [line for words in self.identification.report.limits for line in _answer("Limits", words)]
         return [*limits, *lines, *(next_command(folder) if self.promise else ())]
+
+
+def _errors(drives: Sequence[TrialDrive]) -> list[tuple[float, float]]:
+    """Return the largest errors [m] of drives that arrive: from the path, and from the timed position."""
+    arrived = [drive.metrics for drive in drives if drive.metrics.completed]
+    return [(metrics.lateral_max_m, metrics.position_max_m) for metrics in arrived]
 
 
 def _answer(head: str, words: str) -> list[str]:
