@@ -49,6 +49,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "time stands still": _LEFT_OUT,
     "time backwards": _LEFT_OUT,
     "two clocks": _LEFT_OUT,
+    "two types": _LEFT_OUT,
     "spikes": _LEFT_OUT,
     "stuck sensor": _LEFT_OUT,
     "stretch left out": _LEFT_OUT,
