@@ -129,8 +129,8 @@ class TrialVerdict:
         if self.against or not curved:
             return None
         v, omega = np.max([np.abs(drive.run.reference_twist).max(axis=0) for drive in curved], axis=0)
-        seen, rough = (_errors(drives) for drives in (curved, self.unexplained))
-        largest = np.max([*seen, *rough], axis=0)
+        plain, rough = (_errors(drives) for drives in (curved, self.unexplained))
+        largest = np.max([*plain, *rough], axis=0)
         if len(rough) > 1:
             # Largest errors of drives are about log-normal: 95 % quantile of one more drive, by Student's distribution.
             sizes = np.log(rough)

@@ -23,8 +23,9 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
  * that they have demanded of the robot: over the last lag plus short_for, or plus 4/3 of the lag where that is longer, as
  * slow wheels that are still speeding up fall short of nothing. Returns 0 if the stored commands do not reach back that far.
  * v and omega count separately, since they show after different lags: the wheel inside a turn that begins while the robot
- * speeds up is slower than any pair demands. Wheels turn as the model states: the body slips, not they. In a turn on the spot they may also turn with the estimated
- * gain; elsewhere a saturated wheel has the same effect on the estimate as a smaller gain. */
+ * speeds up is slower than any pair demands. Wheels turn as the model states: the body slips, not they. In a turn on the
+ * spot they may also turn with the estimated gain; elsewhere a saturated wheel has the same effect on the estimate as a
+ * smaller gain. */
 static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2],
                            real *forward_most)
 {
