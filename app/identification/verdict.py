@@ -44,7 +44,7 @@ _HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
 DRIVES = 2 * len(PATHS)
 """Trial drives of one configuration."""
 _SHARE = 0.95
-"""Of further drives that a promise holds for [-]."""
+"""Share of further drives that a promise holds for [-]."""
 _SERIES = 60.0
 """Length of the motion drawn for a drive, after which it repeats [s]."""
 
