@@ -77,6 +77,10 @@ def test_limits_are_those_that_the_log_covers_or_the_base_has():
     assert (written["predicted_v"], written["predicted_omega"]) == pytest.approx((0.55, 0.88))
 
 
+def test_wheels_of_a_robot_whose_v_is_limited_may_turn_as_fast_as_they_were_seen_to():
+    assert limits(identified(limits={"v": 0.5}))["wheel_speed"] == pytest.approx(0.5 + 0.2 * 1.0)
+
+
 def test_each_side_is_written_with_its_own_limit():
     written = limits(identified(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
     assert written["v"] == {"forward": 0.5, "reverse": 0.2}

@@ -344,10 +344,9 @@ def configure(
         geometry = WheelGeometry(np.nan, stated)
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
-    reached = _reached(identified, train)
-    limits.append(
-        _wheel_speed(np.minimum(commanded, limit), track or load_robot().track, base, float(gain[0]), reached)
-    )
+    width = track or load_robot().track
+    reached = _reached(identified, train, geometry.track if geometry else width)
+    limits.append(_wheel_speed(np.minimum(commanded, limit), width, base, float(gain[0]), reached))
     if geometry is not None and track is not None:
         wheels = [
             _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
@@ -473,11 +472,12 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
     return slews
 
 
-def _reached(identified: IdentifiedModel, train: Sequence[Record]) -> float:
-    """Fastest that a robot whose v is limited was seen to drive [m/s]; infinity for others."""
+def _reached(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
+    """Return the fastest that a side of a robot whose v is limited was seen to turn [m/s]; infinity for others."""
     if "v" not in identified.limits:
         return np.inf
-    return float(np.nanpercentile(np.abs(np.concatenate([r.twist[:, 0] for r in train if r.twist is not None])), 99.5))
+    twist = np.concatenate([r.twist for r in train if r.twist is not None])
+    return float(np.nanpercentile(np.abs(twist) @ [1.0, 0.5 * track], 99.5))
 
 
 def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, reached: float) -> Setting:
