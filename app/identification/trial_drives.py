@@ -139,8 +139,8 @@ def model_itself(identification: Identification) -> StandIn:
 
 def stand_ins(identification: Identification) -> list[StandIn]:
     """The model itself, and one of another structure fitted to the data held out, where they allow it."""
-    itself, other = model_itself(identification), _of_held_out(identification)
-    return [itself] if other is None else [itself, other]
+    itself, held_out = model_itself(identification), _of_held_out(identification)
+    return [itself] if held_out is None else [itself, held_out]
 
 
 def trial_drives(
@@ -159,14 +159,15 @@ def trial_drives(
     radius = circle_radius(config)
     usual = load_robot()
     for stand_in in plants:
+        slip, sensors = stand_in.slip or log_slip(identification), stand_in.sensors or load_sensor_set("default")
         reached = {name: max(getattr(config.limits, name).sides) for name in CHANNELS}
         limits = usual.limits.model_copy(update=reached)
         robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
         for path in PATHS if paths is None else paths:
             plant = ModelPlant(
                 stand_in.model,
-                stand_in.slip or log_slip(identification),
-                stand_in.sensors or load_sensor_set("default"),
+                slip,
+                sensors,
                 seed,
                 effects=stand_in.base,
                 robot=robot,

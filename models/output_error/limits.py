@@ -158,12 +158,12 @@ def _confirmed(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives, robu
     fit, blocks = best, _held_out(best, drives, robust)
     for pair in ([0, 1], [2, 3]):
         sides = [kind for kind in pair if np.isfinite(limits_of(fit)[kind])]
-        removals = [_removed(fit, blocks, [kind], drives, robust) for kind in sides]
-        weak = [kind for kind, removal in zip(sides, removals, strict=True) if not removal.is_worse]
+        both, removals = fit, {kind: _removed(fit, blocks, [kind], drives, robust) for kind in sides}
+        weak = [kind for kind in sides if not removals[kind].is_worse]
         if sides == pair and weak and _removed(fit, blocks, pair, drives, robust).is_worse:
             continue
         for kind in weak:
-            removal = _removed(fit, blocks, [kind], drives, robust)
+            removal = removals[kind] if fit is both else _removed(fit, blocks, [kind], drives, robust)
             if not removal.is_worse:
                 fit, blocks = removal.fit, removal.blocks
     first = sum(fit.layout.counts[:3])

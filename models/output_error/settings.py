@@ -15,7 +15,7 @@ Range = tuple[Positive, Positive]
 
 
 class LimitSettings(StrictModel):
-    """How limits of the base are looked for."""
+    """Settings of the search for limits of the base."""
 
     levels: tuple[Positive, ...] = Field(description="that are tried, parts of the largest command [-]")
     durations: tuple[Positive, ...] = Field(description="that are tried, of ramps from zero to the largest command [s]")
