@@ -196,6 +196,7 @@ typedef struct {
     real fit[MONITORED_DELAYS][3], fit_covariance[3][3]; /* heading of poses less the gyro's at that delay: offset [rad], bias [rad/s], share of the turn */
     real fits, delay_deviation;     /* fitted poses, older ones count less; standard deviation of the delay below [s] */
     real spread[6];                 /* weights of turns, times those by poses, by the gyro, both squared, and their product */
+    ddmpc_time unsure;              /* when the delay was last not sure [s] */
     ddmpc_time delay;               /* by which they are later than stamped, as far as motion says so [s] */
     int creeping;                   /* whether poses and gyro begin to differ */
     ddmpc_time slipped, stood;      /* when wheels last slipped; when poses last said that it stands though it is told to move */

@@ -472,7 +472,10 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)), deviation = step * ddmpc_sqrt(R(2.0) * scatter / curved);
     const int sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
                      deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
-    if (sure && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
+    /* While a sensor begins to be at fault its turns may look late for a moment, and a delay moves the whole estimate. */
+    if (!sure || restart)
+        m->unsure = now->time;
+    if (now->time - m->unsure >= (ddmpc_time)k->lasting && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
         /* The gyro's factor came from windows that did not belong together. */
         if (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation)
             memset(m->spread, 0, sizeof m->spread);
