@@ -86,7 +86,7 @@ typedef struct {
     /* of the test: see mpc/config/sensor_test.yaml, by these names */
     real windows[3], silence, pose_spacing, latest, lasting, often;
     real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, uneven, sliding[2], frozen[2], odds[2];
-    real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held, scatter[5], late[6], delay_fit[8], scaled[4], impossible[2], far;
+    real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held, scatter[5], late[6], delay_fit[8], by_wheels[3], scaled[4], impossible[2], far;
     /* of wheels at the end of their speed, and of what is no reason to leave the path */
     real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, slower, stuck, steady, trial[2], smoothed, slowed, retry, regain[2];
     real on_spot, far_below;

@@ -426,34 +426,50 @@ static void learn_spread(const ddmpc_constants *k, ddmpc_monitor *m, const motio
         m->spread[i] = k->late[1] * m->spread[i] + weight * add[i];
 }
 
+/* Return whether wheels tell the turn, because no gyro does. */
+static int turns_by_wheels(const ddmpc_constants *k, const ddmpc_monitor *m)
+{
+    const ddmpc_time silence = (ddmpc_time)k->silence;
+    return (m->now.time - m->gyro.heard > silence || m->unreal & BY_GYRO) && m->now.time - m->wheels.heard <= silence &&
+           !(m->accused & BY_WHEELS);
+}
+
+/* The turn between two instants by gyro, or by wheels. */
+static real turned_between(const ddmpc_constants *k, const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to)
+{
+    return turns_by_wheels(k, m) ? quotient(m->body_by_wheels) * (to->sum[WHEEL_TURN] - from->sum[WHEEL_TURN])
+                                 : to->sum[GYRO_TURN] - from->sum[GYRO_TURN];
+}
+
 /* Learn how late poses are. At each delay a Kalman filter explains their heading less that of the gyro by an offset, a drifting
  * bias and a share of the turn, so that neither bias nor scale makes a delay; all have one covariance. Driving does not tell the
- * delay: a body follows its wheels late, by its tyres. */
+ * delay: a body follows its wheels late, by its tyres. Without a gyro their turn tells long delays only, for the same reason. */
 static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
 {
     const real dt = (real)(now->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
     const real left = ddmpc_max(R(1.0) - dt / k->delay_fit[5], R(0.0)), own = R(0.5) * square(noise) + square(k->delay_fit[3]);
     real off[MONITORED_DELAYS], low = HUGE_VAL, high = -HUGE_VAL, (*P)[3] = m->fit_covariance;
     ddmpc_motion then;
-    const int silent = m->now.time - m->gyro.changed > (ddmpc_time)k->silence || m->unreal & BY_GYRO;
+    const int wheels = turns_by_wheels(k, m);
+    const int silent = !wheels && (m->now.time - m->gyro.changed > (ddmpc_time)k->silence || m->unreal & BY_GYRO);
     if (silent || (m->accused & BY_POSE) || !motion_at(m, now->time - (ddmpc_time)k->latest, &then))
         return;
     for (int j = 0; j < 3; j++)
         P[0][j] += dt * P[1][j] + turn * P[2][j];
     for (int j = 0; j < 3; j++)
         P[j][0] += dt * P[j][1] + turn * P[j][2];
-    P[0][0] += dt * square(k->delay_fit[0]);
+    P[0][0] += dt * square(k->delay_fit[0]) + (wheels ? square(k->by_wheels[0]) * ddmpc_fabs(turn) : R(0.0));
     P[1][1] += dt * square(k->delay_fit[1]);
     const real all = P[0][0] + own, gain[3] = {P[0][0] / all, P[1][0] / all, P[2][0] / all};
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         motion_at(m, now->time - delay_of(k, i), &then);
         m->fit[i][0] += dt * m->fit[i][1] + turn * m->fit[i][2];
-        off[i] = now->sum[GYRO_TURN] - then.sum[GYRO_TURN] - m->apart - m->fit[i][0];
+        off[i] = turned_between(k, m, &then, now) - m->apart - m->fit[i][0];
         low = ddmpc_min(low, off[i]);
         high = ddmpc_max(high, off[i]);
     }
     /* No delay explains a leap: begin again. An accused gyro may turn by any factor. */
-    const real first[3] = {own, square(k->delay_fit[2]), square(m->accused & BY_GYRO ? k->delay_fit[7] : k->gyro[SHARE])};
+    const real first[3] = {own, square(k->delay_fit[2]), square(wheels ? k->by_wheels[1] : m->accused & BY_GYRO ? k->delay_fit[7] : k->gyro[SHARE])};
     const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > k->delay_fit[6] * ddmpc_sqrt(all);
     m->fits = restart ? R(1.0) : left * m->fits + R(1.0);
     int best = 1;
@@ -473,11 +489,13 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     const int sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
                      deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
     /* While a sensor begins to be at fault its turns may look late for a moment, and a delay moves the whole estimate. */
-    if (!sure || restart)
+    if (!sure || restart || (wheels && delay < k->by_wheels[2]))
         m->unsure = now->time;
-    if (now->time - m->unsure >= (ddmpc_time)k->lasting && (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation || (m->delay > 0.0 && deviation < m->delay_deviation))) {
+    const int differs = ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation;
+    const int sharper = m->delay > 0.0 && deviation < m->delay_deviation;
+    if (now->time - m->unsure >= (ddmpc_time)k->lasting && (differs || sharper)) {
         /* The gyro's factor came from windows that did not belong together. */
-        if (ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation)
+        if (differs)
             memset(m->spread, 0, sizeof m->spread);
         m->delay = (ddmpc_time)delay;
         m->delay_deviation = deviation;
@@ -779,7 +797,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
             m->poses = m->residuals = m->anchored = 0;
         else if (passed <= R(0.25) && m->same == 0)
             learn_scatter(k, m, pose, &by);
-        m->apart += by.gyro_turn - ddmpc_wrap(pose->value[2] - m->last.value[2]);
+        m->apart += turned_between(k, m, &m->last_motion, &now) - ddmpc_wrap(pose->value[2] - m->last.value[2]);
         judge(c, pose, &now, noise, evidence, &agreeing);
         decide(c, evidence, agreeing, pose->stamp, passed < 0.25 ? passed : 0.25);
     } else {

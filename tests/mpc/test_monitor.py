@@ -259,14 +259,16 @@ def test_recovered_sensor_is_used_again(name, field):
     assert apart.max() < 0.1
 
 
-@pytest.mark.parametrize("ticks", [1, 3, 10])
+@pytest.mark.parametrize(("ticks", "has_gyro"), [(1, True), (3, True), (10, True), (5, False), (10, False)])
 @pytest.mark.parametrize("trajectory", ["s", "square", "k_turn"])
-def test_poses_later_than_their_stamps_are_reported_within_5_s_but_not_accused(trajectory, ticks):
+def test_poses_later_than_their_stamps_are_reported_within_5_s_but_not_accused(trajectory, ticks, has_gyro):
     late = []
 
     def change(k, m):
         late.append(m.pose.value)
-        return replace(m, pose=Stamped(late[max(0, k - ticks)], m.pose.time))
+        return replace(
+            m, pose=Stamped(late[max(0, k - ticks)], m.pose.time), yaw_rate=m.yaw_rate if has_gyro else None
+        )
 
     results, _ = run(change, trajectory, seconds=7.0)
     assert accused(results) == set()
