@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
+from diffdrive_mpc.models.logs.pose_twist import with_twist_of_poses
 from diffdrive_mpc.models.logs.record import Topics, refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
@@ -56,7 +57,7 @@ class LogData:
     held_out
         How the validation records were chosen, in words.
     yaw
-        Whether omega is the gyro's or, without one, the encoders'.
+        Whether omega is the gyro's or, without one, the encoders', or that of the poses where these are alone.
     findings
         Of all logs, notes and warnings; with `force` errors, too.
     warnings
@@ -135,9 +136,16 @@ def read_data(
             refuse(findings)
 
     read = _read_alike((*logs, *validate), mapping, on_log or (lambda _: None), admit)
+    records = [record for log in read for record in log.records]
+    by_poses = not any(record.twist is not None for record in records) and any(r.pose is not None for r in records)
+    if by_poses:
+        read = [replace(log, records=with_twist_of_poses(log.records)) for log in read]
     fitted, tried = read[: len(logs)], read[len(logs) :]
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
-    yaw: YawSource = "gyro" if has_gyro else "encoders"
+    yaw: YawSource = "gyro" if has_gyro else "poses" if by_poses else "encoders"
+    if by_poses:
+        what = "v is" if has_gyro else "v and omega are"
+        on_findings([Finding("poses_alone", "note", "encoders", f"the log has none: {what} computed from poses")])
     needed = ("twist", *(["yaw_rate"] if has_gyro else []), *(["wheels"] if wheels else []))
     train, validation, held_out = _divided(fitted, tried, fit_share)
     spare: list[Finding] = []

@@ -108,8 +108,8 @@ def parted(rows: Sequence[FloatArray], experiments: Sequence[SampledExperiment])
     return list(np.split(np.concatenate(rows), cuts))
 
 
-YawSource = Literal["gyro", "encoders"]
-"""What omega means: the true yaw rate, or the wheels' over the geometric track."""
+YawSource = Literal["gyro", "encoders", "poses"]
+"""What omega means: the true yaw rate, the wheels' over the geometric track, or that of the twist from poses alone."""
 
 
 def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:

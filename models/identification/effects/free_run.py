@@ -23,7 +23,7 @@ def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledEx
     ValueError
         If a record lacks a sensor, has too few readings, or is not finite.
     """
-    if yaw == "encoders":
+    if yaw != "gyro":
         return twist_experiments(records, yaw)
     by_encoders, by_gyro = twist_experiments(records, "encoders"), twist_experiments(records, "gyro")
     return [

@@ -1,0 +1,83 @@
+"""Commands and poses alone identify a robot: mean twists over arcs, without a delay."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+
+from diffdrive_mpc.models.identification.from_logs import identify
+from diffdrive_mpc.models.logs.pose_twist import with_twist_of_poses
+from diffdrive_mpc.models.logs.record import Record
+
+FINE = 0.002
+
+
+def drive(twist, dt=FINE):
+    """Return the poses (K, 3) of a body that moves with a twist (K, 2) from the origin."""
+    heading = np.concatenate([[0.0], np.cumsum(twist[:-1, 1] * dt)])
+    middle = heading + 0.5 * twist[:, 1] * dt
+    steps = twist[:-1, :1] * dt * np.column_stack([np.cos(middle), np.sin(middle)])[:-1]
+    return np.column_stack([np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)]), heading])
+
+
+@given(v=st.floats(-2, 2), omega=st.floats(-2, 2), every=st.integers(1, 5))
+def test_twist_of_an_arc_is_exact(v, omega, every):
+    dt, count = 0.05, 60
+    time = dt * np.arange(count)
+    half = 0.5 * omega * time
+    chord = v * time * np.sinc(half / np.pi)
+    pose = np.column_stack([chord * np.cos(half), chord * np.sin(half), omega * time])
+    fresh = np.arange(count) % every == 0
+    (record,) = with_twist_of_poses([Record("arc", 0.0, dt, np.zeros((count, 2)), pose=pose, fresh_pose=fresh)])
+    assert record.fresh_twist.sum() > 5
+    assert record.twist[record.fresh_twist] == pytest.approx(np.tile([v, omega], (record.fresh_twist.sum(), 1)), abs=1e-9)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_mean_twist_has_no_delay(every):
+    dt, count, per = 0.05, 1200, 25
+    time = FINE * np.arange(count * per)
+    pose = drive(np.column_stack([np.sin(time), 0.5 * np.cos(time)]))[::per]
+    fresh = np.arange(count) % every == 0
+    (record,) = with_twist_of_poses([Record("sine", 0.0, dt, np.zeros((count, 2)), pose=pose, fresh_pose=fresh)])
+    when = record.time[record.fresh_twist]
+    off = record.twist[record.fresh_twist] - np.column_stack([np.sin(when), 0.5 * np.cos(when)])
+    slope = np.column_stack([np.cos(when), -0.5 * np.sin(when)])
+    delay = -np.sum(off * slope, axis=0) / np.sum(slope**2, axis=0)
+    assert delay == pytest.approx(np.zeros(2), abs=0.002)
+
+
+def written(folder, with_gyro=False):
+    """Write 90 s of a robot with 0.9 and 0.8 of its commands, 0.25 s and 0.3 s late; return the log and its mapping."""
+    stream, dt, count = np.random.default_rng(5), 0.05, 1800
+    command = np.repeat(stream.uniform([-0.5, -0.8], [0.5, 0.8], (count // 30, 2)), 30, axis=0)
+    per = round(dt / FINE)
+    twist = np.empty((count * per, 2))
+    for column, (gain, dead, lag) in enumerate([(0.9, 0.1, 0.15), (0.8, 0.1, 0.2)]):
+        late = np.concatenate([np.zeros(round(dead / FINE)), np.repeat(command[:, column], per)])[: count * per]
+        keep = np.exp(-FINE / lag)
+        twist[:, column] = gain * signal.lfilter([1 - keep], [1.0, -keep], late)
+    pose = drive(twist)[::per] + stream.normal(size=(count, 3)) * [0.003, 0.003, 0.004]
+    gyro = twist[::per, 1] + 0.005 * stream.normal(size=count)
+    table = np.column_stack([dt * np.arange(count), command, pose, *([gyro] if with_gyro else [])])
+    np.savetxt(folder / "log.csv", table, "%.6f", ",", header="t,v,w,x,y,th" + ",g" * with_gyro, comments="")
+    lines = ["source: drawn", "columns:", "  time: {column: t, unit: s}"]
+    lines += ["  command: {v: {column: v, unit: m/s}, omega: {column: w, unit: rad/s}}"]
+    lines += ["  pose: {x: {column: x, unit: m}, y: {column: y, unit: m}, theta: {column: th, unit: rad}}"]
+    lines += ["  gyro: {yaw_rate: {column: g, unit: rad/s}}"] * with_gyro
+    (folder / "mapping.yaml").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "log.csv", folder / "mapping.yaml"
+
+
+@pytest.mark.parametrize("with_gyro", [False, True])
+def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro):
+    log, mapping = written(tmp_path, with_gyro)
+    found = identify(log, mapping=mapping, structure="sm")
+    assert not found.refusal
+    for channel, gain, late in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:
+        file = getattr(found.content.channels, channel)
+        assert file.gain == pytest.approx(gain, rel=0.02)
+        delay = getattr(found.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
+        assert delay == pytest.approx(late, abs=0.01)
+    assert "yaw rate of the wheels" not in found.report.markdown()
